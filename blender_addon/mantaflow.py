@@ -1,0 +1,60 @@
+"""Make Blender's fluid solver usable from the ``bpy`` wheel, and leave such a process safely."""
+from __future__ import annotations
+
+import ctypes
+import importlib.abc
+import importlib.machinery
+import os
+import sys
+from pathlib import Path
+
+import bpy
+
+
+class _MantaFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Initialises the ``manta`` module inside the loaded bpy library when the first bake imports it."""
+
+    def __init__(self, library: Path):
+        self._init = ctypes.PyDLL(str(library)).PyInit_manta_main
+        self._init.restype = ctypes.py_object
+
+    def find_spec(self, name, path=None, target=None):
+        return importlib.machinery.ModuleSpec(name, self) if name == "manta" else None
+
+    def create_module(self, spec):
+        return self._init()
+
+    def exec_module(self, module):
+        pass
+
+
+def enable() -> None:
+    """Prepare Mantaflow; call once after ``import bpy`` and before a fluid domain is evaluated.
+
+    Mantaflow copies base-class methods into its Python types when the first solver is set up. The wheel
+    imports ``manta`` earlier, at ``import bpy``, so its types lack those methods and every bake fails. Forgetting
+    that early module lets the first bake initialise it again, at the right moment. A Blender application
+    registers ``manta`` differently and needs nothing; there, and on a second call, this does nothing.
+
+    Raises RuntimeError if the loaded bpy library cannot be found.
+    """
+    if not bpy.app.module or any(isinstance(finder, _MantaFinder) for finder in sys.meta_path):
+        return
+    package = Path(bpy.__file__).resolve().parents[4]  # <package>/<version>/scripts/modules/bpy/__init__.py
+    libraries = [package / f"__init__{suffix}" for suffix in (".so", ".pyd")]
+    library = next((path for path in libraries if path.is_file()), None)
+    if library is None:
+        raise RuntimeError(f"no bpy library in {package}; reinstall it with: pip install --force-reinstall bpy")
+    sys.modules.pop("manta", None)
+    sys.meta_path.insert(0, _MantaFinder(library))
+
+
+def leave(status: int = 0) -> None:
+    """End this process at once, with its output flushed.
+
+    After a bake the normal exit of the bpy wheel aborts ("can't clean grid cache", return code 134) and loses
+    buffered output, so workers leave here instead. Never call it inside a Blender application.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)

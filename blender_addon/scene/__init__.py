@@ -1,0 +1,1 @@
+"""Builders of the Blender scene: fire, camera rig, background, materials, rendering."""
