@@ -1,0 +1,16 @@
+"""Differentiable Gaussian renderer on Dr.Jit. Importing this package is cheap: names are loaded on first use."""
+
+from importlib import import_module
+
+_EXPORTS = {
+    "Splats": "scene", "transient_state": "scene", "require_finite_splats": "scene",
+    "render_splats": "native", "Frame": "native", "render": "native",
+    "l1_ssim": "loss", "Target": "loss",
+}
+__all__ = sorted(_EXPORTS)
+
+
+def __getattr__(name: str):
+    if name in _EXPORTS:
+        return getattr(import_module(f"gof.render.{_EXPORTS[name]}"), name)
+    raise AttributeError(f"module 'gof.render' has no attribute '{name}'")
