@@ -1,0 +1,34 @@
+# Everything a fresh machine needs comes from `make demo` or `make test`: system libraries (when root and missing),
+# a virtual environment, pinned packages.
+#   make demo    a small real fire: simulated, rendered, reconstructed, scored, shown (out/demo/report.html)
+#   make test    the test suite
+# TORCH: which PyTorch to install; a CUDA build of your own is kept if it is in the environment already.
+PYTHON ?= python3.11
+TORCH  ?= torch==2.13.0
+OUT    ?= out/demo
+VENV   := .venv
+READY  := $(VENV)/.ready
+
+.PHONY: demo test setup lint clean
+
+demo: setup
+	$(VENV)/bin/gof demo --out $(OUT)
+
+test: setup
+	$(VENV)/bin/python -m pytest $(ARGS)
+
+setup: $(READY)
+
+$(READY): pyproject.toml tools/system_packages.sh
+	bash tools/system_packages.sh
+	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --upgrade "pip>=24" "setuptools>=77"
+	$(VENV)/bin/python -c "import torch" 2>/dev/null || $(VENV)/bin/python -m pip install "$(TORCH)"
+	$(VENV)/bin/python -m pip install -e ".[blender,torch,dev]"
+	touch $@
+
+lint: setup
+	$(VENV)/bin/ruff check .
+
+clean:
+	rm -rf out build *.egg-info

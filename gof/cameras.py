@@ -1,0 +1,125 @@
+"""Pinhole cameras in the OpenCV convention: x right, y down, z forward, pixel centres at integer + 0.5."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gof.errors import DataFormatError, NonFiniteError
+
+READOUT_DIRECTIONS = ("down", "up", "right", "left")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One calibrated camera.
+
+    Args:
+        name: unique name inside its dataset.
+        width, height: image size in pixels.
+        K: (3, 3) float64 intrinsics in pixels; last row 0 0 1.
+        world_to_camera: (4, 4) float64 rigid transform, world (Z up, metres) to OpenCV camera axes.
+        row_time_s: seconds between two neighbouring image lines of a rolling shutter; 0 = global shutter.
+        readout: direction in the image in which lines are read later. A landscape sensor rolled by 90 degrees
+            reads its rows along portrait columns, so "right" or "left".
+
+    Raises:
+        DataFormatError: a matrix has the wrong shape, the rotation is not orthonormal, or a size is not positive.
+        NonFiniteError: a matrix holds NaN or Inf.
+    """
+
+    name: str
+    width: int
+    height: int
+    K: np.ndarray
+    world_to_camera: np.ndarray
+    row_time_s: float = 0.0
+    readout: str = "down"
+
+    def __post_init__(self):
+        object.__setattr__(self, "K", np.asarray(self.K, np.float64))
+        object.__setattr__(self, "world_to_camera", np.asarray(self.world_to_camera, np.float64))
+        for field, shape in (("K", (3, 3)), ("world_to_camera", (4, 4))):
+            matrix = getattr(self, field)
+            if matrix.shape != shape:
+                raise DataFormatError(f"camera '{self.name}': {field} has shape {matrix.shape}, expected {shape}")
+            if not np.isfinite(matrix).all():
+                raise NonFiniteError(f"camera '{self.name}': {field} holds NaN or Inf")
+        if self.width < 1 or self.height < 1:
+            raise DataFormatError(f"camera '{self.name}': size {self.width}x{self.height} is not positive")
+        R = self.world_to_camera[:3, :3]
+        if np.abs(R @ R.T - np.eye(3)).max() > 1e-4 or np.linalg.det(R) < 0:
+            raise DataFormatError(
+                f"camera '{self.name}': world_to_camera is not a rigid transform (rotation not orthonormal, or mirrored; "
+                "OpenGL camera-to-world matrices must be converted first)"
+            )
+        if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
+            raise DataFormatError(f"camera '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}")
+        if self.readout not in READOUT_DIRECTIONS:
+            raise DataFormatError(f"camera '{self.name}': readout '{self.readout}' is not one of {READOUT_DIRECTIONS}")
+
+    @property
+    def position(self) -> np.ndarray:
+        """(3,) camera centre in world metres."""
+        R, t = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        return -R.T @ t
+
+    def to_camera(self, points: np.ndarray) -> np.ndarray:
+        """World points (N, 3) in metres to camera axes (N, 3) in metres."""
+        return np.asarray(points, np.float64) @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Project world points.
+
+        Args:
+            points: (N, 3) world metres.
+        Returns:
+            pixels (N, 2): continuous image coordinates, (0.5, 0.5) is the centre of the first pixel; NaN for points
+                on or behind the camera plane (depth <= 1e-9 m), which have no image.
+            depth (N,): camera z in metres, negative behind the camera.
+        """
+        xyz = self.to_camera(points)
+        depth = xyz[:, 2]
+        safe = np.where(depth > 1e-9, depth, np.nan)
+        uv = xyz[:, :2] / safe[:, None]
+        pixels = uv @ self.K[:2, :2].T + self.K[:2, 2]
+        return pixels, depth
+
+    def projection_jacobian(self, points: np.ndarray) -> np.ndarray:
+        """d(pixel)/d(world) at points (N, 3): (N, 2, 3) in px/m; NaN on or behind the camera plane."""
+        xyz = self.to_camera(points)
+        z = np.where(xyz[:, 2] > 1e-9, xyz[:, 2], np.nan)
+        d_uv = np.zeros((len(xyz), 2, 3))
+        d_uv[:, 0, 0] = d_uv[:, 1, 1] = 1 / z
+        d_uv[:, 0, 2] = -xyz[:, 0] / z**2
+        d_uv[:, 1, 2] = -xyz[:, 1] / z**2
+        return self.K[:2, :2] @ d_uv @ self.world_to_camera[:3, :3]
+
+    def scaled(self, width: int, height: int) -> Camera:
+        """The same camera for an image resampled to width x height (row time per image line scales with it)."""
+        sx, sy = width / self.width, height / self.height
+        lines = sx if self.readout in ("left", "right") else sy
+        return Camera(self.name, width, height, np.diag([sx, sy, 1.0]) @ self.K, self.world_to_camera,
+                      self.row_time_s / lines, self.readout)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready description; inverse of `from_dict`."""
+        return {"name": self.name, "width": self.width, "height": self.height, "K": self.K.tolist(),
+                "world_to_camera": self.world_to_camera.tolist(), "row_time_s": self.row_time_s, "readout": self.readout}
+
+    @classmethod
+    def from_dict(cls, d: dict[str, Any], source: str = "camera") -> Camera:
+        """Read `to_dict`'s fields; extra fields are ignored.
+
+        Raises:
+            DataFormatError: a field is missing or has the wrong type or shape (names `source` and the field).
+        """
+        try:
+            return cls(str(d["name"]), int(d["width"]), int(d["height"]), d["K"], d["world_to_camera"],
+                       float(d.get("row_time_s", 0.0)), str(d.get("readout", "down")))
+        except KeyError as e:
+            raise DataFormatError(f"{source}: camera field {e} is missing") from e
+        except (TypeError, ValueError) as e:
+            raise DataFormatError(f"{source}: camera field cannot be read ({e})") from e

@@ -1,0 +1,126 @@
+"""The on-disk dataset: what the generator writes and everything else reads (layout in docs/formats.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gof.cameras import Camera
+from gof.errors import DataFormatError
+from gof.fields import VelocitySequence
+from gof.io.files import read_json
+
+SCHEMA, VERSION = "gof-dataset", 1
+_REQUIRED = ("name", "time_s", "cameras", "splits")
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A capture or a benchmark scene. Frames and cameras are numbered from 0; images are read when asked for.
+
+    Attributes:
+        path: the folder.
+        meta: the content of dataset.json.
+        cameras: the reconstruction's cameras (role "train"), in file order.
+        times_s: (T,) float64 frame times on the dataset clock.
+    """
+
+    path: Path
+    meta: dict[str, Any]
+    cameras: list[Camera]
+    times_s: np.ndarray
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Dataset:
+        """Read `folder/dataset.json`.
+
+        Raises:
+            DataFormatError: no dataset there, another schema or version, a missing or malformed field.
+        """
+        folder = Path(folder)
+        source = folder / "dataset.json"
+        if not source.is_file():
+            raise DataFormatError(f"{folder}: no dataset.json; not a dataset, or its generation has not finished "
+                                  f"(run 'gof generate' on it again to resume)")
+        meta = read_json(source)
+        if not isinstance(meta, dict) or meta.get("schema") != SCHEMA or meta.get("version") != VERSION:
+            raise DataFormatError(f"{source}: not schema '{SCHEMA}' version {VERSION}")
+        missing = [key for key in _REQUIRED if key not in meta]
+        if missing:
+            raise DataFormatError(f"{source}: fields {missing} are missing")
+        times = np.asarray(meta["time_s"], np.float64)
+        if times.ndim != 1 or len(times) == 0 or not (np.diff(times) > 0).all():
+            raise DataFormatError(f"{source}: time_s must be a non-empty, strictly increasing list of seconds")
+        cameras = [Camera.from_dict(c, str(source)) for c in meta["cameras"] if c.get("role", "train") == "train"]
+        if not cameras:
+            raise DataFormatError(f"{source}: no camera with role 'train'")
+        for name in ("train", "test"):
+            frames = meta["splits"].get(name)
+            if not isinstance(frames, list) or any(not 0 <= k < len(times) for k in frames):
+                raise DataFormatError(f"{source}: splits.{name} must list frame numbers below {len(times)}")
+        return cls(folder, meta, cameras, times)
+
+    @property
+    def train_frames(self) -> list[int]:
+        return self.meta["splits"]["train"]
+
+    @property
+    def test_frames(self) -> list[int]:
+        """Held-out frames: neither their pictures nor flow from or to them may be used by a method."""
+        return self.meta["splits"]["test"]
+
+    @property
+    def frame_time_s(self) -> float:
+        """Median time between two frames; 0 for a single frame."""
+        return float(np.median(np.diff(self.times_s))) if len(self.times_s) > 1 else 0.0
+
+    def file(self, camera: int, kind: str, frame: int = 0) -> Path:
+        """Path of a camera's "rgb", "exr", "mask" or "static" file for a frame."""
+        entry = next(c for c in self.meta["cameras"] if c["name"] == self.cameras[camera].name)
+        if kind not in entry:
+            raise DataFormatError(f"{self.path}/dataset.json: camera '{entry['name']}' has no '{kind}' files")
+        path = (self.path / entry[kind].format(frame=frame)).resolve()
+        if not path.is_relative_to(self.path.resolve()):
+            raise DataFormatError(f"{self.path}/dataset.json: '{entry[kind]}' points outside the dataset")
+        return path
+
+    def image(self, camera: int, frame: int) -> np.ndarray:
+        """(H, W, 3) float32 display sRGB in [0, 1]."""
+        return self._read(self.file(camera, "rgb", frame), camera)
+
+    def static(self, camera: int) -> np.ndarray:
+        """(H, W, 3) float32 display sRGB in [0, 1]: the same view without fire."""
+        return self._read(self.file(camera, "static"), camera)
+
+    def mask(self, camera: int, frame: int) -> np.ndarray | None:
+        """(H, W) float32 in [0, 1], 1 where flame is visible (ground truth); None when the dataset has no masks."""
+        entry = next(c for c in self.meta["cameras"] if c["name"] == self.cameras[camera].name)
+        if "mask" not in entry:
+            return None
+        return self._read(self.file(camera, "mask", frame), camera)[..., 0]
+
+    @cached_property
+    def velocity(self) -> VelocitySequence:
+        """Ground-truth velocity over time.
+
+        Raises:
+            DataFormatError: the dataset has none (a real capture), or the store cannot be read.
+        """
+        if not self.meta.get("velocity"):
+            raise DataFormatError(f"{self.path}: has no ground-truth velocity (a real capture?)")
+        return VelocitySequence.open(self.path / self.meta["velocity"])
+
+    def _read(self, path: Path, camera: int) -> np.ndarray:
+        import cv2
+
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if image is None:
+            raise DataFormatError(f"{path}: {'cannot be decoded; delete it and resume the generation' if path.is_file() else 'no such file'}")
+        expected = self.cameras[camera].height, self.cameras[camera].width
+        if image.shape[:2] != expected:
+            raise DataFormatError(f"{path}: is {image.shape[1]}x{image.shape[0]}, the camera says {expected[1]}x{expected[0]}")
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.float32) / 255

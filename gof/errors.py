@@ -1,0 +1,28 @@
+"""Errors a user can act on. Every message names the file or parameter, what is wrong, and what to do."""
+
+
+class GofError(Exception):
+    """Base of every error this package raises on purpose; command lines print it without a traceback."""
+
+
+class DataFormatError(GofError):
+    """A file or folder does not follow its format (missing field, wrong version, truncated, foreign)."""
+
+
+class NonFiniteError(GofError):
+    """NaN or Inf where only finite numbers make sense; names the parameter and the first rows."""
+
+
+class MissingDependencyError(GofError):
+    """A library, system package or weight file is absent; says what it is for and how to get it."""
+
+
+def require_finite(name: str, array, context: str = "") -> None:
+    """Raise `NonFiniteError` naming `name` and the first bad rows when `array` holds NaN or Inf."""
+    import numpy as np
+
+    finite = np.isfinite(array)
+    if not finite.all():
+        rows = np.unique(np.argwhere(~finite)[:, 0])[:5].tolist() if np.ndim(array) else []
+        where = f" in {context}" if context else ""
+        raise NonFiniteError(f"'{name}'{where} holds {int((~finite).sum())} NaN or Inf values (first rows: {rows})")

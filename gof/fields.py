@@ -1,0 +1,195 @@
+"""Velocity fields: world-space ground truth on a cell-centred grid, and its chunked store over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gof.errors import DataFormatError
+
+SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
+
+
+@dataclass(frozen=True)
+class VelocityField:
+    """Velocity at one time on a regular grid.
+
+    Args:
+        velocity: (X, Y, Z, 3) m/s in world axes, float16/32/64; the value of a cell is at its centre.
+        index_to_world: (4, 4) float64 affine map from continuous index (cell i spans [i, i+1]) to world metres.
+        time_s: time on the dataset clock.
+    """
+
+    velocity: np.ndarray
+    index_to_world: np.ndarray
+    time_s: float = 0.0
+
+    def __post_init__(self):
+        object.__setattr__(self, "index_to_world", np.asarray(self.index_to_world, np.float64))
+        if self.velocity.ndim != 4 or self.velocity.shape[-1] != 3 or 0 in self.velocity.shape:
+            raise DataFormatError(f"velocity has shape {self.velocity.shape}, expected (X, Y, Z, 3) with no empty axis")
+        if self.index_to_world.shape != (4, 4) or not abs(np.linalg.det(self.index_to_world)) > 1e-30:
+            raise DataFormatError("index_to_world must be an invertible (4, 4) matrix")
+
+    @classmethod
+    def from_array(cls, velocity: np.ndarray, origin, voxel_size: float, time_s: float = 0.0) -> VelocityField:
+        """An axis-aligned field. velocity (X, Y, Z, 3) m/s; origin (3,) = min corner of cell (0,0,0), m; voxel_size m > 0."""
+        if not voxel_size > 0:
+            raise DataFormatError(f"voxel_size must be positive, got {voxel_size}")
+        index_to_world = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
+        index_to_world[:3, 3] = origin
+        return cls(np.asarray(velocity), index_to_world, time_s)
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        return self.velocity.shape[:3]
+
+    @property
+    def voxel_size(self) -> float:
+        """Edge length of a cell in metres (cube root of its volume)."""
+        return float(np.cbrt(abs(np.linalg.det(self.index_to_world[:3, :3]))))
+
+    def to_index(self, points: np.ndarray) -> np.ndarray:
+        """World points (N, 3) m to continuous cell index (N, 3): the centre of cell i has index i + 0.5."""
+        inverse = np.linalg.inv(self.index_to_world)
+        return np.asarray(points, np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+
+    def cell_centers(self) -> np.ndarray:
+        """(X, Y, Z, 3) world position of every cell centre, m."""
+        index = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in self.resolution), indexing="ij"), -1)
+        return index @ self.index_to_world[:3, :3].T + self.index_to_world[:3, 3]
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """(N,) bool: inside the domain box (all cells, including their outer halves). NaN points are outside."""
+        index = self.to_index(points)
+        return ((index >= 0) & (index <= self.resolution)).all(-1)
+
+    def sample(self, points: np.ndarray) -> np.ndarray:
+        """Tri-linear interpolation between cell centres.
+
+        Args:
+            points: (N, 3) world metres.
+        Returns:
+            (N, 3) float32 m/s; in the outer half cell the nearest centre's value; 0 outside the domain box.
+        """
+        index = self.to_index(points)
+        inside = ((index >= 0) & (index <= self.resolution)).all(-1)
+        out = np.zeros((len(index), 3), np.float32)
+        out[inside] = self._trilinear(index[inside] - 0.5)
+        return out
+
+    def _trilinear(self, coordinate: np.ndarray) -> np.ndarray:
+        size = np.array(self.resolution)
+        coordinate = np.clip(coordinate, 0, size - 1)
+        low = np.minimum(coordinate.astype(np.int64), np.maximum(size - 2, 0))
+        fraction = (coordinate - low).astype(np.float32)
+        step = (size > 1).astype(np.int64)  # a one-cell axis has no neighbour to blend with
+        flat = self.velocity.reshape(-1, 3)
+        out = np.zeros((len(low), 3), np.float32)
+        for corner in np.ndindex(2, 2, 2):
+            weight = np.prod(np.where(corner, fraction, 1 - fraction), axis=1)
+            index = np.ravel_multi_index(tuple((low + np.array(corner) * step).T), self.resolution)
+            out += weight[:, None] * flat[index]
+        return out
+
+
+class VelocitySequence:
+    """A velocity field over time in a chunked zarr store; frames are read when asked for.
+
+    Attributes:
+        times_s: (T,) float64 seconds on the dataset clock, strictly increasing.
+        index_to_world: (4, 4), see `VelocityField`.
+    """
+
+    def __init__(self, array, path: Path):
+        self._array, self._path, self._cached = array, path, None
+        attributes = dict(array.attrs)
+        if attributes.get("schema") != SCHEMA or attributes.get("version") != VERSION:
+            raise DataFormatError(f"{path}: schema '{attributes.get('schema')}' version {attributes.get('version')}; "
+                                  f"this version reads '{SCHEMA}' version {VERSION}")
+        try:
+            self.times_s = np.asarray(attributes["time_s"], np.float64)
+            self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
+            units, layout = attributes["units"], attributes["layout"]
+        except KeyError as e:
+            raise DataFormatError(f"{path}: attribute {e} is missing from zarr.json") from e
+        if (units, layout) != ("m/s", "cell_centred"):
+            raise DataFormatError(f"{path}: units '{units}', layout '{layout}'; expected 'm/s', 'cell_centred'")
+        if array.ndim != 5 or array.shape[-1] != 3 or self.times_s.shape != array.shape[:1]:
+            raise DataFormatError(f"{path}: shape {array.shape} and {self.times_s.shape} times do not fit (T, X, Y, Z, 3)")
+        if len(self.times_s) == 0 or not (np.diff(self.times_s) > 0).all():
+            raise DataFormatError(f"{path}: time_s must be strictly increasing and not empty")
+
+    @classmethod
+    def open(cls, path: str | Path) -> VelocitySequence:
+        """Open a store for reading.
+
+        Raises:
+            DataFormatError: not a zarr array, wrong schema or version, missing attribute, times not increasing.
+        """
+        import zarr
+
+        path = Path(path)
+        try:
+            array = zarr.open_array(str(path), mode="r")
+        except Exception as e:  # zarr raises many kinds; all mean the same to a user
+            raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e})") from e
+        return cls(array, path)
+
+    @classmethod
+    def create(cls, path: str | Path, fields: Iterable[VelocityField], dtype: str = "float32") -> VelocitySequence:
+        """Write fields of one grid, in time order, as a new store; refuses to replace an existing one.
+
+        Raises:
+            DataFormatError: the store exists, there are no fields, or their grids differ.
+        """
+        import zarr
+
+        path, fields = Path(path), list(fields)
+        if path.exists():
+            raise DataFormatError(f"{path}: exists already; remove it first or choose another name")
+        if not fields:
+            raise DataFormatError(f"{path}: no fields to write")
+        first = fields[0]
+        if any(f.resolution != first.resolution or not np.allclose(f.index_to_world, first.index_to_world) for f in fields):
+            raise DataFormatError(f"{path}: all fields of a sequence must share one grid")
+        attributes = {"schema": SCHEMA, "version": VERSION, "units": "m/s", "frame": "world", "layout": "cell_centred",
+                      "index_to_world": first.index_to_world.tolist(), "voxel_size": first.voxel_size,
+                      "time_s": [float(f.time_s) for f in fields]}
+        array = zarr.create_array(str(path), shape=(len(fields), *first.resolution, 3), chunks=(1, CHUNK, CHUNK, CHUNK, 3),
+                                  dtype=dtype, fill_value=0, attributes=attributes)
+        for i, f in enumerate(fields):
+            array[i] = f.velocity
+        return cls(array, path)
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def frame(self, index: int) -> VelocityField:
+        """The stored field number `index`."""
+        if self._cached is None or self._cached[0] != index:
+            velocity = np.asarray(self._array[index])
+            if not np.isfinite(velocity).all():
+                raise DataFormatError(f"{self._path}: frame {index} holds NaN or Inf; the store is damaged, make it again")
+            self._cached = index, VelocityField(velocity, self.index_to_world, float(self.times_s[index]))
+        return self._cached[1]
+
+    def at(self, time_s: float) -> VelocityField:
+        """The field at a time: a stored frame within 1 us, otherwise linear interpolation between the two around it.
+
+        Raises:
+            DataFormatError: the time lies outside the stored clock.
+        """
+        nearest = int(np.abs(self.times_s - time_s).argmin())
+        if abs(self.times_s[nearest] - time_s) <= 1e-6:
+            return self.frame(nearest)
+        if not self.times_s[0] < time_s < self.times_s[-1]:
+            raise DataFormatError(f"{self._path}: time {time_s} s is outside the stored clock "
+                                  f"{self.times_s[0]}..{self.times_s[-1]} s; do both use the same clock and unit?")
+        after = int(np.searchsorted(self.times_s, time_s))
+        f = (time_s - self.times_s[after - 1]) / (self.times_s[after] - self.times_s[after - 1])
+        a, b = self.frame(after - 1).velocity.astype(np.float32), self.frame(after).velocity
+        return VelocityField((1 - f) * a + f * b, self.index_to_world, float(time_s))

@@ -1,0 +1,113 @@
+"""TransientGaussians: the one data model of a reconstruction.
+
+Each Gaussian is a short-lived volumetric carrier of emission (paper, "Dynamic Scene"):
+x(t) = x0 + (t - t_mu) v and opacity(t) = opacity * exp(-0.5 ((t - t_mu) / t_sigma)^2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from gof.errors import DataFormatError, require_finite
+
+
+@dataclass
+class TransientGaussians:
+    """N Gaussians in activated values, float32, world frame (Z up, metres, seconds).
+
+    Args:
+        position: (N, 3) centre at time t_mu, m.
+        velocity: (N, 3) m/s.
+        t_mu: (N,) s on the dataset clock.
+        t_sigma: (N,) s, > 0; inf = always on.
+        scale: (N, 3) standard deviation along the Gaussian's own axes, m, > 0.
+        rotation: (N, 4) quaternion wxyz; normalised on construction.
+        opacity: (N,) in [0, 1], at time t_mu.
+        color: (N, 3) display values, or (N, K, 3) spherical-harmonics coefficients with K = (degree + 1)^2.
+        dynamic: (N,) bool; False = static background: ignores velocity, t_mu and t_sigma.
+
+    Raises:
+        DataFormatError: shapes disagree, or a value is outside its range (names the parameter and rows).
+        NonFiniteError: NaN or Inf anywhere but t_sigma = inf.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    t_mu: np.ndarray
+    t_sigma: np.ndarray
+    scale: np.ndarray
+    rotation: np.ndarray
+    opacity: np.ndarray
+    color: np.ndarray
+    dynamic: np.ndarray
+
+    def __post_init__(self):
+        for f in fields(self):
+            kind = bool if f.name == "dynamic" else np.float32
+            setattr(self, f.name, np.ascontiguousarray(getattr(self, f.name), kind))
+        n = len(self.position)
+        shapes = {"position": (n, 3), "velocity": (n, 3), "t_mu": (n,), "t_sigma": (n,), "scale": (n, 3),
+                  "rotation": (n, 4), "opacity": (n,), "dynamic": (n,)}
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise DataFormatError(f"'{name}' has shape {getattr(self, name).shape}, expected {shape} for {n} Gaussians")
+        sh = self.color.ndim == 3 and self.color.shape[1] in (1, 4, 9, 16)
+        if self.color.shape[:1] != (n,) or self.color.shape[-1:] != (3,) or not (self.color.ndim == 2 or sh):
+            raise DataFormatError(f"'color' has shape {self.color.shape}, expected ({n}, 3) or ({n}, K, 3) with K = 1, 4, 9 or 16")
+        for name in shapes | {"color": ()}:
+            values = getattr(self, name)
+            require_finite(name, np.where(np.isposinf(values), 0, values) if name == "t_sigma" else values, "TransientGaussians")
+        self._require("t_sigma", self.t_sigma > 0, "> 0 (inf = always on)")
+        self._require("scale", (self.scale > 0).all(-1), "> 0 (linear standard deviation in metres, not its log)")
+        self._require("opacity", (self.opacity >= 0) & (self.opacity <= 1), "in [0, 1] (activated, not a logit)")
+        norm = np.linalg.norm(self.rotation.astype(np.float64), axis=-1, keepdims=True)
+        self._require("rotation", norm[:, 0] > 1e-12, "a non-zero quaternion")
+        self.rotation = (self.rotation / np.maximum(norm, 1e-12)).astype(np.float32)
+
+    def _require(self, name: str, ok: np.ndarray, rule: str) -> None:
+        if not ok.all():
+            raise DataFormatError(f"'{name}' must be {rule}; rows {np.flatnonzero(~ok)[:5].tolist()} are not")
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def __getitem__(self, index) -> TransientGaussians:
+        """A subset by boolean mask, slice or index array (N',)."""
+        return TransientGaussians(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    def at(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """State at one time: position (N, 3) m and opacity (N,) in [0, 1]; static Gaussians do not change."""
+        dt = np.where(self.dynamic, np.float64(time_s) - self.t_mu, 0.0)
+        position = self.position + dt[:, None] * self.velocity
+        window = np.exp(-0.5 * (dt / self.t_sigma) ** 2)
+        return position.astype(np.float32), (self.opacity * window).astype(np.float32)
+
+    @classmethod
+    def concatenate(cls, parts: list[TransientGaussians]) -> TransientGaussians:
+        """All Gaussians of several sets; colour layouts must agree."""
+        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
+
+    def save(self, path: str | Path, source: str = "") -> Path:
+        """Write `.ply` (3DGS attributes plus time and velocity) or `.npz` (schema gof-linear/1), by suffix.
+
+        Raises:
+            DataFormatError: unknown suffix.
+        """
+        from gof.io import results
+
+        return results.save(self, Path(path), source)
+
+    @classmethod
+    def load(cls, path: str | Path) -> TransientGaussians:
+        """Read what `save` wrote.
+
+        Raises:
+            DataFormatError: unknown suffix, missing field, wrong version, truncated file, or values out of range.
+            NonFiniteError: NaN or Inf in a field.
+        """
+        from gof.io import results
+
+        return results.load(Path(path))

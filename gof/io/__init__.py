@@ -1,0 +1,1 @@
+"""File formats: our result files, and importers for other methods."""
