@@ -56,7 +56,9 @@ class Camera:
                 "OpenGL camera-to-world matrices must be converted first)"
             )
         if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
-            raise DataFormatError(f"camera '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}")
+            raise DataFormatError(
+                f"camera '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}"
+            )
         if self.readout not in READOUT_DIRECTIONS:
             raise DataFormatError(f"camera '{self.name}': readout '{self.readout}' is not one of {READOUT_DIRECTIONS}")
 
@@ -101,13 +103,27 @@ class Camera:
         """The same camera for an image resampled to width x height (row time per image line scales with it)."""
         sx, sy = width / self.width, height / self.height
         lines = sx if self.readout in ("left", "right") else sy
-        return Camera(self.name, width, height, np.diag([sx, sy, 1.0]) @ self.K, self.world_to_camera,
-                      self.row_time_s / lines, self.readout)
+        return Camera(
+            self.name,
+            width,
+            height,
+            np.diag([sx, sy, 1.0]) @ self.K,
+            self.world_to_camera,
+            self.row_time_s / lines,
+            self.readout,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready description; inverse of `from_dict`."""
-        return {"name": self.name, "width": self.width, "height": self.height, "K": self.K.tolist(),
-                "world_to_camera": self.world_to_camera.tolist(), "row_time_s": self.row_time_s, "readout": self.readout}
+        return {
+            "name": self.name,
+            "width": self.width,
+            "height": self.height,
+            "K": self.K.tolist(),
+            "world_to_camera": self.world_to_camera.tolist(),
+            "row_time_s": self.row_time_s,
+            "readout": self.readout,
+        }
 
     @classmethod
     def from_dict(cls, d: dict[str, Any], source: str = "camera") -> Camera:
@@ -117,8 +133,15 @@ class Camera:
             DataFormatError: a field is missing or has the wrong type or shape (names `source` and the field).
         """
         try:
-            return cls(str(d["name"]), int(d["width"]), int(d["height"]), d["K"], d["world_to_camera"],
-                       float(d.get("row_time_s", 0.0)), str(d.get("readout", "down")))
+            return cls(
+                str(d["name"]),
+                int(d["width"]),
+                int(d["height"]),
+                d["K"],
+                d["world_to_camera"],
+                float(d.get("row_time_s", 0.0)),
+                str(d.get("readout", "down")),
+            )
         except KeyError as e:
             raise DataFormatError(f"{source}: camera field {e} is missing") from e
         except (TypeError, ValueError) as e:

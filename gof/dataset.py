@@ -44,8 +44,10 @@ class Dataset:
         folder = Path(folder)
         source = folder / "dataset.json"
         if not source.is_file():
-            raise DataFormatError(f"{folder}: no dataset.json; not a dataset, or its generation has not finished "
-                                  f"(run 'gof generate' on it again to resume)")
+            raise DataFormatError(
+                f"{folder}: no dataset.json; not a dataset, or its generation has not finished "
+                f"(run 'gof generate' on it again to resume)"
+            )
         meta = read_json(source)
         if not isinstance(meta, dict) or meta.get("schema") != SCHEMA or meta.get("version") != VERSION:
             raise DataFormatError(f"{source}: not schema '{SCHEMA}' version {VERSION}")
@@ -119,8 +121,12 @@ class Dataset:
 
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if image is None:
-            raise DataFormatError(f"{path}: {'cannot be decoded; delete it and resume the generation' if path.is_file() else 'no such file'}")
+            raise DataFormatError(
+                f"{path}: {'cannot be decoded; delete it and resume the generation' if path.is_file() else 'no such file'}"
+            )
         expected = self.cameras[camera].height, self.cameras[camera].width
         if image.shape[:2] != expected:
-            raise DataFormatError(f"{path}: is {image.shape[1]}x{image.shape[0]}, the camera says {expected[1]}x{expected[0]}")
+            raise DataFormatError(
+                f"{path}: is {image.shape[1]}x{image.shape[0]}, the camera says {expected[1]}x{expected[0]}"
+            )
         return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.float32) / 255

@@ -108,8 +108,10 @@ class VelocitySequence:
         self._array, self._path, self._cached = array, path, None
         attributes = dict(array.attrs)
         if attributes.get("schema") != SCHEMA or attributes.get("version") != VERSION:
-            raise DataFormatError(f"{path}: schema '{attributes.get('schema')}' version {attributes.get('version')}; "
-                                  f"this version reads '{SCHEMA}' version {VERSION}")
+            raise DataFormatError(
+                f"{path}: schema '{attributes.get('schema')}' version {attributes.get('version')}; "
+                f"this version reads '{SCHEMA}' version {VERSION}"
+            )
         try:
             self.times_s = np.asarray(attributes["time_s"], np.float64)
             self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
@@ -119,7 +121,9 @@ class VelocitySequence:
         if (units, layout) != ("m/s", "cell_centred"):
             raise DataFormatError(f"{path}: units '{units}', layout '{layout}'; expected 'm/s', 'cell_centred'")
         if array.ndim != 5 or array.shape[-1] != 3 or self.times_s.shape != array.shape[:1]:
-            raise DataFormatError(f"{path}: shape {array.shape} and {self.times_s.shape} times do not fit (T, X, Y, Z, 3)")
+            raise DataFormatError(
+                f"{path}: shape {array.shape} and {self.times_s.shape} times do not fit (T, X, Y, Z, 3)"
+            )
         if len(self.times_s) == 0 or not (np.diff(self.times_s) > 0).all():
             raise DataFormatError(f"{path}: time_s must be strictly increasing and not empty")
 
@@ -154,13 +158,28 @@ class VelocitySequence:
         if not fields:
             raise DataFormatError(f"{path}: no fields to write")
         first = fields[0]
-        if any(f.resolution != first.resolution or not np.allclose(f.index_to_world, first.index_to_world) for f in fields):
+        if any(
+            f.resolution != first.resolution or not np.allclose(f.index_to_world, first.index_to_world) for f in fields
+        ):
             raise DataFormatError(f"{path}: all fields of a sequence must share one grid")
-        attributes = {"schema": SCHEMA, "version": VERSION, "units": "m/s", "frame": "world", "layout": "cell_centred",
-                      "index_to_world": first.index_to_world.tolist(), "voxel_size": first.voxel_size,
-                      "time_s": [float(f.time_s) for f in fields]}
-        array = zarr.create_array(str(path), shape=(len(fields), *first.resolution, 3), chunks=(1, CHUNK, CHUNK, CHUNK, 3),
-                                  dtype=dtype, fill_value=0, attributes=attributes)
+        attributes = {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "units": "m/s",
+            "frame": "world",
+            "layout": "cell_centred",
+            "index_to_world": first.index_to_world.tolist(),
+            "voxel_size": first.voxel_size,
+            "time_s": [float(f.time_s) for f in fields],
+        }
+        array = zarr.create_array(
+            str(path),
+            shape=(len(fields), *first.resolution, 3),
+            chunks=(1, CHUNK, CHUNK, CHUNK, 3),
+            dtype=dtype,
+            fill_value=0,
+            attributes=attributes,
+        )
         for i, f in enumerate(fields):
             array[i] = f.velocity
         return cls(array, path)
@@ -173,7 +192,9 @@ class VelocitySequence:
         if self._cached is None or self._cached[0] != index:
             velocity = np.asarray(self._array[index])
             if not np.isfinite(velocity).all():
-                raise DataFormatError(f"{self._path}: frame {index} holds NaN or Inf; the store is damaged, make it again")
+                raise DataFormatError(
+                    f"{self._path}: frame {index} holds NaN or Inf; the store is damaged, make it again"
+                )
             self._cached = index, VelocityField(velocity, self.index_to_world, float(self.times_s[index]))
         return self._cached[1]
 
@@ -187,8 +208,10 @@ class VelocitySequence:
         if abs(self.times_s[nearest] - time_s) <= 1e-6:
             return self.frame(nearest)
         if not self.times_s[0] < time_s < self.times_s[-1]:
-            raise DataFormatError(f"{self._path}: time {time_s} s is outside the stored clock "
-                                  f"{self.times_s[0]}..{self.times_s[-1]} s; do both use the same clock and unit?")
+            raise DataFormatError(
+                f"{self._path}: time {time_s} s is outside the stored clock "
+                f"{self.times_s[0]}..{self.times_s[-1]} s; do both use the same clock and unit?"
+            )
         after = int(np.searchsorted(self.times_s, time_s))
         f = (time_s - self.times_s[after - 1]) / (self.times_s[after] - self.times_s[after - 1])
         a, b = self.frame(after - 1).velocity.astype(np.float32), self.frame(after).velocity

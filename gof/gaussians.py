@@ -49,17 +49,31 @@ class TransientGaussians:
             kind = bool if f.name == "dynamic" else np.float32
             setattr(self, f.name, np.ascontiguousarray(getattr(self, f.name), kind))
         n = len(self.position)
-        shapes = {"position": (n, 3), "velocity": (n, 3), "t_mu": (n,), "t_sigma": (n,), "scale": (n, 3),
-                  "rotation": (n, 4), "opacity": (n,), "dynamic": (n,)}
+        shapes = {
+            "position": (n, 3),
+            "velocity": (n, 3),
+            "t_mu": (n,),
+            "t_sigma": (n,),
+            "scale": (n, 3),
+            "rotation": (n, 4),
+            "opacity": (n,),
+            "dynamic": (n,),
+        }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
-                raise DataFormatError(f"'{name}' has shape {getattr(self, name).shape}, expected {shape} for {n} Gaussians")
+                raise DataFormatError(
+                    f"'{name}' has shape {getattr(self, name).shape}, expected {shape} for {n} Gaussians"
+                )
         sh = self.color.ndim == 3 and self.color.shape[1] in (1, 4, 9, 16)
         if self.color.shape[:1] != (n,) or self.color.shape[-1:] != (3,) or not (self.color.ndim == 2 or sh):
-            raise DataFormatError(f"'color' has shape {self.color.shape}, expected ({n}, 3) or ({n}, K, 3) with K = 1, 4, 9 or 16")
+            raise DataFormatError(
+                f"'color' has shape {self.color.shape}, expected ({n}, 3) or ({n}, K, 3) with K = 1, 4, 9 or 16"
+            )
         for name in shapes | {"color": ()}:
             values = getattr(self, name)
-            require_finite(name, np.where(np.isposinf(values), 0, values) if name == "t_sigma" else values, "TransientGaussians")
+            require_finite(
+                name, np.where(np.isposinf(values), 0, values) if name == "t_sigma" else values, "TransientGaussians"
+            )
         self._require("t_sigma", self.t_sigma > 0, "> 0 (inf = always on)")
         self._require("scale", (self.scale > 0).all(-1), "> 0 (linear standard deviation in metres, not its log)")
         self._require("opacity", (self.opacity >= 0) & (self.opacity <= 1), "in [0, 1] (activated, not a logit)")

@@ -19,6 +19,8 @@ from typing import Any
 from gof.errors import GofError
 from gof.io.files import read_json, write_json
 
+WORKER_VARIABLE = "GOF_PROGRESS_LINES"
+
 
 @dataclass
 class StageCost:
@@ -42,8 +44,9 @@ class StageLog:
     def stages(self) -> list[StageCost]:
         return [StageCost(**s) for s in read_json(self.path)["stages"]] if self.path.exists() else []
 
-    def record(self, name: str, seconds: float, peak_mb: float, settings: dict[str, Any] | None = None,
-               resumed: bool = False) -> StageCost:
+    def record(
+        self, name: str, seconds: float, peak_mb: float, settings: dict[str, Any] | None = None, resumed: bool = False
+    ) -> StageCost:
         """Write a stage's cost; with `resumed`, add to the seconds already there."""
         stages = self.stages()
         before = next((s for s in stages if s.name == name), None)
@@ -73,12 +76,32 @@ def report_progress(stage: str, done: int, total: int, **figures) -> None:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[..., None]]:
-    """A progress line with elapsed time and time left; yields update(done, total, note="")."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    """A progress line with elapsed time and time left; yields update(done, total, note="").
 
-    columns = (TextColumn("{task.description:<30}"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeElapsedColumn(),
-               TextColumn("left"), TimeRemainingColumn(elapsed_when_finished=False), TextColumn("{task.fields[note]}"))
+    In a child of `run_worker` it prints progress lines instead, and the parent draws the bar.
+    """
+    if os.environ.get(WORKER_VARIABLE):
+        yield lambda done, total, **figures: report_progress(title, done, total, **figures)
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description:<30}"),
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(elapsed_when_finished=False),
+        TextColumn("{task.fields[note]}"),
+    )
     console = Console(stderr=True)
     with Progress(*columns, console=console, refresh_per_second=4, speed_estimate_period=60) as progress:
         task = progress.add_task(title, total=None, note="")
@@ -109,8 +132,15 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
     """
     start, tail, figures = time.perf_counter(), [], {}
     log_file = open(log, "a") if log else None
-    child = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
-                             start_new_session=True)
+    child = subprocess.Popen(
+        argv,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+        env=os.environ | {WORKER_VARIABLE: "1"},
+    )
     peak = _PeakMemory(child.pid)
     try:
         with progress_bar(title) as update:

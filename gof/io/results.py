@@ -20,9 +20,12 @@ from gof.io.files import atomic_path
 
 SH_C0 = 0.28209479177387814  # Y_00: display colour = 0.5 + SH_C0 * f_dc
 NPZ_SCHEMA = "gof-linear/1"
-PLY_COMMENTS = ["gof-transient 1", "units: metres, seconds, m/s; world frame, Z up",
-                "x(t) = (x,y,z) + (t - t_mu) (vx,vy,vz); opacity(t) = sigmoid(opacity) exp(-0.5 ((t - t_mu)/t_sigma)^2)",
-                "scale_* = ln(std-dev); rot_* = wxyz; static Gaussians (is_dynamic 0) ignore time and velocity"]
+PLY_COMMENTS = [
+    "gof-transient 1",
+    "units: metres, seconds, m/s; world frame, Z up",
+    "x(t) = (x,y,z) + (t - t_mu) (vx,vy,vz); opacity(t) = sigmoid(opacity) exp(-0.5 ((t - t_mu)/t_sigma)^2)",
+    "scale_* = ln(std-dev); rot_* = wxyz; static Gaussians (is_dynamic 0) ignore time and velocity",
+]
 LOGIT_EPS = 2.0**-24  # opacities 0 and 1 have no finite logit; this is half a float32 step below 1
 
 
@@ -51,8 +54,16 @@ def load(path: Path) -> TransientGaussians:
 
 # ---------------------------------------------------------------- npz
 
-_NPZ_FIELDS = {"x0": "position", "v": "velocity", "t_mu_s": "t_mu", "t_sigma_s": "t_sigma", "scale": "scale",
-               "rotation": "rotation", "alpha": "opacity", "dynamic": "dynamic"}
+_NPZ_FIELDS = {
+    "x0": "position",
+    "v": "velocity",
+    "t_mu_s": "t_mu",
+    "t_sigma_s": "t_sigma",
+    "scale": "scale",
+    "rotation": "rotation",
+    "alpha": "opacity",
+    "dynamic": "dynamic",
+}
 
 
 def _save_npz(g: TransientGaussians, path: Path, source: str) -> None:
@@ -78,19 +89,25 @@ def _load_npz(path: Path) -> dict[str, np.ndarray]:
 
 # ---------------------------------------------------------------- PLY
 
+
 def _save_ply(g: TransientGaussians, path: Path, source: str) -> None:
     n = len(g)
     sh = (g.color[:, None, :] - 0.5) / SH_C0 if g.color.ndim == 2 else g.color
     opacity = np.clip(g.opacity.astype(np.float64), LOGIT_EPS, 1 - LOGIT_EPS)
     columns = {
-        "x": g.position[:, 0], "y": g.position[:, 1], "z": g.position[:, 2],
-        "nx": np.zeros(n), "ny": np.zeros(n), "nz": np.zeros(n),
+        "x": g.position[:, 0],
+        "y": g.position[:, 1],
+        "z": g.position[:, 2],
+        "nx": np.zeros(n),
+        "ny": np.zeros(n),
+        "nz": np.zeros(n),
         **{f"f_dc_{c}": sh[:, 0, c] for c in range(3)},
         **{f"f_rest_{i}": row for i, row in enumerate(sh[:, 1:].transpose(2, 1, 0).reshape(-1, n))},
         "opacity": np.log(opacity) - np.log1p(-opacity),
         **{f"scale_{i}": np.log(g.scale[:, i]) for i in range(3)},
         **{f"rot_{i}": g.rotation[:, i] for i in range(4)},
-        "t_mu": g.t_mu, "t_sigma": g.t_sigma,
+        "t_mu": g.t_mu,
+        "t_sigma": g.t_sigma,
         **{f"v{axis}": g.velocity[:, i] for i, axis in enumerate("xyz")},
     }
     vertex = np.empty(n, [(name, "<f4") for name in columns] + [("is_dynamic", "u1")])
@@ -115,8 +132,10 @@ def _load_ply(path: Path) -> dict[str, np.ndarray]:
     def read(names: list[str]) -> np.ndarray:
         missing = [name for name in names if name not in vertex.dtype.names]
         if missing:
-            raise DataFormatError(f"{path}: PLY properties {missing} are missing; a plain 3DGS PLY has no time or velocity "
-                                  "and cannot be read as transient Gaussians")
+            raise DataFormatError(
+                f"{path}: PLY properties {missing} are missing; a plain 3DGS PLY has no time or velocity "
+                "and cannot be read as transient Gaussians"
+            )
         return np.stack([vertex[name] for name in names], -1)
 
     n = len(vertex)
@@ -129,10 +148,17 @@ def _load_ply(path: Path) -> dict[str, np.ndarray]:
     else:
         color = 0.5 + SH_C0 * dc
     log_scale, logit = read([f"scale_{i}" for i in range(3)]), read(["opacity"])[:, 0]
-    return {"position": read(["x", "y", "z"]), "velocity": read(["vx", "vy", "vz"]), "t_mu": read(["t_mu"])[:, 0],
-            "t_sigma": read(["t_sigma"])[:, 0], "scale": np.exp(np.clip(log_scale, -80, 80)),
-            "rotation": read([f"rot_{i}" for i in range(4)]), "opacity": 1 / (1 + np.exp(-np.clip(logit, -80, 80))),
-            "color": color, "dynamic": read(["is_dynamic"])[:, 0] != 0}
+    return {
+        "position": read(["x", "y", "z"]),
+        "velocity": read(["vx", "vy", "vz"]),
+        "t_mu": read(["t_mu"])[:, 0],
+        "t_sigma": read(["t_sigma"])[:, 0],
+        "scale": np.exp(np.clip(log_scale, -80, 80)),
+        "rotation": read([f"rot_{i}" for i in range(4)]),
+        "opacity": 1 / (1 + np.exp(-np.clip(logit, -80, 80))),
+        "color": color,
+        "dynamic": read(["is_dynamic"])[:, 0] != 0,
+    }
 
 
 def _check_ply_size(path: Path) -> None:
@@ -143,4 +169,6 @@ def _check_ply_size(path: Path) -> None:
     if head[:3] != b"ply" or b"end_header" not in head or not match:
         raise DataFormatError(f"{path}: not a PLY file with a 'vertex' element")
     if int(match[1]) > path.stat().st_size:
-        raise DataFormatError(f"{path}: header announces {int(match[1])} points, the file has {path.stat().st_size} bytes; truncated?")
+        raise DataFormatError(
+            f"{path}: header announces {int(match[1])} points, the file has {path.stat().st_size} bytes; truncated?"
+        )

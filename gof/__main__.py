@@ -1,0 +1,5 @@
+import sys
+
+from gof.cli import main
+
+sys.exit(main())

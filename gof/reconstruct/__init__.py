@@ -1,0 +1,1 @@
+"""From three videos to transient flame Gaussians: motion -> voxels -> flow field -> seeds -> optimisation."""

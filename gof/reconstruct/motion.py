@@ -1,0 +1,139 @@
+"""What moves in the pictures: flame intensity, motion masks, and dense optical flow on the dataset clock.
+
+Held-out frames are never read here, and no flow uses one (paper, "Results": every 8th frame is held out).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError
+
+
+@dataclass
+class Motion:
+    """Motion of the training frames, per frame and camera.
+
+    Attributes:
+        frames: (F,) dataset frame numbers, all from the training split.
+        image: (F, C, H, W, 3) float32 display sRGB.
+        static: (C, H, W, 3) float32 display sRGB, the views without fire.
+        intensity: (F, C, H, W) float32 linear light above the plate, >= 0.
+        mask: (F, C, H, W) bool, where flame may be.
+        flow: (F, C, H, W, 2) float32 pixels per second; NaN where no trustworthy flow exists.
+    """
+
+    frames: np.ndarray
+    image: list[np.ndarray]
+    static: list[np.ndarray]
+    intensity: list[np.ndarray]
+    mask: list[np.ndarray]
+    flow: list[np.ndarray]
+
+
+def srgb_to_linear(x: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1 decoding of display values in [0, 1]."""
+    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def flame_intensity(image: np.ndarray, static: np.ndarray) -> np.ndarray:
+    """Linear light above the fire-free plate: (H, W), >= 0. image and static (H, W, 3) display sRGB."""
+    return np.maximum(srgb_to_linear(image) - srgb_to_linear(static), 0).mean(-1)
+
+
+def flame_mask(image: np.ndarray, static: np.ndarray, threshold: float = 0.08, grow_px: int = 3) -> np.ndarray:
+    """(H, W) bool: display value above the plate by `threshold` in red, closed and grown by `grow_px`.
+
+    Light that the flame throws on walls raises all channels together; a flame raises red most. The test
+    is therefore on the rise of red and on red exceeding blue by more than in the plate.
+    """
+    rise = image - static
+    flame = (rise[..., 0] > threshold) & (rise[..., 0] - rise[..., 2] > threshold)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow_px + 1, 2 * grow_px + 1))
+    return cv2.dilate(cv2.morphologyEx(flame.astype(np.uint8), cv2.MORPH_CLOSE, disc), disc) > 0
+
+
+def optical_flow(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Dense flow first -> second, (H, W, 2) px, by DIS (Kroeger et al. 2016). Images (H, W, 3) display sRGB in [0, 1].
+
+    DIS patches are mean-normalised, which takes flicker out. Measured on real clips: best of seven classical methods
+    at predicting the frame in between, 40x cheaper than the runner-up.
+    """
+    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    a, b = ((np.clip(x, 0, 1) * 255).astype(np.uint8) for x in (first, second))
+    return dis.calc(cv2.cvtColor(a, cv2.COLOR_RGB2GRAY), cv2.cvtColor(b, cv2.COLOR_RGB2GRAY), None)
+
+
+def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """(H, W) px: how far a pixel lands from itself after going forward and back; inf where it leaves the image."""
+    h, w = forward.shape[:2]
+    x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
+    returned = cv2.remap(
+        backward,
+        x + forward[..., 0],
+        y + forward[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(np.nan, np.nan),
+    )
+    error = np.linalg.norm(forward + returned, axis=-1)
+    return np.where(np.isnan(error), np.inf, error)
+
+
+def _frame_velocity(images: dict[int, np.ndarray], times: np.ndarray, k: int, max_error_px: float) -> np.ndarray:
+    """(H, W, 2) px/s at frame k: central where both neighbours are training frames, one-sided where one is."""
+    estimates = []
+    for neighbour in (k - 1, k + 1):
+        if neighbour not in images:
+            continue
+        there = optical_flow(images[k], images[neighbour])
+        back = optical_flow(images[neighbour], images[k])
+        bad = consistency(there, back) > max_error_px + 0.1 * np.linalg.norm(there, axis=-1)
+        velocity = there / (times[neighbour] - times[k])
+        velocity[bad] = np.nan
+        estimates.append(velocity)
+    if not estimates:
+        return np.full((*images[k].shape[:2], 2), np.nan, np.float32)
+    stack = np.stack(estimates)
+    valid = np.isfinite(stack)
+    count = valid.sum(0)
+    total = np.where(valid, stack, 0).sum(0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+
+
+def estimate_motion(dataset: Dataset, max_error_px: float = 1.0, progress=lambda done, total: None) -> Motion:
+    """Masks, intensity and flow of every training frame and camera.
+
+    Args:
+        dataset: opened dataset; its test frames are not read.
+        max_error_px: forward-backward error above which a flow vector is dropped (plus a tenth of its length).
+        progress: called with (done, total) after every frame and camera.
+
+    Raises:
+        DataFormatError: no training frame, or no flame in any picture.
+    """
+    frames, cameras = np.array(sorted(dataset.train_frames)), range(len(dataset.cameras))
+    if not len(frames):
+        raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
+    static = [dataset.static(c) for c in cameras]
+    images = [{int(k): dataset.image(c, k) for k in frames} for c in cameras]
+    result = Motion(frames, [], static, [], [], [])
+    for i, k in enumerate(frames):
+        result.image.append(np.stack([images[c][k] for c in cameras]))
+        result.intensity.append(np.stack([flame_intensity(images[c][k], static[c]) for c in cameras]))
+        result.mask.append(np.stack([flame_mask(images[c][k], static[c]) for c in cameras]))
+        result.flow.append(
+            np.stack([_frame_velocity(images[c], dataset.times_s, int(k), max_error_px) for c in cameras])
+        )
+        progress(i + 1, len(frames))
+    for name in ("image", "intensity", "mask", "flow"):
+        setattr(result, name, np.stack(getattr(result, name)))
+    if not result.mask.any():
+        raise DataFormatError(
+            f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
+        )
+    return result

@@ -1,0 +1,218 @@
+"""Optimising transient flame Gaussians against the training pictures, over the static plate, with Dr.Jit.
+
+Loss (paper): 0.8 L1 + 0.2 (1 - SSIM) + 0.1 mean(A_dyn (1 - M)), one random training picture a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import drjit as dr
+import numpy as np
+from drjit.opt import Adam
+
+from gof.cameras import Camera
+from gof.errors import NonFiniteError
+from gof.gaussians import TransientGaussians
+from gof.io.files import atomic_path
+from gof.reconstruct.motion import Motion
+from gof.reconstruct.seeds import SCALE_MAX, SCALE_MIN
+from gof.render import Splats, Target, l1_ssim, render_splats, transient_state
+from gof.render.backend import Array3f, Array4f, Float
+
+SSIM_WEIGHT, ALPHA_WEIGHT = 0.2, 0.1
+CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
+CHECKPOINT_EVERY = 500
+OPACITY_EPS = 1e-4  # logits stay finite
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Step counts and learning rates.
+
+    Lengths are in voxels and times in frame times, so that neither the scene's size nor its clock matters.
+    """
+
+    iterations: int
+    position: tuple[float, float] = (0.03, 0.003)  # voxels, first and last step
+    velocity: float = 0.00075  # voxels per frame time; 1e-2 of position per ms at 400 Hz, as in the paper
+    t_mu: float = 0.01  # frame times
+    log_t_sigma: float = 0.005
+    scale: float = 0.02
+    rotation: float = 0.005
+    opacity: float = 0.03
+    color: float = 0.01
+
+
+def optimize(
+    seeds: TransientGaussians,
+    voxel_size: float,
+    frame_time_s: float,
+    motion: Motion,
+    times_s: np.ndarray,
+    cameras: list[Camera],
+    schedule: Schedule,
+    rng: np.random.Generator,
+    checkpoint: Path,
+    progress: Callable[..., None] = lambda done, total, **_: None,
+) -> TransientGaussians:
+    """Optimise all parameters of `seeds`.
+
+    Args:
+        voxel_size: m, bounds the scale (0.1 to 3 voxels).   frame_time_s: s.
+        motion: training pictures and masks.   times_s: (T,) clock of all dataset frames.
+        checkpoint: file to resume from and to write every 500 steps (removed by the caller when done).
+        progress: called with (done, total, note=...).
+    Returns:
+        the optimised Gaussians, same number and order.
+    Raises:
+        NonFiniteError: the loss or a parameter became NaN or Inf; names the parameter and the step.
+    """
+    clock = float(times_s[0])
+    raw = _to_raw(seeds, voxel_size, clock)
+    rates = {
+        "x0": schedule.position[0] * voxel_size,
+        "velocity": schedule.velocity * voxel_size / frame_time_s,
+        "t_mu": schedule.t_mu * frame_time_s,
+        "log_t_sigma": schedule.log_t_sigma,
+        "scale": schedule.scale,
+        "rotation": schedule.rotation,
+        "opacity": schedule.opacity,
+        "color": schedule.color,
+    }
+    # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
+    optimizer = Adam(lr=1.0, params=raw, beta_2=0.99, epsilon=1e-15, mask_updates=True)
+    optimizer.set_learning_rate(rates)
+    start = _load_checkpoint(checkpoint, optimizer)
+
+    targets, outside = {}, {}
+    background = [[Float(np.ascontiguousarray(plate[..., i].ravel())) for i in range(3)] for plate in motion.static]
+    order, mean_loss, seen = [], None, 0
+    decay = (schedule.position[1] / schedule.position[0]) ** (1 / max(schedule.iterations, 1))
+    for step in range(start, schedule.iterations):
+        if not order:
+            order = [(f, c) for f in range(len(motion.frames)) for c in range(len(cameras))]
+            rng.shuffle(order)
+        f, c = order.pop()
+        if (f, c) not in targets:
+            targets[f, c] = Target(motion.image[f, c])
+            outside[f, c] = Float(np.ascontiguousarray(~motion.mask[f, c].ravel(), np.float32))
+        optimizer.set_learning_rate({"x0": rates["x0"] * decay**step})
+        splats = activate(optimizer, voxel_size, float(times_s[motion.frames[f]]) - clock)
+        frame = render_splats(splats, cameras[c], background=background[c])
+        loss = l1_ssim(frame.color, targets[f, c], ssim_weight=SSIM_WEIGHT)
+        loss += ALPHA_WEIGHT * dr.mean(frame.alpha * outside[f, c])
+        dr.backward(loss)
+        optimizer.step()
+        dr.eval(list(optimizer.values()))
+        seen += 1
+        if (step + 1) % CHECK_EVERY == 0 or step + 1 == schedule.iterations:
+            value = float(loss.array[0])
+            _check(value, optimizer, step)
+            mean_loss = value if mean_loss is None else 0.8 * mean_loss + 0.2 * value
+            progress(step + 1, schedule.iterations, note=f"loss {mean_loss:.4f}")
+        if (step + 1) % CHECKPOINT_EVERY == 0:
+            _save_checkpoint(checkpoint, optimizer, step + 1)
+    return _from_raw(optimizer, voxel_size, clock)
+
+
+def activate(raw, voxel_size: float, time_s: float) -> Splats:
+    """Raw parameters to the splats seen at a time (seconds after the clip's start)."""
+    t_sigma, opacity, scale, _ = _activations(raw, voxel_size)
+    position, opacity_t = transient_state(raw["x0"], raw["velocity"], raw["t_mu"], t_sigma, opacity, time_s)
+    color = raw["color"]
+    return Splats(position, raw["rotation"], scale, opacity_t, [color.x, color.y, color.z])
+
+
+def _activations(raw, voxel_size: float):
+    t_sigma = dr.exp(raw["log_t_sigma"])
+    opacity = 1 / (1 + dr.exp(-raw["opacity"]))
+    # A sigmoid instead of an exponential keeps flame Gaussians small (paper, "Implementation Details").
+    scale = voxel_size * (SCALE_MIN + (SCALE_MAX - SCALE_MIN) / (1 + dr.exp(-raw["scale"])))
+    return t_sigma, opacity, scale, raw["rotation"]
+
+
+def _logit(x: np.ndarray) -> np.ndarray:
+    x = np.clip(x.astype(np.float64), OPACITY_EPS, 1 - OPACITY_EPS)
+    return (np.log(x) - np.log1p(-x)).astype(np.float32)
+
+
+def _to_raw(g: TransientGaussians, voxel_size: float, clock: float) -> dict:
+    def array3(x):
+        return Array3f(np.ascontiguousarray(x.T, np.float32))
+
+    scale = (g.scale / voxel_size - SCALE_MIN) / (SCALE_MAX - SCALE_MIN)
+    return {
+        "x0": array3(g.position),
+        "velocity": array3(g.velocity),
+        "t_mu": Float(g.t_mu - np.float32(clock)),
+        "log_t_sigma": Float(np.log(g.t_sigma)),
+        "scale": array3(_logit(scale)),
+        "rotation": Array4f(np.ascontiguousarray(g.rotation.T)),
+        "opacity": Float(_logit(g.opacity)),
+        "color": array3(g.color),
+    }
+
+
+def _from_raw(raw, voxel_size: float, clock: float) -> TransientGaussians:
+    t_sigma, opacity, scale, rotation = _activations(raw, voxel_size)
+
+    def rows(x):
+        return np.array(dr.detach(x)).T if dr.depth_v(x) > 1 else np.array(dr.detach(x))
+
+    return TransientGaussians(
+        position=rows(raw["x0"]),
+        velocity=rows(raw["velocity"]),
+        t_mu=rows(raw["t_mu"]) + np.float32(clock),
+        t_sigma=rows(t_sigma),
+        scale=rows(scale),
+        rotation=rows(rotation),
+        opacity=rows(opacity),
+        color=rows(raw["color"]),
+        dynamic=np.ones(dr.width(raw["t_mu"]), bool),
+    )
+
+
+def _check(loss: float, raw, step: int) -> None:
+    bad = [name for name, value in raw.items() if not dr.all(dr.isfinite(dr.detach(value)), axis=None)]
+    if bad or not np.isfinite(loss):
+        raise NonFiniteError(
+            f"step {step}: loss {loss}, NaN or Inf in {bad or 'no parameter'}; lower that parameter's learning rate, "
+            "or report this dataset as a bug"
+        )
+
+
+def _save_checkpoint(path: Path, optimizer: Adam, step: int) -> None:
+    arrays = {"step": np.array(step)}
+    for name in optimizer.keys():
+        _, _, _, (t, m, v, _) = optimizer.state[name]
+        for label, x in (("value", dr.detach(optimizer[name])), ("m", m), ("v", v)):
+            arrays[f"{name}.{label}"] = np.array(x)
+        arrays[f"{name}.t"] = np.array(t)
+    with atomic_path(path) as temporary, open(temporary, "wb") as f:
+        np.savez(f, **arrays)
+
+
+def _load_checkpoint(path: Path, optimizer: Adam) -> int:
+    """Put a checkpoint's values and Adam moments into the optimiser; returns the number of steps done (0 = none)."""
+    if not path.exists():
+        return 0
+    with np.load(path, allow_pickle=False) as data:
+        for name in list(optimizer.keys()):
+            kind = type(dr.detach(optimizer[name]))
+            optimizer[name] = kind(data[f"{name}.value"])
+            value, promoted, rate, (t, m, v, extra) = optimizer.state[name]
+            optimizer.state[name] = (
+                value,
+                promoted,
+                rate,
+                (
+                    type(t)(data[f"{name}.t"]),
+                    type(m)(data[f"{name}.m"].ravel()),
+                    type(v)(data[f"{name}.v"].ravel()),
+                    extra,
+                ),
+            )
+        return int(data["step"])
