@@ -190,7 +190,10 @@ class VelocitySequence:
     def frame(self, index: int) -> VelocityField:
         """The stored field number `index`."""
         if self._cached is None or self._cached[0] != index:
-            velocity = np.asarray(self._array[index])
+            try:
+                velocity = np.asarray(self._array[index])
+            except (RuntimeError, ValueError, OSError) as e:  # what the codecs raise on damaged chunks
+                raise DataFormatError(f"{self._path}: frame {index} cannot be decoded ({e}); a chunk is truncated, make it again") from e
             if not np.isfinite(velocity).all():
                 raise DataFormatError(
                     f"{self._path}: frame {index} holds NaN or Inf; the store is damaged, make it again"

@@ -96,7 +96,8 @@ class TransientGaussians:
         """State at one time: position (N, 3) m and opacity (N,) in [0, 1]; static Gaussians do not change."""
         dt = np.where(self.dynamic, np.float64(time_s) - self.t_mu, 0.0)
         position = self.position + dt[:, None] * self.velocity
-        window = np.exp(-0.5 * (dt / self.t_sigma) ** 2)
+        # 40 lifetimes away exp is 0 in any precision; the clip keeps the square finite.
+        window = np.exp(-0.5 * np.clip(dt / self.t_sigma, -40, 40) ** 2)
         return position.astype(np.float32), (self.opacity * window).astype(np.float32)
 
     @classmethod

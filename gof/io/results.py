@@ -102,7 +102,7 @@ def _save_ply(g: TransientGaussians, path: Path, source: str) -> None:
         "ny": np.zeros(n),
         "nz": np.zeros(n),
         **{f"f_dc_{c}": sh[:, 0, c] for c in range(3)},
-        **{f"f_rest_{i}": row for i, row in enumerate(sh[:, 1:].transpose(2, 1, 0).reshape(-1, n))},
+        **{f"f_rest_{i}": row for i, row in enumerate(sh[:, 1:].transpose(2, 1, 0).reshape(3 * (sh.shape[1] - 1), n))},
         "opacity": np.log(opacity) - np.log1p(-opacity),
         **{f"scale_{i}": np.log(g.scale[:, i]) for i in range(3)},
         **{f"rot_{i}": g.rotation[:, i] for i in range(4)},
@@ -144,7 +144,7 @@ def _load_ply(path: Path) -> dict[str, np.ndarray]:
     if rest:
         if len(rest) % 3:
             raise DataFormatError(f"{path}: {len(rest)} f_rest properties are not a multiple of 3")
-        color = np.concatenate([dc[:, None], read(rest).reshape(n, 3, -1).transpose(0, 2, 1)], 1)
+        color = np.concatenate([dc[:, None], read(rest).reshape(n, 3, len(rest) // 3).transpose(0, 2, 1)], 1)
     else:
         color = 0.5 + SH_C0 * dc
     log_scale, logit = read([f"scale_{i}" for i in range(3)]), read(["opacity"])[:, 0]

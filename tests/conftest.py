@@ -1,0 +1,86 @@
+"""Shared test material, all made here: small Gaussians, a small camera arc, and a dataset folder by the contract."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gof.cameras import Camera
+from gof.fields import VelocityField, VelocitySequence
+from gof.gaussians import TransientGaussians
+
+
+def look_at(name: str, position, target, width=36, height=64, focal_px=80.0) -> Camera:
+    """An upright OpenCV camera at `position` looking at `target` (world Z up)."""
+    position, target = np.asarray(position, float), np.asarray(target, float)
+    z = (target - position) / np.linalg.norm(target - position)
+    x = np.cross(z, [0, 0, 1.0])
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z])
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = R, -R @ position
+    K = [[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]]
+    return Camera(name, width, height, K, world_to_camera)
+
+
+def arc(n=3, radius=3.0, target=(0, 0, 1.0), **kwargs) -> list[Camera]:
+    """n cameras on a 70-degree arc around `target` at its height."""
+    angles = np.deg2rad(np.linspace(-35, 35, n)) if n > 1 else [0.0]
+    return [look_at(f"cam_{i}", np.add(target, [radius * np.sin(a), -radius * np.cos(a), 0]), target, **kwargs)
+            for i, a in enumerate(angles)]
+
+
+def random_gaussians(n=40, seed=0, sh_coefficients=0) -> TransientGaussians:
+    rng = np.random.default_rng(seed)
+    return TransientGaussians(
+        position=rng.normal(0, 0.3, (n, 3)) + [0, 0, 1], velocity=rng.normal(0, 1, (n, 3)), t_mu=rng.uniform(0, 1, n),
+        t_sigma=np.where(rng.random(n) < 0.2, np.inf, rng.uniform(0.02, 0.5, n)), scale=rng.uniform(0.01, 0.1, (n, 3)),
+        rotation=rng.normal(size=(n, 4)), opacity=rng.uniform(0, 1, n),
+        color=rng.random((n, sh_coefficients, 3) if sh_coefficients else (n, 3)), dynamic=rng.random(n) < 0.8)
+
+
+@pytest.fixture
+def gaussians() -> TransientGaussians:
+    return random_gaussians()
+
+
+def write_dataset(folder: Path, cameras, images, statics, times_s, fields=None, masks=None, test_frames=()) -> Path:
+    """A dataset folder by docs/formats.md. images (T, C, H, W, 3), statics (C, H, W, 3) display values, masks (T, C, H, W)."""
+    def write(path: Path, image):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        values = (np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
+        assert cv2.imwrite(str(path), values[..., ::-1] if values.ndim == 3 else values)
+
+    entries = []
+    for c, camera in enumerate(cameras):
+        entry = camera.to_dict() | {"role": "train", "roll_deg": 0, "rgb": f"cameras/{camera.name}/rgb/{{frame:06d}}.png",
+                                    "static": f"static/{camera.name}.png"}
+        if masks is not None:
+            entry["mask"] = f"cameras/{camera.name}/mask/{{frame:06d}}.png"
+        entries.append(entry)
+        write(folder / entry["static"], statics[c])
+        for k in range(len(times_s)):
+            write(folder / entry["rgb"].format(frame=k), images[k][c])
+            if masks is not None:
+                write(folder / entry["mask"].format(frame=k), masks[k][c].astype(float))
+    if fields is not None:
+        VelocitySequence.create(folder / "velocity.zarr", fields)
+    train = [k for k in range(len(times_s)) if k not in test_frames]
+    meta = {"schema": "gof-dataset", "version": 1, "name": folder.name, "spec": {}, "effects": [], "time_s": list(map(float, times_s)),
+            "cameras": entries, "splits": {"train": train, "test": list(test_frames)},
+            "velocity": "velocity.zarr" if fields is not None else None, "provenance": {}}
+    (folder / "dataset.json").write_text(json.dumps(meta))
+    return folder
+
+
+@pytest.fixture
+def tiny_dataset(tmp_path) -> Path:
+    """2 cameras, 4 frames of random pictures, a constant velocity field."""
+    rng = np.random.default_rng(0)
+    cameras = arc(2)
+    images = rng.random((4, 2, 64, 36, 3))
+    fields = [VelocityField.from_array(np.full((4, 5, 6, 3), 0.5 * k), (-1, -1, 0), 0.5, 0.01 * k) for k in range(4)]
+    return write_dataset(tmp_path / "tiny", cameras, images, images[0] * 0.5, 0.01 * np.arange(4), fields,
+                         masks=rng.random((4, 2, 64, 36)) > 0.5, test_frames=[2])

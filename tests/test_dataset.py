@@ -1,0 +1,75 @@
+"""The dataset reader: what it gives, and what it says when a folder is wrong."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError
+
+
+def change(folder, **fields):
+    path = folder / "dataset.json"
+    meta = json.loads(path.read_text()) | fields
+    path.write_text(json.dumps({k: v for k, v in meta.items() if v is not None}))
+
+
+def test_reading(tiny_dataset):
+    d = Dataset.open(tiny_dataset)
+    assert [c.name for c in d.cameras] == ["cam_0", "cam_1"]
+    assert (d.train_frames, d.test_frames) == ([0, 1, 3], [2])
+    assert d.frame_time_s == pytest.approx(0.01)
+    image = d.image(1, 3)
+    assert image.shape == (64, 36, 3) and image.dtype == np.float32 and 0 <= image.min() and image.max() <= 1
+    expected = np.random.default_rng(0).random((4, 2, 64, 36, 3))
+    np.testing.assert_allclose(image, expected[3, 1], atol=0.5 / 255 + 1e-6)
+    assert set(np.unique(d.mask(0, 0))) == {0, 1}
+    np.testing.assert_allclose(d.velocity.at(0.02).sample(np.array([[0, 0, 1.0]])), 1.0)
+
+
+@pytest.mark.parametrize("fields, error", [
+    ({"schema": "else"}, "schema"), ({"version": 3}, "version 1"), ({"time_s": None}, "time_s"), ({"time_s": [0, 0, 1, 2]}, "increasing"),
+    ({"splits": {"train": [0], "test": [9]}}, "splits.test"), ({"cameras": []}, "no camera"), ({"cameras": [{"name": "a"}]}, "width")])
+def test_wrong_metadata_is_named(tiny_dataset, fields, error):
+    change(tiny_dataset, **fields)
+    with pytest.raises(DataFormatError, match=error):
+        Dataset.open(tiny_dataset)
+
+
+def test_not_a_dataset(tmp_path, tiny_dataset):
+    with pytest.raises(DataFormatError, match="gof generate"):
+        Dataset.open(tmp_path / "nothing")
+    (tiny_dataset / "dataset.json").write_text('{"schema": "gof-')
+    with pytest.raises(DataFormatError, match="not valid JSON"):
+        Dataset.open(tiny_dataset)
+
+
+def test_missing_truncated_and_resized_pictures(tiny_dataset):
+    import cv2
+
+    d = Dataset.open(tiny_dataset)
+    path = d.file(0, "rgb", 1)
+    cv2.imwrite(str(path), np.zeros((4, 4, 3)))
+    with pytest.raises(DataFormatError, match="4x4"):
+        d.image(0, 1)
+    path.write_bytes(b"\x89PNG half a file")
+    with pytest.raises(DataFormatError, match="cannot be decoded"):
+        d.image(0, 1)
+    path.unlink()
+    with pytest.raises(DataFormatError, match="no such file"):
+        d.image(0, 1)
+
+
+def test_paths_may_not_leave_the_dataset(tiny_dataset):
+    meta = json.loads((tiny_dataset / "dataset.json").read_text())
+    meta["cameras"][0]["rgb"] = "../../etc/{frame}.png"
+    change(tiny_dataset, cameras=meta["cameras"])
+    with pytest.raises(DataFormatError, match="outside"):
+        Dataset.open(tiny_dataset).image(0, 0)
+
+
+def test_a_real_capture_has_no_velocity(tiny_dataset):
+    change(tiny_dataset, velocity=None)
+    with pytest.raises(DataFormatError, match="no ground-truth velocity"):
+        _ = Dataset.open(tiny_dataset).velocity

@@ -1,0 +1,127 @@
+"""Velocity fields against closed forms and scipy, and the chunked store."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from gof.errors import DataFormatError
+from gof.fields import VelocityField, VelocitySequence
+
+
+def linear_field(matrix, offset, resolution=(6, 7, 8), origin=(-1, 2, 0.5), voxel=0.25, time_s=0.0):
+    empty = VelocityField.from_array(np.zeros((*resolution, 3)), origin, voxel, time_s)
+    return VelocityField(empty.cell_centers() @ np.transpose(matrix) + offset, empty.index_to_world, time_s)
+
+
+def test_a_linear_field_is_sampled_exactly_between_the_outer_centres():
+    rng = np.random.default_rng(0)
+    matrix, offset = rng.normal(size=(3, 3)), rng.normal(size=3)
+    field = linear_field(matrix, offset)
+    centers = field.cell_centers()
+    points = rng.uniform(centers.min((0, 1, 2)), centers.max((0, 1, 2)), (200, 3))
+    np.testing.assert_allclose(field.sample(points), points @ matrix.T + offset, atol=2e-6)
+
+
+def test_sampling_equals_scipy_everywhere_inside():
+    rng = np.random.default_rng(1)
+    field = VelocityField.from_array(rng.normal(size=(5, 9, 4, 3)), (0, 0, 0), 0.5)
+    points = rng.uniform(0, 1, (500, 3)) * np.array([5, 9, 4]) * 0.5
+    index = field.to_index(points) - 0.5
+    expected = np.stack([map_coordinates(field.velocity[..., c], index.T, order=1, mode="nearest") for c in range(3)], -1)
+    np.testing.assert_allclose(field.sample(points), expected, atol=2e-6)
+
+
+def test_rotated_domain_gives_the_field_at_the_rotated_point():
+    rng = np.random.default_rng(2)
+    velocity = rng.normal(size=(4, 4, 4, 3)).astype(np.float32)
+    plain = VelocityField.from_array(velocity, (0, 0, 0), 0.5)
+    angle = 0.7
+    R = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    placed = np.eye(4)
+    placed[:3, :3], placed[:3, 3] = R, [3, -1, 2]
+    turned = VelocityField(velocity @ R.T.astype(np.float32), placed @ plain.index_to_world)
+    points = rng.uniform(0, 2, (50, 3))
+    np.testing.assert_allclose(turned.sample(points @ R.T + placed[:3, 3]), plain.sample(points) @ R.T, atol=1e-5)
+    assert turned.voxel_size == pytest.approx(0.5)
+
+
+def test_borders_outside_and_bad_points():
+    field = VelocityField.from_array(np.ones((3, 1, 2, 3)), (0, 0, 0), 1.0)
+    points = np.array([[0, 0, 0], [3, 1, 2], [-1e-3, 0.5, 0.5], [np.nan, 0, 0], [1e30, 0, 0]])
+    np.testing.assert_array_equal(field.contains(points), [True, True, False, False, False])
+    np.testing.assert_array_equal(field.sample(points)[:, 0], [1, 1, 0, 0, 0])
+    assert field.sample(np.empty((0, 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize("velocity, voxel", [(np.zeros((3, 3, 3)), 1), (np.zeros((0, 3, 3, 3)), 1), (np.zeros((2, 2, 2, 3)), 0)])
+def test_impossible_grids_are_refused(velocity, voxel):
+    with pytest.raises(DataFormatError):
+        VelocityField.from_array(velocity, (0, 0, 0), voxel)
+
+
+def sequence(path, dtype="float32", n=3):
+    rng = np.random.default_rng(0)
+    fields = [VelocityField.from_array(rng.normal(size=(70, 5, 6, 3)), (0, 1, 2), 0.1, 0.04 * k) for k in range(n)]
+    return VelocitySequence.create(path, fields, dtype), fields
+
+
+@pytest.mark.parametrize("dtype, bound", [("float32", 1e-6), ("float16", 2e-3)])
+def test_store_round_trip_and_time_interpolation(tmp_path, dtype, bound):
+    _, fields = sequence(tmp_path / "v.zarr", dtype)
+    store = VelocitySequence.open(tmp_path / "v.zarr")
+    np.testing.assert_allclose(store.times_s, [0, 0.04, 0.08])
+    for field in fields:
+        np.testing.assert_allclose(store.at(field.time_s).velocity, field.velocity, atol=bound)
+    between = store.at(0.05)
+    np.testing.assert_allclose(between.velocity, 0.75 * fields[1].velocity + 0.25 * fields[2].velocity, atol=2 * bound)
+    np.testing.assert_allclose(between.index_to_world, fields[0].index_to_world)
+
+
+def test_empty_chunks_are_not_stored(tmp_path):
+    velocity = np.zeros((130, 64, 64, 3))
+    velocity[3, 4, 5] = 1
+    VelocitySequence.create(tmp_path / "v.zarr", [VelocityField.from_array(velocity, (0, 0, 0), 1.0)])
+    assert sum(p.is_file() for p in (tmp_path / "v.zarr").rglob("*")) == 2, "zarr.json and one chunk of three"
+
+
+def test_times_outside_the_clock_are_refused(tmp_path):
+    store, _ = sequence(tmp_path / "v.zarr")
+    for t in (-0.01, 0.081, 40.0, np.nan):
+        with pytest.raises(DataFormatError, match="clock"):
+            store.at(t)
+
+
+@pytest.mark.parametrize("change, error", [
+    ({"schema": "other"}, "schema"), ({"version": 2}, "version 2"), ({"units": "cm/s"}, "cm/s"), ({"layout": "staggered"}, "staggered"),
+    ({"time_s": [0, 0, 1]}, "increasing"), ({"time_s": [0, 1]}, "times"), ({"index_to_world": None}, "index_to_world")])
+def test_wrong_attributes_are_named(tmp_path, change, error):
+    sequence(tmp_path / "v.zarr")
+    path = tmp_path / "v.zarr" / "zarr.json"
+    meta = json.loads(path.read_text())
+    meta["attributes"] |= change
+    meta["attributes"] = {k: v for k, v in meta["attributes"].items() if v is not None}
+    path.write_text(json.dumps(meta))
+    with pytest.raises(DataFormatError, match=error):
+        VelocitySequence.open(tmp_path / "v.zarr")
+
+
+def test_foreign_truncated_and_damaged_stores(tmp_path):
+    with pytest.raises(DataFormatError, match="nothing"):
+        VelocitySequence.open(tmp_path / "nothing")
+    store, fields = sequence(tmp_path / "v.zarr")
+    with pytest.raises(DataFormatError, match="exists already"):
+        VelocitySequence.create(tmp_path / "v.zarr", fields)
+    (tmp_path / "v.zarr" / "zarr.json").write_text("{")
+    with pytest.raises(DataFormatError, match=r"v\.zarr"):
+        VelocitySequence.open(tmp_path / "v.zarr")
+    bad = VelocityField.from_array(np.full((2, 2, 2, 3), np.nan), (0, 0, 0), 1.0)
+    damaged = VelocitySequence.create(tmp_path / "nan.zarr", [bad])
+    with pytest.raises(DataFormatError, match="NaN"):
+        damaged.at(0.0)
+    sequence(tmp_path / "w.zarr")
+    chunk = next(p for p in (tmp_path / "w.zarr" / "c").rglob("*") if p.is_file() and "/c/1/" in str(p))
+    chunk.write_bytes(chunk.read_bytes()[:10])
+    with pytest.raises(DataFormatError, match=r"w\.zarr.*frame 1"):
+        VelocitySequence.open(tmp_path / "w.zarr").frame(1)

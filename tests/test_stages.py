@@ -1,0 +1,46 @@
+"""Costs, progress of child processes, and what stays after a failure."""
+
+import json
+import sys
+
+import pytest
+
+from gof.errors import GofError
+from gof.io.files import atomic_path, write_json
+from gof.stages import StageLog, run_worker
+
+
+def test_log_replaces_and_adds_up(tmp_path):
+    log = StageLog(tmp_path / "costs.json")
+    log.record("bake", 2.0, 100, {"cells": 3})
+    log.record("render", 1.0, 50)
+    log.record("bake", 3.0, 80, resumed=True)
+    log.record("render", 4.0, 60)
+    assert [(s.name, s.seconds, s.peak_mb) for s in log.stages()] == [("bake", 5.0, 100), ("render", 4.0, 60)]
+    with pytest.raises(ZeroDivisionError), log.measure("broken"):
+        1 / 0
+    assert len(log.stages()) == 2, "a failed stage is not recorded"
+
+
+def test_worker_reports_cost_and_last_figures(tmp_path):
+    code = ("from gof.stages import progress_bar; x = bytearray(150 << 20); import time\n"
+            "with progress_bar('work') as update:\n  [update(i, 3, note='n') or time.sleep(.4) for i in range(1, 4)]\nprint('chatter')")
+    cost = run_worker([sys.executable, "-c", code], "work", tmp_path / "log.txt")
+    assert 1.2 <= cost.seconds < 20 and cost.peak_mb > 150
+    assert cost.settings["done"] == 3 and (tmp_path / "log.txt").read_text() == "chatter\n"
+
+
+def test_failing_worker_shows_its_last_words(tmp_path):
+    with pytest.raises(GofError, match=r"status 3(.|\n)*the reason"):
+        run_worker([sys.executable, "-c", "print('the reason'); raise SystemExit(3)"], "work")
+
+
+def test_atomic_write_keeps_the_old_file_on_failure(tmp_path):
+    write_json(tmp_path / "a.json", {"x": 1})
+    with pytest.raises(RuntimeError), atomic_path(tmp_path / "a.json") as temporary:
+        temporary.write_text("half")
+        raise RuntimeError
+    with pytest.raises(ValueError):
+        write_json(tmp_path / "a.json", {"x": float("nan")})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"x": 1}
+    assert len(list(tmp_path.iterdir())) == 1
