@@ -1,0 +1,191 @@
+"""`gof evaluate`: every score of a result against a dataset, with the controls and what each part cost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError
+from gof.evaluate import controls as control_module
+from gof.evaluate.dve import dve_sequence, sanity_warnings
+from gof.evaluate.image import psnr, ssim
+from gof.gaussians import TransientGaussians
+from gof.io.files import write_json
+
+Progress = Callable[..., None]  # progress(done, total, stage=...)
+
+
+def evaluate(result: Path | TransientGaussians, dataset: Dataset, order: int = 3,
+             opacity: Literal["temporal", "base"] = "temporal", images: bool = True,
+             progress: Progress | None = None) -> dict[str, Any]:
+    """All scores of a result.
+
+    Pictures: every held-out frame of every camera, rendered over the fire-free plate (over black when the result brings
+    static Gaussians of its own); `flame` scores count pixels of the true flame mask only. Velocities: DVE on every frame of
+    the clip that has a true velocity field.
+
+    Args:
+        result: file of `TransientGaussians.save`, or the Gaussians.
+        dataset: what it was made from.
+        order, opacity: of `dve`.
+        images: also render and score pictures.
+        progress: progress(done, total, stage=name).
+    Returns:
+        JSON-ready dict: "dve" (see DVESequence.to_dict), "controls" {name: {"l2", "cos_sim", "skill", ...}}, "psnr",
+        "psnr_flame", "psnr_plate", "psnr_flame_plate", "ssim", "ssim_flame", "ssim_plate", "ssim_flame_plate" (means over
+        pictures; None where undefined), "images" (spread and every picture), "costs" {part: seconds}, "warnings".
+    Raises:
+        GofError: see `dve_sequence`.   DataFormatError: a file is damaged.
+    """
+    costs: dict[str, float] = {}
+    progress = progress or (lambda *a, **k: None)
+    with _timed(costs, "load"):
+        gaussians = result if isinstance(result, TransientGaussians) else TransientGaussians.load(result)
+    scores: dict[str, Any] = {"gaussians": len(gaussians), "dynamic_gaussians": int(gaussians.dynamic.sum()), "warnings": []}
+    if dataset.meta.get("velocity"):
+        with _timed(costs, "dve"):
+            scores |= _velocity_scores(gaussians, dataset, order, opacity, progress)
+    else:
+        scores |= {"dve": None, "controls": {}}
+        scores["warnings"].append("the dataset has no true velocity field, so there is no DVE")
+    if images:
+        scores |= _image_scores(gaussians, dataset, costs, progress)
+    return scores | {"costs": {name: round(seconds, 3) for name, seconds in costs.items()}}
+
+
+@contextmanager
+def _timed(costs: dict[str, float], name: str):
+    start = time.perf_counter()
+    yield
+    costs[name] = costs.get(name, 0.0) + time.perf_counter() - start
+
+
+def _velocity_scores(gaussians: TransientGaussians, dataset: Dataset, order: int, opacity: str,
+                     progress: Progress) -> dict[str, Any]:
+    truth = dataset.velocity
+    slack = dataset.frame_time_s / 2
+    in_clip = (truth.times_s >= dataset.times_s[0] - slack) & (truth.times_s <= dataset.times_s[-1] + slack)
+    if not in_clip.any():
+        raise DataFormatError(f"{dataset.path}: the velocity store covers {truth.times_s[0]:g}..{truth.times_s[-1]:g} s, the "
+                              f"clip {dataset.times_s[0]:g}..{dataset.times_s[-1]:g} s: their clocks do not overlap")
+    score = dve_sequence(gaussians, truth, truth.times_s[in_clip], order, opacity,
+                         progress=lambda done, total: progress(done, total, stage="DVE"))
+    dve = score.to_dict() | {"order": order, "opacity": opacity}
+    controls = {}
+    for name, control in score.controls.items():
+        controls[name] = control.to_dict() | {"meaning": control_module.CONTROLS[name]}
+        controls[name].pop("frames")
+        dve[f"skill_over_{name}"] = control_module.skill(score.pooled, control.pooled)
+    return {"dve": dve, "controls": controls, "warnings": sanity_warnings(score)}
+
+
+def _image_scores(gaussians: TransientGaussians, dataset: Dataset, costs: dict[str, float], progress: Progress) -> dict[str, Any]:
+    from gof.render import render
+
+    own_background = not gaussians.dynamic.all()
+    rows: list[dict[str, Any]] = []
+    total = len(dataset.test_frames) * len(dataset.cameras)
+    for number, camera in enumerate(dataset.cameras):
+        plate = dataset.static(number)
+        for frame in dataset.test_frames:
+            with _timed(costs, "render"):
+                background = (0, 0, 0) if own_background else plate
+                image = render(gaussians, camera, float(dataset.times_s[frame]), background=background)["color"]
+            with _timed(costs, "images"):
+                truth, mask = dataset.image(number, frame), dataset.mask(number, frame)
+                row = {"camera": camera.name, "frame": frame, "flame_share": None if mask is None else float(mask.mean())}
+                for suffix, picture in (("", np.clip(image, 0, 1)), ("_plate", plate)):
+                    for name, score in (("psnr", psnr), ("ssim", ssim)):
+                        row[f"{name}{suffix}"] = score(picture, truth)
+                        row[f"{name}_flame{suffix}"] = None if mask is None else score(picture, truth, mask)
+                rows.append(row)
+            progress(len(rows), total, stage="pictures")
+    out: dict[str, Any] = {}
+    spread = {}
+    for key in ("psnr", "psnr_flame", "ssim", "ssim_flame", "psnr_plate", "psnr_flame_plate", "ssim_plate", "ssim_flame_plate"):
+        values = [r[key] for r in rows if r[key] is not None and np.isfinite(r[key])]
+        out[key] = float(np.mean(values)) if values else None
+        spread[f"{key}_std"] = float(np.std(values)) if values else None
+    for row in rows:  # identical pictures have an infinite PSNR, which JSON has no number for
+        row |= {k: None for k, v in row.items() if isinstance(v, float) and not np.isfinite(v)}
+    return out | {"images": {"count": len(rows), **spread, "pictures": rows}}
+
+
+def table(scores: dict[str, Any]):
+    """A rich table of the scores with the controls beside them."""
+    from rich.table import Table
+
+    def number(value, digits=3):
+        return "-" if value is None else f"{value:.{digits}f}"
+
+    velocity = Table(title="Velocity (DVE): lower L2 and higher CosSim are better", title_justify="left")
+    for column in ("velocities", "L2", "CosSim", "what it is"):
+        velocity.add_column(column, justify="right" if column in ("L2", "CosSim") else "left")
+    if scores.get("dve"):
+        d = scores["dve"]
+        velocity.add_row("[bold]this result", number(d["l2"]), number(d["cos_sim"]), "all frames pooled")
+        velocity.add_row("  per frame", *(f"{number(d[f'{k}_frame_mean'])} ± {number(d[f'{k}_frame_std'])}"
+                                          for k in ("l2", "cos_sim")), f"mean of {d['frames_scored']} frames")
+        velocity.add_row("  fluctuation", number(d["fluctuation"]["l2"]), number(d["fluctuation"]["cos_sim"]),
+                         "after taking the mean per height from both; every mean scores 1 / 0")
+        for name, c in scores["controls"].items():
+            velocity.add_row(f"control: {name}", number(c["l2"]), number(c["cos_sim"]), c["meaning"])
+    pictures = Table(title="Held-out pictures", title_justify="left")
+    for column in ("score", "result", "fire-free plate alone"):
+        pictures.add_column(column, justify="left" if column == "score" else "right")
+    for key, label, digits in (("psnr_flame", "PSNR flame (dB)", 2), ("ssim_flame", "SSIM flame", 4),
+                               ("psnr", "PSNR (dB)", 2), ("ssim", "SSIM", 4)):
+        if key in scores:
+            pictures.add_row(label, number(scores[key], digits), number(scores[f"{key}_plate"], digits))
+    return velocity, pictures
+
+
+@dataclass
+class EvaluateConfig:
+    """Score a reconstruction against a dataset: DVE (L2, CosSim) with controls, PSNR and SSIM on held-out frames."""
+
+    result: tyro.conf.Positional[Path]
+    """Result of a reconstruction (.npz or .ply)."""
+    truth: Path
+    """Dataset folder with the true pictures and velocities."""
+    out: Path | None = None
+    """Folder to write scores.json to; an older scores.json there is replaced."""
+    json: Path | None = None
+    """File to write the scores to."""
+    order: Literal[1, 3, 5, 7] = 3
+    """Gauss-Hermite nodes per axis for the expected true velocity."""
+    opacity: Literal["temporal", "base"] = "temporal"
+    """Weight Gaussians by their opacity at each time, or by their peak opacity at all times."""
+    images: bool = True
+    """Also render the held-out frames and score them."""
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof evaluate`."""
+    from rich.console import Console
+
+    from gof.stages import progress_bar
+
+    config = tyro.cli(EvaluateConfig, prog="gof evaluate", args=argv)
+    dataset = Dataset.open(config.truth)
+    with progress_bar("evaluate") as progress:
+        scores = evaluate(config.result, dataset, config.order, config.opacity, config.images, progress)
+    console = Console()
+    for t in table(scores):
+        if t.row_count:
+            console.print(t)
+    for warning in scores["warnings"]:
+        console.print(f"[yellow]note:[/] {warning}")
+    console.print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in scores["costs"].items()))
+    for path in {config.out and config.out / "scores.json", config.json} - {None}:
+        write_json(path, scores)
+        console.print(f"scores written to {path}")
+    return 0
