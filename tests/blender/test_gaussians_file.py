@@ -1,0 +1,128 @@
+"""The add-on's result reader against the library's writer, and against broken files."""
+
+import numpy as np
+import pytest
+
+from blender_addon.io import FileFormatError
+from blender_addon.io.gaussians_file import SH_C0, load
+from gof.gaussians import TransientGaussians
+
+N = 40
+
+
+def gaussians(color_shape=(3,)) -> TransientGaussians:
+    rng = np.random.default_rng(3)
+    t_sigma = rng.uniform(0.01, 0.2, N)
+    t_sigma[::7] = np.inf
+    return TransientGaussians(
+        position=rng.normal(size=(N, 3)), velocity=rng.normal(size=(N, 3)), t_mu=rng.uniform(0, 1, N), t_sigma=t_sigma,
+        scale=rng.uniform(1e-3, 0.1, (N, 3)), rotation=rng.normal(size=(N, 4)), opacity=rng.uniform(0, 1, N),
+        color=rng.uniform(0, 1, (N, *color_shape)), dynamic=rng.uniform(size=N) > 0.3)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".ply"])
+@pytest.mark.parametrize("color_shape", [(3,), (4, 3)])
+def test_reads_what_the_library_writes(tmp_path, suffix, color_shape):
+    wanted = gaussians(color_shape)
+    cloud = load(wanted.save(tmp_path / f"result{suffix}"))
+    assert len(cloud) == N
+    for name in ("position", "velocity", "t_mu", "t_sigma", "dynamic"):
+        assert np.array_equal(getattr(cloud, name), getattr(wanted, name)), name
+    for name in ("scale", "rotation", "opacity"):
+        assert np.allclose(getattr(cloud, name), getattr(wanted, name), rtol=2e-6, atol=1e-7), name
+    color = wanted.color if wanted.color.ndim == 2 else 0.5 + SH_C0 * wanted.color[:, 0]
+    assert np.allclose(cloud.color, color, atol=1e-6)
+
+
+def test_reads_big_endian_doubles(tmp_path):
+    from plyfile import PlyData, PlyElement
+
+    wanted = gaussians()
+    vertex = PlyData.read(str(wanted.save(tmp_path / "a.ply")))["vertex"].data
+    wide = vertex.astype([(n, "u1" if n == "is_dynamic" else "f8") for n in vertex.dtype.names])
+    PlyData([PlyElement.describe(wide, "vertex")], byte_order=">").write(str(tmp_path / "b.ply"))
+    assert np.array_equal(load(tmp_path / "b.ply").position, wanted.position)
+
+
+def npz(tmp_path, **changes):
+    """A result.npz with fields replaced, or left out when None."""
+    file = gaussians().save(tmp_path / "result.npz")
+    with np.load(file) as data:
+        fields = {k: data[k] for k in data.files} | changes
+    np.savez(file, **{k: v for k, v in fields.items() if v is not None})
+    return file
+
+
+def with_value(shape, value, fill=0.5):
+    array = np.full(shape, fill, np.float32)
+    array[2] = value
+    return array
+
+
+@pytest.mark.parametrize("changes, message", [
+    ({"schema": None}, "schema is 'none'"), ({"schema": "gof-trajectory/1"}, "gof-trajectory/1"),
+    ({"v": None}, r"\['v'\] are missing"), ({"rgb": None}, "rgb or sh"),
+    ({"x0": with_value((N, 3), np.nan)}, r"'position' must be finite .*rows \[2\]"),
+    ({"v": with_value((N, 3), np.inf)}, "'velocity' must be finite"),
+    ({"t_sigma_s": with_value(N, np.nan)}, "'t_sigma' must be finite"),
+    ({"t_sigma_s": with_value(N, 0)}, "'t_sigma' must be > 0"),
+    ({"scale": with_value((N, 3), -1)}, "'scale' must be > 0"), ({"alpha": with_value(N, 1.5)}, "'opacity' must be in"),
+    ({"rotation": with_value((N, 4), 0)}, "quaternion"), ({"t_mu_s": np.zeros(3)}, r"'t_mu' has shape \(3,\)"),
+    ({"x0": np.zeros((0, 3))}, "0 points"), ({"x0": np.array(1.0)}, "0 points"),
+    ({"scale": np.full((N, 3), "big")}, "expected numbers"),
+    ({"x0": np.full((N, 3), 1e300)}, "'position' must be finite"),
+    ({"rgb": None, "sh": np.zeros((N, 3))}, "'sh' has shape")])
+def test_broken_npz(tmp_path, changes, message):
+    with pytest.raises(FileFormatError, match=f"result.npz: .*{message}"):
+        load(npz(tmp_path, **changes))
+
+
+def test_pickles_are_refused(tmp_path):
+    with pytest.raises(FileFormatError, match="not a readable npz"):
+        load(npz(tmp_path, x0=np.array([{}], object)))
+
+
+@pytest.mark.parametrize("keep", [0, 3, 40, 300, -1])
+@pytest.mark.parametrize("suffix", [".npz", ".ply"])
+def test_truncated(tmp_path, suffix, keep):
+    file = gaussians().save(tmp_path / f"result{suffix}")
+    file.write_bytes(file.read_bytes()[:keep])
+    with pytest.raises(FileFormatError, match=f"result{suffix}"):
+        load(file)
+
+
+@pytest.mark.parametrize("old, new, message", [
+    (b"ply\n", b"plx\n", "not a PLY"), (b"binary_little_endian", b"ascii", "not a binary PLY"),
+    (b"element vertex", b"element face", "first element"), (b"element vertex 40", b"element vertex 99999999", "truncated"),
+    (b"element vertex 40", b"element vertex 0", "0 points"), (b"element vertex 40", b"element vertex -3", "first element"),
+    (b"property float vx", b"property float ux", r"\['vx'\] are missing"),
+    (b"property float vx", b"property float vy", "broken"),
+    (b"property float vx", b"property list uchar int vx", "not a plain number")])
+def test_broken_ply(tmp_path, old, new, message):
+    file = gaussians().save(tmp_path / "result.ply")
+    data = file.read_bytes()
+    assert old in data
+    file.write_bytes(data.replace(old, new, 1))
+    with pytest.raises(FileFormatError, match=message):
+        load(file)
+
+
+def test_absurd_raw_values_in_ply(tmp_path):
+    from plyfile import PlyData
+
+    file = gaussians().save(tmp_path / "result.ply")
+    ply = PlyData.read(str(file), mmap=False)  # it is written back to the same name
+    ply["vertex"].data["opacity"][:2] = [-1e30, 1e30]
+    ply.write(str(file))
+    assert load(file).opacity[:2].tolist() == [0.0, 1.0]
+    ply["vertex"].data["scale_1"][5] = 1e4
+    ply.write(str(file))
+    with pytest.raises(FileFormatError, match=r"'scale' must be finite.*rows \[5\]"):
+        load(file)
+
+
+def test_wrong_name(tmp_path):
+    with pytest.raises(FileFormatError, match="unknown suffix"):
+        load(tmp_path / "result.pth")
+    with pytest.raises(FileFormatError, match="no such file"):
+        load(tmp_path / "result.npz")
