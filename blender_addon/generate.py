@@ -1,0 +1,200 @@
+"""Worker that generates one stage of a dataset in its own Blender process.
+
+    python -m blender_addon.generate --spec spec.json --out DATASET --stage bake|render|ground-truth|finish
+
+Stages: ``bake`` builds scene.blend and simulates the fire; ``render`` makes plates and frames; ``ground-truth`` exports
+the velocity; ``finish`` writes dataset.json. Each resumes: what is finished is not made again. One process per stage,
+because a second bake in the same process is unreliable and the wheel cannot exit normally after a bake.
+
+Progress goes to standard output as lines ``{"progress": {"stage": "render", "done": 3, "total": 108}}``;
+what Blender itself prints goes to DATASET/.cache/<stage>.log.
+"""
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sys
+import threading
+import traceback
+from pathlib import Path
+
+from . import spec as scene_spec
+from .layout import Layout
+from .spec import SceneSpec
+
+GENERATOR_VERSION = "0.1.0"
+STAGES = ("bake", "render", "ground-truth", "finish")
+TEST_EVERY, TEST_FIRST = 8, 4  # frames k with k % 8 == 4 are held out
+
+
+class Reporter:
+    """Prints progress lines to the original standard output and sends everything else that is printed to a log file.
+
+    Blender's own messages are buffered in C and would otherwise cut progress lines in two.
+    """
+
+    def __init__(self, stage: str, log: Path):
+        self.stage = stage
+        log.parent.mkdir(parents=True, exist_ok=True)
+        self._out = os.fdopen(os.dup(1), "w")
+        sys.stdout.flush()
+        with open(log, "ab") as file:
+            os.dup2(file.fileno(), 1)
+
+    def __call__(self, done: int, total: int) -> None:
+        print(json.dumps({"progress": {"stage": self.stage, "done": done, "total": total}}), file=self._out, flush=True)
+
+
+def bake(spec: SceneSpec, layout: Layout, progress) -> None:
+    """Build scene.blend and simulate the fire; an unfinished simulation starts over."""
+    total = spec.clip.last_frame
+    if layout.bake_marker.is_file():
+        progress(total, total)
+        return
+    import bpy
+
+    from .scene import build, fire
+
+    shutil.rmtree(layout.bake, ignore_errors=True)
+    scene_objects = build.scene(spec)
+    _save_blend(layout)  # the cache folder is relative to the file
+    settings = scene_objects.domain_settings
+    with _Watch(lambda: sum(fire.velocity_file(settings, frame).is_file() for frame in range(1, total + 1)), total, progress):
+        fire.bake(scene_objects.domain)
+    bpy.context.scene.frame_set(spec.clip.first_frame)
+    _save_blend(layout)
+    _write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string})
+
+
+def render(spec: SceneSpec, layout: Layout, progress) -> None:
+    _open_blend(layout)
+    from .scene import render as cycles
+
+    cycles.plates(spec, layout, progress)
+    cycles.frames(spec, layout, progress)
+
+
+def ground_truth(spec: SceneSpec, layout: Layout, progress) -> None:
+    if (layout.velocity / "zarr.json").is_file():
+        progress(spec.clip.frames, spec.clip.frames)
+        return
+    _open_blend(layout)
+    from .scene import fire, velocity
+
+    draft = layout.hidden / "velocity.zarr"
+    shutil.rmtree(draft, ignore_errors=True)
+    frames = list(range(spec.clip.first_frame, spec.clip.last_frame + 1))
+    velocity.export_velocity(fire.find_domain(), frames, spec.clip.fps, spec.clip.time_scale, draft, progress)
+    shutil.rmtree(layout.velocity, ignore_errors=True)
+    os.replace(draft, layout.velocity)
+
+
+def finish(spec: SceneSpec, layout: Layout, progress) -> None:
+    """Write dataset.json, the last file of a dataset. Raises FileNotFoundError if a frame or the velocity is missing."""
+    _open_blend(layout)
+    import bpy
+
+    from .scene import rig
+
+    files = [path for name in spec.cameras.names for frame in range(spec.clip.frames)
+             for path in vars(layout.frame(name, frame)).values()]
+    files += [layout.static(name) for name in spec.cameras.names] + [layout.velocity / "zarr.json"]
+    missing = [path for path in files if not path.is_file()]
+    if missing:
+        raise FileNotFoundError(f"{len(missing)} files of the dataset are missing, first {missing[0]}; run the stages before finish")
+    velocity = json.loads((layout.velocity / "zarr.json").read_text(encoding="utf-8"))
+    test = [frame for frame in range(spec.clip.frames) if frame % TEST_EVERY == TEST_FIRST]
+    _write_json(layout.description, {
+        "schema": "gof-dataset",
+        "version": 1,
+        "name": spec.name,
+        "spec": spec.to_dict(),
+        "effects": spec.effect_names,
+        "time_s": [frame / spec.clip.fps for frame in range(spec.clip.frames)],
+        "cameras": [rig.describe(camera, spec) | layout.patterns(camera.name) for camera in rig.find(spec)],
+        "splits": {"train": [frame for frame in range(spec.clip.frames) if frame not in test], "test": test},
+        "display": spec.to_dict()["display"],
+        "domain": {
+            "index_to_world": velocity["attributes"]["index_to_world"],
+            "resolution": velocity["shape"][1:4],
+            "voxel_size": velocity["attributes"]["voxel_size"],
+        },
+        "provenance": {"blender": bpy.app.version_string, "generator": GENERATOR_VERSION},
+    })
+    progress(1, 1)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one stage; returns the exit status. The caller must leave through ``mantaflow.leave`` in a bpy-wheel process."""
+    parser = argparse.ArgumentParser(prog="python -m blender_addon.generate", description=__doc__.split("\n")[0])
+    parser.add_argument("--spec", type=Path, required=True, help="scene spec (JSON)")
+    parser.add_argument("--out", type=Path, required=True, help="dataset folder")
+    parser.add_argument("--stage", choices=STAGES, required=True)
+    args = parser.parse_args(argv)
+    layout = Layout(args.out.resolve())
+    try:
+        spec = scene_spec.load(args.spec)
+        progress = Reporter(args.stage, layout.log(args.stage))
+        {"bake": bake, "render": render, "ground-truth": ground_truth, "finish": finish}[args.stage](spec, layout, progress)
+    except scene_spec.SpecError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except Exception:
+        traceback.print_exc()
+        return 1
+    return 0
+
+
+class _Watch:
+    """Reports count() of total while the bake blocks this process's main thread."""
+
+    def __init__(self, count, total: int, progress):
+        self._count, self._total, self._progress = count, total, progress
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        while not self._done.wait(0.5):
+            self._progress(self._count(), self._total)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_) -> None:
+        self._done.set()
+        self._thread.join()
+        self._progress(self._count(), self._total)
+
+
+def _save_blend(layout: Layout) -> None:
+    import bpy
+
+    bpy.ops.wm.save_as_mainfile(filepath=str(layout.blend), check_existing=False)
+
+
+def _open_blend(layout: Layout) -> None:
+    if not layout.bake_marker.is_file():
+        raise FileNotFoundError(f"{layout.root} holds no finished bake; run --stage bake first")
+    import bpy
+
+    from . import mantaflow
+
+    mantaflow.enable()
+    bpy.ops.wm.open_mainfile(filepath=str(layout.blend))
+
+
+def _write_json(path: Path, data: dict) -> None:
+    draft = path.with_name(f".tmp-{path.name}")
+    draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    os.replace(draft, path)
+
+
+if __name__ == "__main__":
+    status = main()
+    if "bpy" in sys.modules:
+        from .mantaflow import leave
+
+        leave(status)
+    sys.exit(status)

@@ -1,0 +1,73 @@
+"""Where a dataset keeps its files; the one place that knows. Never imports bpy."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """Files of one camera at one instant."""
+
+    rgb: Path
+    exr: Path
+    mask: Path
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Paths inside the dataset folder ``root``."""
+
+    root: Path
+
+    PATTERNS = {"rgb": "cameras/{camera}/rgb/{frame:06d}.png", "exr": "cameras/{camera}/exr/{frame:06d}.exr",
+                "mask": "cameras/{camera}/mask/{frame:06d}.png"}
+    STATIC = "static/{camera}.png"
+
+    @property
+    def description(self) -> Path:
+        return self.root / "dataset.json"
+
+    @property
+    def spec(self) -> Path:
+        return self.root / "spec.json"
+
+    @property
+    def costs(self) -> Path:
+        return self.root / "costs.json"
+
+    @property
+    def blend(self) -> Path:
+        return self.root / "scene.blend"
+
+    @property
+    def velocity(self) -> Path:
+        return self.root / "velocity.zarr"
+
+    @property
+    def hidden(self) -> Path:
+        """Work files that a user may delete once the dataset is finished."""
+        return self.root / ".cache"
+
+    @property
+    def bake(self) -> Path:
+        return self.hidden / "bake"
+
+    @property
+    def bake_marker(self) -> Path:
+        return self.hidden / "bake-finished.json"
+
+    def log(self, stage: str) -> Path:
+        return self.hidden / f"{stage}.log"
+
+    def frame(self, camera: str, frame: int) -> FrameFiles:
+        return FrameFiles(**{kind: self.root / pattern.format(camera=camera, frame=frame)
+                             for kind, pattern in self.PATTERNS.items()})
+
+    def static(self, camera: str) -> Path:
+        return self.root / self.STATIC.format(camera=camera)
+
+    def patterns(self, camera: str) -> dict[str, str]:
+        """File name patterns of a camera as written in dataset.json; ``{frame:06d}`` stays open."""
+        return {kind: pattern.replace("{camera}", camera) for kind, pattern in self.PATTERNS.items()} | {
+            "static": self.STATIC.format(camera=camera)}

@@ -1,0 +1,91 @@
+"""Image files of the dataset, through the OpenImageIO library that Blender ships."""
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+try:
+    import OpenImageIO as oiio
+except ModuleNotFoundError:  # the bpy wheel does not put Blender's own Python packages on the path
+    python = Path(bpy.__file__).resolve().parents[3] / "python" / "lib"
+    sys.path.extend(str(folder) for folder in [*python.glob("python3*/site-packages"), python / "site-packages"])
+    import OpenImageIO as oiio
+
+EXR_CHANNELS = ("R", "G", "B", "A", "Z", "flame.R", "flame.G", "flame.B")
+
+
+def read_passes(path: Path) -> dict[str, np.ndarray]:
+    """Channels of a multilayer EXR that Blender wrote, as float32 (H, W) by name without the view layer ("Combined.R").
+
+    Raises OSError if the file cannot be read.
+    """
+    pixels, names = _read(path)
+    return {name.split(".", 1)[1]: pixels[..., index] for index, name in enumerate(names)}
+
+
+def write_frame_exr(path: Path, beauty: np.ndarray, depth: np.ndarray, flame: np.ndarray) -> None:
+    """Write one frame in the dataset's layout, atomically.
+
+    Args:
+        beauty: (H, W, 4) linear RGBA.
+        depth: (H, W) distance along the viewing direction in metres, 1e10 where nothing is.
+        flame: (H, W, 3) light emitted by the flame alone, linear.
+    Colours are stored as half, depth as float.
+    """
+    pixels = np.concatenate([np.clip(beauty, -65504, 65504), depth[..., None], np.clip(flame, -65504, 65504)], axis=-1)
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], oiio.HALF)
+    spec.channelnames = EXR_CHANNELS
+    spec.channelformats = tuple(oiio.TypeDesc("float" if name == "Z" else "half") for name in EXR_CHANNELS)
+    spec.attribute("compression", "zip")
+    _write(path, spec, pixels)
+
+
+def write_mask_png(path: Path, mask: np.ndarray) -> None:
+    """Write an (H, W) boolean mask as 8-bit grey, 255 where true, atomically."""
+    spec = oiio.ImageSpec(mask.shape[1], mask.shape[0], 1, oiio.UINT8)
+    _write(path, spec, (mask * np.uint8(255))[..., None])
+
+
+def opens(path: Path) -> bool:
+    """Whether an image file exists and every pixel of it can be decoded."""
+    if not path.is_file():
+        return False
+    try:
+        _read(path)
+    except OSError:
+        return False
+    return True
+
+
+def temporary(path: Path) -> Path:
+    """Name beside ``path`` with its suffix, for writing before ``os.replace``."""
+    return path.with_name(f".tmp-{path.name}")
+
+
+def _read(path: Path) -> tuple[np.ndarray, list[str]]:
+    image = oiio.ImageInput.open(str(path))
+    if image is None:
+        raise OSError(f"{path}: {oiio.geterror()}")
+    try:
+        pixels, names = image.read_image(format=oiio.FLOAT), list(image.spec().channelnames)
+        if pixels is None:
+            raise OSError(f"{path}: {image.geterror()}")
+        return pixels, names
+    finally:
+        image.close()
+
+
+def _write(path: Path, spec: oiio.ImageSpec, pixels: np.ndarray) -> None:
+    draft = temporary(path)
+    image = oiio.ImageOutput.create(str(draft))
+    if image is None:
+        raise OSError(f"{path}: {oiio.geterror()}")
+    done = image.open(str(draft), spec) and image.write_image(np.ascontiguousarray(pixels))
+    done = image.close() and done
+    if not done:
+        raise OSError(f"{path}: {image.geterror()}")
+    os.replace(draft, path)

@@ -1,0 +1,109 @@
+"""Procedural materials: the flame, and surfaces rich in features. No surface emits light, so that the emission pass
+holds the flame alone."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+
+from ..spec import Fuel
+
+Colour = tuple[float, float, float]
+
+
+def flame(fuel: Fuel) -> bpy.types.Material:
+    """Volume emission of a flame: black-body colour and brightness follow the solver's reaction grid ``flame`` (0..1)."""
+    material, add, link, output = _new("Flame")
+    reaction = add("ShaderNodeAttribute")
+    reaction.attribute_name = "flame"
+    temperature = add("ShaderNodeMapRange")
+    temperature.inputs["To Min"].default_value = fuel.colour_low_k
+    temperature.inputs["To Max"].default_value = fuel.colour_high_k
+    colour = add("ShaderNodeBlackbody")
+    strength = add("ShaderNodeMath")
+    strength.operation = "MULTIPLY"
+    strength.inputs[1].default_value = fuel.radiance
+    emission = add("ShaderNodeEmission")
+    link(reaction.outputs["Fac"], temperature.inputs["Value"])
+    link(temperature.outputs["Result"], colour.inputs["Temperature"])
+    link(reaction.outputs["Fac"], strength.inputs[0])
+    link(colour.outputs["Color"], emission.inputs["Color"])
+    link(strength.outputs[0], emission.inputs["Strength"])
+    link(emission.outputs[0], output.inputs["Volume"])
+    return material
+
+
+def plain(name: str, colour: Colour, roughness: float = 0.6, metallic: float = 0.0) -> bpy.types.Material:
+    material, add, link, output = _new(name)
+    surface = _principled(add, link, output, roughness, metallic)
+    surface.inputs["Base Color"].default_value = (*colour, 1.0)
+    return material
+
+
+def tiles(name: str, colours: tuple[Colour, Colour], joint: Colour, size: tuple[float, float], gap: float = 0.012,
+          shift: float = 0.5, stains: float = 0.5, roughness: float = 0.8) -> bpy.types.Material:
+    """Rows of bricks, planks or tiles of ``size`` (m), each of its own shade, with joints and stains."""
+    material, add, link, output = _new(name)
+    coordinates = add("ShaderNodeTexCoord")
+    bricks = add("ShaderNodeTexBrick")
+    bricks.offset = shift
+    for socket, value in (("Color1", (*colours[0], 1)), ("Color2", (*colours[1], 1)), ("Mortar", (*joint, 1)), ("Scale", 1.0),
+                          ("Mortar Size", gap), ("Mortar Smooth", 0.1), ("Brick Width", size[0]), ("Row Height", size[1])):
+        bricks.inputs[socket].default_value = value
+    stain = add("ShaderNodeTexNoise")
+    stain.inputs["Scale"].default_value = 3.0 / min(size)
+    stain.inputs["Detail"].default_value = 4.0
+    darken = add("ShaderNodeMapRange")
+    for socket, value in (("From Min", 0.35), ("From Max", 0.65), ("To Min", 1.0 - stains), ("To Max", 1.0 + stains / 2)):
+        darken.inputs[socket].default_value = value
+    product = add("ShaderNodeVectorMath")
+    product.operation = "MULTIPLY"
+    surface = _principled(add, link, output, roughness)
+    link(coordinates.outputs["UV"], bricks.inputs["Vector"])
+    link(coordinates.outputs["UV"], stain.inputs["Vector"])
+    link(stain.outputs["Fac"], darken.inputs["Value"])
+    link(bricks.outputs["Color"], product.inputs[0])
+    link(darken.outputs["Result"], product.inputs[1])
+    link(product.outputs[0], surface.inputs["Base Color"])
+    return material
+
+
+def blotches(name: str, colours: Sequence[Colour], scale: float, roughness: float = 0.7) -> bpy.types.Material:
+    """Sharp-edged coloured cells of about 1/scale metres, like a print, a terrazzo floor or peeling paint."""
+    material, add, link, output = _new(name)
+    coordinates = add("ShaderNodeTexCoord")
+    cells = add("ShaderNodeTexVoronoi")
+    cells.inputs["Scale"].default_value = scale
+    pick = add("ShaderNodeSeparateColor")
+    ramp = add("ShaderNodeValToRGB")
+    ramp.color_ramp.interpolation = "CONSTANT"
+    elements = ramp.color_ramp.elements
+    while len(elements) < len(colours):
+        elements.new(0.5)
+    for index, colour in enumerate(colours):
+        elements[index].position = index / len(colours)
+        elements[index].color = (*colour, 1.0)
+    surface = _principled(add, link, output, roughness)
+    link(coordinates.outputs["UV"], cells.inputs["Vector"])
+    link(cells.outputs["Color"], pick.inputs["Color"])
+    link(pick.outputs["Red"], ramp.inputs["Fac"])
+    link(ramp.outputs["Color"], surface.inputs["Base Color"])
+    return material
+
+
+def _new(name: str):
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    output = nodes.new("ShaderNodeOutputMaterial")
+    output.name = "Material Output"
+    return material, nodes.new, links.new, output
+
+
+def _principled(add, link, output, roughness: float, metallic: float = 0.0):
+    surface = add("ShaderNodeBsdfPrincipled")
+    surface.inputs["Roughness"].default_value = roughness
+    surface.inputs["Metallic"].default_value = metallic
+    link(surface.outputs[0], output.inputs["Surface"])
+    return surface

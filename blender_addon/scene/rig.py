@@ -1,0 +1,99 @@
+"""The camera rig: cameras on an arc, and their exact intrinsics and poses as the dataset records them."""
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ..spec import Rig, SceneSpec
+
+SENSOR_MM = 36.0  # long side of the sensor
+READOUT = {0: "down", 90: "left", 180: "up", -90: "right"}
+"""Direction in the stored (upright) image in which successive sensor rows are read, per roll of the camera body."""
+
+
+def build(spec: SceneSpec, collection: bpy.types.Collection) -> list[bpy.types.Object]:
+    """Add the cameras of the spec and set the scene's image size."""
+    rig = spec.cameras
+    scene = bpy.context.scene
+    along_rows, rows = rig.sensor_px
+    scene.render.resolution_x, scene.render.resolution_y = (rows, along_rows) if rig.portrait else (along_rows, rows)
+    scene.render.resolution_percentage = spec.render.percentage
+    cameras = []
+    for name, position in zip(rig.names, _positions(rig)):
+        data = bpy.data.cameras.new(name)
+        data.lens = rig.focal_mm
+        # The focal length refers to the sensor's long side, which is vertical in a portrait image.
+        data.sensor_fit = "VERTICAL" if rig.portrait else "HORIZONTAL"
+        data.sensor_width = data.sensor_height = SENSOR_MM
+        data.clip_start, data.clip_end = 0.05, 1000.0
+        camera = bpy.data.objects.new(name, data)
+        collection.objects.link(camera)
+        view = Vector(rig.look_at) - Vector(position)
+        rotation = view.to_track_quat("-Z", "Y").to_matrix().to_4x4()
+        camera.matrix_world = Matrix.Translation(position) @ rotation
+        cameras.append(camera)
+    scene.camera = cameras[0]
+    return cameras
+
+
+def find(spec: SceneSpec) -> list[bpy.types.Object]:
+    """The rig's cameras in the open scene, in order."""
+    return [bpy.data.objects[name] for name in spec.cameras.names]
+
+
+def image_size(scene: bpy.types.Scene) -> tuple[int, int]:
+    """(width, height) of rendered images, as Blender truncates them."""
+    render = scene.render
+    return (int(render.resolution_x * render.resolution_percentage / 100),
+            int(render.resolution_y * render.resolution_percentage / 100))
+
+
+def intrinsics(camera: bpy.types.Object, scene: bpy.types.Scene) -> np.ndarray:
+    """(3, 3) matrix K in pixels; pixel centres are at integer + 0.5, so the image spans [0, width] x [0, height]."""
+    width, height = image_size(scene)
+    data = camera.data
+    side_px, side_mm = (height, data.sensor_height) if data.sensor_fit == "VERTICAL" else (width, data.sensor_width)
+    focal_px = data.lens / side_mm * side_px
+    return np.array([[focal_px, 0.0, width / 2], [0.0, focal_px, height / 2], [0.0, 0.0, 1.0]])
+
+
+def world_to_camera(camera: bpy.types.Object) -> np.ndarray:
+    """(4, 4) pose in OpenCV axes (x right, y down, z forward), from the single-precision pose Blender renders with.
+
+    The rotation is made orthonormal in double precision.
+    """
+    pose = np.array(camera.matrix_world, dtype=np.float64)  # camera to world, x right, y up, z backward
+    u, _, vt = np.linalg.svd(pose[:3, :3] @ np.diag([1.0, -1.0, -1.0]))
+    rotation = (u @ vt).T
+    result = np.eye(4)
+    result[:3, :3] = rotation
+    result[:3, 3] = -rotation @ pose[:3, 3]
+    return result
+
+
+def describe(camera: bpy.types.Object, spec: SceneSpec) -> dict:
+    """The camera's entry in dataset.json, without its file names."""
+    scene = bpy.context.scene
+    width, height = image_size(scene)
+    return {
+        "name": camera.name,
+        "width": width,
+        "height": height,
+        "K": intrinsics(camera, scene).tolist(),
+        "world_to_camera": world_to_camera(camera).tolist(),
+        "roll_deg": spec.cameras.roll_deg,
+        "row_time_s": 0.0,
+        "readout": READOUT[spec.cameras.roll_deg],
+        "role": "train",
+    }
+
+
+def _positions(rig: Rig) -> list[tuple[float, float, float]]:
+    step = rig.arc_deg / (rig.count - 1) if rig.count > 1 else 0.0
+    first = rig.azimuth_deg - (rig.arc_deg / 2 if rig.count > 1 else 0.0)
+    angles = [math.radians(first + index * step) for index in range(rig.count)]
+    x, y, _ = rig.look_at
+    return [(x + rig.radius * math.cos(angle), y + rig.radius * math.sin(angle), rig.height) for angle in angles]
