@@ -1,0 +1,240 @@
+"""Front-to-back alpha blending and its adjoint: one Dr.Jit lane draws one 4x4 pixel block.
+
+The 16 pixels of a block are unrolled in Python, so one fetched Gaussian serves 16 pixels and one gradient scatter
+collects from 16 pixels. See docs/renderer.md for the picture.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from gof.render.backend import Array4f, Float, UInt
+from gof.render.bins import BLOCK, LOG2_255, Bins
+
+MAX_ALPHA = 0.99            # 1 - alpha stays >= 0.01, so the adjoint's division by it loses at most two digits
+MIN_TRANSMITTANCE = 1e-4    # a pixel whose transmittance would fall below this stops before that Gaussian
+LN_2 = 0.6931471805599453
+GEOMETRY = 6                # mean_x, mean_y, a, b, c, log2_opacity
+PIXELS = [(i, j) for j in range(BLOCK) for i in range(BLOCK)]   # column, row inside the block
+
+
+def blend(geometry: list[Float], channels: list[Float], bins: Bins, sink: ScreenGradient) -> tuple[list[Float], Float]:
+    """Blend the channels of N Gaussians.
+
+    Args:
+        geometry: mean_x, mean_y, a, b, c, log2_opacity, each (N,) (see `Projected`).
+        channels: what to accumulate, each (N,).
+        bins: depth-sorted lists per block.
+        sink: receives the gradient of the 2D means in the backward pass.
+    Returns:
+        (sum w_i channel_i per channel, alpha = sum w_i), each a padded plane (4 rows, 4 columns of blocks), AD.
+    """
+    *planes, alpha = dr.custom(_Blend, geometry, channels, bins, sink)
+    return planes, alpha
+
+
+class ScreenGradient:
+    """Gradient of the loss with respect to the 2D means, filled by the backward pass."""
+
+    def __init__(self):
+        self.mean_x: Float | None = None
+        self.mean_y: Float | None = None
+
+
+class _Blend(dr.CustomOp):
+    def eval(self, geometry, channels, bins, sink):
+        self.bins, self.sink, self.n = bins, sink, len(geometry[0])
+        self.records = pack(geometry + channels)
+        self.n_channels = len(channels)
+        self.planes = _forward(self.records, self.n_channels, bins)
+        return [Float(p) for p in self.planes]
+
+    def backward(self):
+        size = len(self.planes[0])
+        grads = [_as_plane(g, size) for g in self.grad_out()]
+        flat, stride = _backward(self.records, self.n_channels, self.n, self.bins, self.planes, grads)
+        lane = dr.arange(UInt, self.n) * stride
+        columns = [dr.gather(Float, flat, lane + k) for k in range(GEOMETRY + self.n_channels)]
+        dr.eval(columns)
+        self.sink.mean_x, self.sink.mean_y = columns[0], columns[1]
+        self.set_grad_in("geometry", columns[:GEOMETRY])
+        self.set_grad_in("channels", columns[GEOMETRY:])
+
+    def name(self):
+        return "blend"
+
+
+def pack(columns: list[Float]) -> Float:
+    """N records of `stride(len(columns))` floats, so that a lane fetches a Gaussian with 128-bit loads."""
+    n, quads = len(columns[0]), stride(len(columns)) // 4
+    columns = columns + [Float(0)] * (4 * quads - len(columns))
+    out = dr.empty(Float, n * 4 * quads)
+    lane = dr.arange(UInt, n) * quads
+    for q in range(quads):
+        dr.scatter(out, Array4f(*columns[4 * q:4 * q + 4]), lane + q, mode=dr.ReduceMode.NoConflicts)
+    dr.eval(out)
+    return out
+
+
+def stride(n_columns: int) -> int:
+    return -(-n_columns // 4) * 4
+
+
+def _fetch(records: Float, gaussian: UInt, n_columns: int, active) -> list[Float]:
+    quads = stride(n_columns) // 4
+    out = []
+    for q in range(quads):
+        out += list(dr.gather(Array4f, records, gaussian * quads + q, active))
+    return out[:n_columns]
+
+
+def _as_plane(gradient: Float, size: int) -> Float:
+    gradient = Float(gradient) if len(gradient) == size else Float(gradient) + dr.zeros(Float, size)
+    dr.make_opaque(gradient)
+    return gradient
+
+
+def _lanes(bins: Bins):
+    """(block, its list, pixel centre of its first pixel, index of its first 4-pixel row in a plane)."""
+    block = UInt(bins.order)
+    start, end = dr.gather(UInt, bins.start, block), dr.gather(UInt, bins.end, block)
+    columns = dr.opaque(UInt, bins.columns)
+    by = block // columns
+    bx = block - by * columns
+    x, y = Float(bx * BLOCK) + 0.5, Float(by * BLOCK) + 0.5
+    return start, end, x, y, [(by * BLOCK + j) * columns + bx for j in range(BLOCK)]
+
+
+def _log2_alpha(record: list[Float], x: Float, y: Float) -> tuple[list[Float], list[Float], list[Float]]:
+    """log2 alpha of the 16 pixels, and their 4 column and 4 row offsets from the mean."""
+    mean_x, mean_y, a, b, c, log2_opacity = record[:GEOMETRY]
+    dx, dy = [x - mean_x], [y - mean_y]
+    for i in range(1, BLOCK):
+        dx.append(dx[0] + i)
+        dy.append(dy[0] + i)
+    ax = [a * d for d in dx]
+    rest = [log2_opacity - c * d * d for d in dy]
+    out = [dr.fma(-dr.fma(b, dy[j], ax[i]), dx[i], rest[j]) for i, j in PIXELS]
+    return out, dx, dy
+
+
+def _forward(records: Float, n_channels: int, bins: Bins) -> list[Float]:
+    start, end, x, y, plane_rows = _lanes(bins)
+    n_columns = GEOMETRY + n_channels
+
+    # T holds the transmittance; its sign bit is set once the pixel has stopped, which saves a mask per pixel.
+    def running(i, T, acc):
+        alive = T[0] > 0
+        for t in T[1:]:
+            alive |= t > 0
+        return (i < end) & alive
+
+    def step(i, T, acc):
+        gaussian = dr.gather(UInt, bins.gaussian, i)
+        record = _fetch(records, gaussian, n_columns, True)
+        log2_alpha, _, _ = _log2_alpha(record, x, y)
+        T_out, acc_out = [], [[] for _ in range(n_channels)]
+        for k in range(16):
+            alpha = dr.minimum(dr.exp2(log2_alpha[k]), MAX_ALPHA)
+            drawn = (log2_alpha[k] >= -LOG2_255) & (T[k] > 0)
+            w = T[k] * alpha
+            rest = T[k] - w
+            stops = rest < MIN_TRANSMITTANCE
+            w = dr.select(drawn & ~stops, w, 0)
+            T_out.append(dr.select(drawn, dr.select(stops, -T[k], rest), T[k]))
+            for ch in range(n_channels):
+                acc_out[ch].append(dr.fma(w, record[GEOMETRY + ch], acc[ch][k]))
+        return i + 1, T_out, acc_out
+
+    T = [Float(1) for _ in range(16)]
+    acc = [[Float(0) for _ in range(16)] for _ in range(n_channels)]
+    _, T, acc = dr.while_loop((UInt(start), T, acc), running, step, labels=("i", "T", "acc"))
+
+    values = [*acc, [1 - dr.abs(t) for t in T]]
+    planes = [dr.empty(Float, len(bins.start) * 16) for _ in values]
+    for plane, value in zip(planes, values, strict=True):
+        for j in range(BLOCK):
+            dr.scatter(plane, Array4f(*value[4 * j:4 * j + 4]), plane_rows[j], mode=dr.ReduceMode.NoConflicts)
+    dr.eval(planes)
+    return planes
+
+
+def _backward(records: Float, n_channels: int, n: int, bins: Bins, planes: list[Float], grads: list[Float]):
+    """Gradient records (N * stride) by replaying the forward pass front to back.
+
+    With v_i = sum_c g_c channel_ic + g_alpha and S_i = sum_{k > i} w_k v_k:  dL/dalpha_i = T_i v_i - S_i / (1 - alpha_i).
+    S starts at the whole sum, known from the forward planes, and shrinks by w_i v_i. Nothing divides by T or opacity.
+    """
+    start, end, x, y, plane_rows = _lanes(bins)
+    n_columns = GEOMETRY + n_channels
+    quads = stride(n_columns) // 4
+    out = dr.zeros(Float, n * 4 * quads)
+
+    def load(plane):
+        return [v for r in plane_rows for v in dr.gather(Array4f, plane, r)]
+
+    g = [load(p) for p in grads]          # per channel, then alpha; 16 pixels each
+    totals = [load(p) for p in planes]
+    suffix = [sum(g[ch][k] * totals[ch][k] for ch in range(n_channels + 1)) for k in range(16)]
+
+    def running(i, T, S):
+        alive = T[0] > 0
+        for t in T[1:]:
+            alive |= t > 0
+        return (i < end) & alive
+
+    def step(i, T, S):
+        gaussian = dr.gather(UInt, bins.gaussian, i)
+        record = _fetch(records, gaussian, n_columns, True)
+        log2_alpha, dx, dy = _log2_alpha(record, x, y)
+        T_out, S_out, d_log2 = [], [], []
+        d_channel = [Float(0) for _ in range(n_channels)]
+        for k in range(16):
+            raw = dr.exp2(log2_alpha[k])
+            alpha = dr.minimum(raw, MAX_ALPHA)
+            drawn = (log2_alpha[k] >= -LOG2_255) & (T[k] > 0)
+            w = T[k] * alpha
+            rest = T[k] - w
+            stops = rest < MIN_TRANSMITTANCE
+            blended = drawn & ~stops
+            w = dr.select(blended, w, 0)
+            v = g[n_channels][k]
+            for ch in range(n_channels):
+                v = dr.fma(g[ch][k], record[GEOMETRY + ch], v)
+                d_channel[ch] = dr.fma(w, g[ch][k], d_channel[ch])
+            s = S[k] - w * v
+            d_alpha = T[k] * v - s * dr.rcp(1 - alpha)
+            d_log2.append(dr.select(blended & (raw < MAX_ALPHA), alpha * d_alpha, 0))
+            T_out.append(dr.select(drawn, dr.select(stops, -T[k], rest), T[k]))
+            S_out.append(s)
+        gradient = _geometry_gradient(record, dx, dy, d_log2) + d_channel
+        gradient += [Float(0)] * (4 * quads - len(gradient))
+        touched = i < end
+        for q in range(quads):
+            dr.scatter_add(out, Array4f(*gradient[4 * q:4 * q + 4]), gaussian * quads + q, touched, mode=dr.ReduceMode.Expand)
+        return i + 1, T_out, S_out
+
+    T = [Float(1) for _ in range(16)]
+    dr.while_loop((UInt(start), T, suffix), running, step, labels=("i", "T", "S"))
+    dr.eval(out)
+    return out, 4 * quads
+
+
+def _geometry_gradient(record: list[Float], dx: list[Float], dy: list[Float], d_log2: list[Float]) -> list[Float]:
+    """Chain dL/d(log2 alpha) of 16 pixels (in units of ln 2) to mean, a, b, c and log2_opacity through its moments."""
+    per_row = [d_log2[4 * j:4 * j + 4] for j in range(BLOCK)]
+    sums = [r[0] + r[1] + r[2] + r[3] for r in per_row]
+    m0 = (sums[0] + sums[1]) + (sums[2] + sums[3])
+    m_y, m_yy, m_x, m_xx, m_xy = (Float(0) for _ in range(5))
+    for j in range(BLOCK):
+        along = dr.fma(per_row[j][0], dx[0], per_row[j][1] * dx[1]) + dr.fma(per_row[j][2], dx[2], per_row[j][3] * dx[3])
+        m_x += along
+        m_xy = dr.fma(along, dy[j], m_xy)
+        weighted = sums[j] * dy[j]
+        m_y += weighted
+        m_yy = dr.fma(weighted, dy[j], m_yy)
+    for i in range(BLOCK):
+        column = (per_row[0][i] + per_row[1][i]) + (per_row[2][i] + per_row[3][i])
+        m_xx = dr.fma(column * dx[i], dx[i], m_xx)
+    a, b, c = record[2:5]
+    return [v * LN_2 for v in (2 * a * m_x + b * m_y, 2 * c * m_y + b * m_x, -m_xx, -m_xy, -m_yy, m0)]

@@ -1,0 +1,128 @@
+"""Draw Gaussians: projection, binning, blending, in one differentiable call on Dr.Jit arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+
+from gof.cameras import Camera
+from gof.errors import DataFormatError
+from gof.gaussians import TransientGaussians
+from gof.render.backend import Array2f, Bool, Float, UInt, floats
+from gof.render.bins import BLOCK, bin_gaussians
+from gof.render.blend import ScreenGradient, blend
+from gof.render.project import project
+from gof.render.scene import Splats, require_finite_splats
+
+
+@dataclass
+class Frame:
+    """A drawn image. Planes are row-major (H * W,) and carry gradients to everything in `Splats`."""
+
+    width: int
+    height: int
+    color: list[Float]             # sum w_i c_i + (1 - alpha) background
+    alpha: Float                   # sum w_i in [0, 1); alpha + transmittance = 1
+    depth: Float | None            # sum w_i z_i, m, not normalised
+    dynamic_alpha: Float | None    # sum w_i dynamic_i
+    mean2d: Array2f                # (N,) px, detached
+    radius: Float                  # (N,) px, 3 sigma along the longer axis; 0 = not drawn
+    intersections: int             # (4x4 block, Gaussian) pairs
+    screen_gradient: ScreenGradient
+
+    @property
+    def expected_depth(self) -> Float:
+        """(H * W,) m: depth / alpha, 0 where alpha is below 1e-6."""
+        if self.depth is None:
+            raise DataFormatError("this frame was drawn without depth; call render_splats(..., depth=True)")
+        seen = self.alpha > 1e-6
+        return dr.select(seen, self.depth / dr.select(seen, self.alpha, 1.0), 0.0)
+
+    @property
+    def mean2d_grad(self) -> Array2f | None:
+        """(N,) dL/d(mean2d) per pixel after `dr.backward`; None before."""
+        s = self.screen_gradient
+        return None if s.mean_x is None else Array2f(s.mean_x, s.mean_y)
+
+
+def render_splats(splats: Splats, camera: Camera, background: list | None = None, *, dynamic: Bool | Float | None = None,
+                  depth: bool = False, antialias: bool = False, near: float = 0.01) -> Frame:
+    """Draw Gaussians front to back (3D Gaussian Splatting's image formation), differentiable.
+
+    Args:
+        splats: N Gaussians; gradients flow to every array that has `dr.enable_grad`.
+        camera: pinhole camera, global shutter.
+        background: one float or Float (H * W) per channel; None = black.
+        dynamic: (N,) weight of each Gaussian in `Frame.dynamic_alpha`; drawn in the same pass as the colour.
+        depth: also accumulate camera depth.
+        antialias: keep the energy of Gaussians smaller than a pixel (Mip-Splatting's compensation).
+        near: metres; nearer centres are not drawn.
+    """
+    width, height = camera.width, camera.height
+    if background is not None and len(background) != len(splats.color):
+        raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
+    extra = int(depth) + int(dynamic is not None)
+    if len(splats) == 0:
+        zero = [dr.zeros(Float, width * height) for _ in range(len(splats.color) + extra + 1)]
+        dr.enable_grad(zero)    # an empty set has nothing to differentiate, but a training loop may still call backward
+        return _frame(zero, splats, background, width, height, dynamic, depth, Array2f(Float(), Float()), Float(), 0,
+                      ScreenGradient())
+    p = project(splats.position, splats.rotation, splats.scale, splats.opacity, camera, near, antialias)
+    channels = list(splats.color)
+    if depth:
+        channels.append(p.depth)
+    if dynamic is not None:
+        channels.append(dr.select(dynamic, Float(1), Float(0)) if isinstance(dynamic, Bool) else dynamic)
+    geometry = [p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity]
+    radius, mean2d = dr.detach(p.radius), dr.detach(Array2f(p.mean_x, p.mean_y))
+    dr.eval(geometry, channels, p.visible, p.depth, p.cov_xx, p.cov_xy, p.cov_yy, p.det, radius)
+    bins = bin_gaussians(p, width, height)
+    sink = ScreenGradient()
+    planes, alpha = blend(geometry, channels, bins, sink)
+    planes = [_crop(v, width, height, bins.columns) for v in [*planes, alpha]]
+    return _frame(planes, splats, background, width, height, dynamic, depth, mean2d, radius, bins.pairs, sink)
+
+
+def _frame(planes, splats, background, width, height, dynamic, depth, mean2d, radius, pairs, sink) -> Frame:
+    n, alpha = len(splats.color), planes[-1]
+    color = planes[:n]
+    if background is not None:
+        through = 1 - alpha
+        color = [dr.fma(through, b, c) for c, b in zip(color, background, strict=True)]
+    return Frame(width, height, color, alpha, planes[n] if depth else None,
+                 planes[n + int(depth)] if dynamic is not None else None, mean2d, radius, pairs, sink)
+
+
+def _crop(plane: Float, width: int, height: int, columns: int) -> Float:
+    """Padded plane (whole blocks) to the image."""
+    if width == columns * BLOCK and len(plane) == width * height:
+        return plane
+    i = dr.arange(UInt, width * height)
+    row = i // width
+    return dr.gather(Float, plane, row * (columns * BLOCK) + (i - row * width), mode=dr.ReduceMode.NoConflicts)
+
+
+def render(gaussians: TransientGaussians, camera: Camera, time_s: float, background=None) -> dict[str, np.ndarray]:
+    """A picture of a reconstruction at a time, as numpy arrays, without gradients.
+
+    Args:
+        gaussians: N Gaussians with plain colours.
+        time_s: seconds on the dataset clock.
+        background: (3,) colour or (H, W, 3) image; None = black.
+    Returns:
+        color (H, W, 3), alpha (H, W), depth (H, W) expected camera depth in m (0 where nothing is), dynamic_alpha (H, W).
+    Raises:
+        NonFiniteError: NaN or Inf in the Gaussians.
+    """
+    splats = Splats.from_gaussians(gaussians, time_s)
+    require_finite_splats(splats)
+    shape = (camera.height, camera.width)
+    if background is not None:
+        background = np.broadcast_to(np.asarray(background, np.float32), (*shape, 3))
+        background = [floats(background[..., c]) for c in range(3)]
+    frame = render_splats(splats, camera, background, dynamic=floats(gaussians.dynamic), depth=True)
+    plane = lambda v: np.array(v.numpy()).reshape(shape)  # noqa: E731  a copy: numpy must not alias Dr.Jit's memory
+    return {"color": np.stack([plane(c) for c in frame.color], -1), "alpha": plane(frame.alpha),
+            "depth": plane(frame.expected_depth), "dynamic_alpha": plane(frame.dynamic_alpha)}

@@ -1,0 +1,119 @@
+"""EWA projection of 3D Gaussians to 2D Gaussians in the image (Zwicker et al. 2001; Kerbl et al. 2023, section 4).
+
+Written with Dr.Jit's AD arrays, so its derivative comes from Dr.Jit. Every root and quotient is guarded before it is
+taken, never masked afterwards: a masked infinity still becomes NaN in a derivative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+
+from gof.cameras import Camera
+from gof.render.backend import Array3f, Array4f, Bool, Float, opaque
+
+DILATION = 0.3        # px^2 added to the 2D covariance: no Gaussian is thinner than about half a pixel
+LOG2_E = 1.4426950408889634
+MAX_SIGMA_PX = 1e6    # wider Gaussians are drawn this wide (flat over any image) so that determinants stay in float32
+MAX_MEAN_PX = 1e7     # centres further out than this are not drawn: float32 no longer resolves a pixel there
+MIN_OPACITY = 1e-20   # below: log2 is replaced by a constant, gradient 0
+
+
+@dataclass
+class Projected:
+    """2D Gaussians in pixels; N entries each.
+
+    alpha at pixel offset (dx, dy) from the mean is 2^(log2_opacity - a dx^2 - b dx dy - c dy^2).
+    """
+
+    mean_x: Float
+    mean_y: Float
+    a: Float
+    b: Float
+    c: Float
+    log2_opacity: Float
+    depth: Float
+    visible: Bool       # in front of `near` and numerically drawable
+    cov_xx: Float       # px^2, dilated, detached: for binning and radii
+    cov_xy: Float
+    cov_yy: Float
+    det: Float
+
+    @property
+    def radius(self) -> Float:
+        """3 standard deviations along the longer axis, px; 0 = not drawable."""
+        mid = 0.5 * (self.cov_xx + self.cov_yy)
+        longest = mid + dr.sqrt(dr.maximum(mid * mid - self.det, 0.0))
+        return dr.select(self.visible, 3.0 * dr.sqrt(longest), 0.0)
+
+
+def rotation_columns(q: Array4f) -> tuple[Array3f, Array3f, Array3f]:
+    """Columns of the rotation matrix of quaternion wxyz; normalised here, a zero quaternion is the identity."""
+    norm2 = dr.squared_norm(q)
+    usable = norm2 > 1e-24
+    q = q * dr.select(usable, 1.0 / dr.sqrt(dr.select(usable, norm2, 1.0)), 0.0)
+    w, x, y, z = q
+    return (
+        Array3f(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        Array3f(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+        Array3f(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def project(position: Array3f, rotation: Array4f, scale: Array3f, opacity: Float, camera: Camera,
+            near: float, antialias: bool) -> Projected:
+    """Project N Gaussians.
+
+    Args:
+        position, rotation, scale, opacity: see `Splats`.
+        camera: pinhole camera; skew allowed.
+        near: metres; centres at or nearer than this are not drawn and get gradient 0.
+        antialias: scale opacity by sqrt(det before / det after dilation), so that small Gaussians keep their energy.
+    """
+    W = [[opaque(v) for v in row] for row in camera.world_to_camera[:3]]
+    fx, skew, cx, fy, cy = (opaque(camera.K[i]) for i in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2)))
+    axes = [Array3f(*row[:3]) for row in W]
+    x, y, z = (dr.dot(axes[i], position) + W[i][3] for i in range(3))
+
+    visible = z > opaque(near)
+    inv_z = 1.0 / dr.select(visible, z, 1.0)
+    u, v = x * inv_z, y * inv_z
+    mean_x, mean_y = fx * u + skew * v + cx, fy * v + cy
+    visible &= (dr.abs(mean_x) < MAX_MEAN_PX) & (dr.abs(mean_y) < MAX_MEAN_PX)
+
+    # The linearisation is taken no further out than 0.3 field widths beyond the image (as gsplat does): the affine
+    # approximation would otherwise smear a grazing Gaussian over the whole picture.
+    (u_lo, u_hi), (v_lo, v_hi) = _slope_limits(camera)
+    u, v = dr.clip(u, opaque(u_lo), opaque(u_hi)), dr.clip(v, opaque(v_lo), opaque(v_hi))
+    along_v = axes[1] - v * axes[2]
+    row_x = fx * (axes[0] - u * axes[2]) + skew * along_v
+    row_y = fy * along_v
+
+    columns = rotation_columns(rotation)
+    limit = MAX_SIGMA_PX / opaque(max(camera.K[0, 0], camera.K[1, 1]))
+    size = [dr.minimum(s * inv_z, limit) for s in scale]
+    mx = Array3f(*(size[k] * dr.dot(row_x, columns[k]) for k in range(3)))
+    my = Array3f(*(size[k] * dr.dot(row_y, columns[k]) for k in range(3)))
+
+    xx, yy, xy = dr.squared_norm(mx), dr.squared_norm(my), dr.dot(mx, my)
+    # det(M M^T) = |m_x x m_y|^2 (Lagrange): no cancellation for long thin Gaussians, unlike xx yy - xy^2.
+    det_before = dr.squared_norm(dr.cross(mx, my))
+    det = det_before + DILATION * (xx + yy) + DILATION * DILATION
+    xx, yy = xx + DILATION, yy + DILATION
+    inv_det = 1.0 / det
+    if antialias:
+        opacity = opacity * dr.sqrt(dr.maximum(det_before * inv_det, 1e-12))
+    detached = dr.detach((xx, xy, yy, det))
+    return Projected(mean_x, mean_y, (0.5 * LOG2_E) * yy * inv_det, -LOG2_E * xy * inv_det, (0.5 * LOG2_E) * xx * inv_det,
+                     dr.log2(dr.maximum(opacity, MIN_OPACITY)), z, dr.detach(visible), *detached)
+
+
+def _slope_limits(camera: Camera) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Bounds of x/z and y/z for the linearisation: the image, widened by 0.15 of its width or height on each side."""
+    out = []
+    for axis, pixels in ((0, camera.width), (1, camera.height)):
+        f, c = camera.K[axis, axis], camera.K[axis, 2]
+        margin = 0.15 * pixels
+        out.append(((-margin - c) / f, (pixels + margin - c) / f))
+    return out[0], out[1]

@@ -1,0 +1,122 @@
+"""Plain numpy float64 twins of the renderer: what the kernels must compute, written for reading, not for speed.
+
+Every pixel loops over all Gaussians in depth order; nothing is binned, so these twins also check that binning loses nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gof.cameras import Camera
+
+DILATION, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE = 0.3, 0.99, 1 / 255, 1e-4
+
+
+def transient_state(position, velocity, t_mu, t_sigma, opacity, time_s, dynamic=None):
+    """(N, 3) position and (N,) opacity at `time_s`; see `gof.render.transient_state`."""
+    dt = time_s - np.asarray(t_mu, np.float64)
+    if dynamic is not None:
+        dt = np.where(dynamic, dt, 0.0)
+    z = dt / np.maximum(t_sigma, 1e-6)
+    return position + dt[:, None] * velocity, opacity * np.exp(-0.5 * z * z)
+
+
+def rotation_matrix(q: np.ndarray) -> np.ndarray:
+    """(N, 4) quaternions wxyz to (N, 3, 3); a zero quaternion is the identity."""
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    w, x, y, z = np.moveaxis(np.where(norm > 1e-12, q / np.maximum(norm, 1e-300), 0.0), -1, 0)
+    return np.stack([
+        np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+        np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+        np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)], -2)
+
+
+def project(position, rotation, scale, opacity, camera: Camera, near=0.01, antialias=False):
+    """mean2d (N, 2) px, dilated 2D covariance (N, 2, 2) px^2, depth (N,) m, opacity (N,), visible (N,) bool."""
+    K, W = camera.K, camera.world_to_camera
+    p = np.asarray(position, np.float64) @ W[:3, :3].T + W[:3, 3]
+    depth = p[:, 2]
+    visible = depth > near
+    z = np.where(visible, depth, 1.0)
+    slope = p[:, :2] / z[:, None]
+    mean2d = slope @ K[:2, :2].T + K[:2, 2]
+    size = np.array([camera.width, camera.height])
+    focal = np.diag(K)[:2]
+    s = np.clip(slope, (-0.15 * size - K[:2, 2]) / focal, (1.15 * size - K[:2, 2]) / focal)
+    J = np.zeros((len(p), 2, 3))
+    J[:, 0, 0] = J[:, 1, 1] = 1 / z
+    J[:, :, 2] = -s / z[:, None]
+    M = K[:2, :2] @ J @ W[:3, :3] @ (rotation_matrix(np.asarray(rotation, np.float64)) * np.asarray(scale, np.float64)[:, None, :])
+    before = M @ M.transpose(0, 2, 1)
+    cov = before + DILATION * np.eye(2)
+    opacity = np.asarray(opacity, np.float64)
+    if antialias:
+        opacity = opacity * np.sqrt(np.maximum(np.linalg.det(before) / np.linalg.det(cov), 1e-12))
+    return mean2d, cov, depth, opacity, visible
+
+
+def render(position, rotation, scale, opacity, color, camera: Camera, background=None, near=0.01, antialias=False,
+           min_alpha=MIN_ALPHA):
+    """Draw N Gaussians.
+
+    Args:
+        color: (N, D).  background: (D,) or (H, W, D).
+        min_alpha: the skip threshold; 0 draws the smooth image that central differences can differentiate.
+    Returns:
+        color (H, W, D), alpha (H, W), depth (H, W) = sum w z.
+    """
+    mean, cov, depth, opacity, visible = project(position, rotation, scale, opacity, camera, near, antialias)
+    H, W, D = camera.height, camera.width, np.shape(color)[1]
+    x, y = np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
+    T, alive = np.ones((H, W)), np.ones((H, W), bool)
+    out, z_sum = np.zeros((H, W, D)), np.zeros((H, W))
+    color = np.asarray(color, np.float64)
+    for i in np.argsort(depth, kind="stable"):
+        if not visible[i]:
+            continue
+        conic = np.linalg.inv(cov[i])
+        dx, dy = x - mean[i, 0], y - mean[i, 1]
+        q = conic[0, 0] * dx * dx + 2 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy
+        alpha = opacity[i] * np.exp(-0.5 * q)
+        drawn = alive & (alpha >= min_alpha)
+        alpha = np.minimum(alpha, MAX_ALPHA)
+        rest = T * (1 - alpha)
+        stops = drawn & (rest < MIN_TRANSMITTANCE)
+        alive &= ~stops
+        w = np.where(drawn & ~stops, T * alpha, 0.0)
+        T = np.where(drawn & ~stops, rest, T)
+        out += w[..., None] * color[i]
+        z_sum += w * depth[i]
+    if background is not None:
+        out = out + T[..., None] * np.asarray(background, np.float64)
+    return out, 1 - T, z_sum
+
+
+def gaussian_window(size=11, sigma=1.5) -> np.ndarray:
+    """(size,) normalised window of the SSIM used with 3D Gaussian Splatting."""
+    w = np.exp(-0.5 * ((np.arange(size) - size // 2) / sigma) ** 2)
+    return w / w.sum()
+
+
+def blur(image: np.ndarray) -> np.ndarray:
+    """Separable 11x11 Gaussian window over the first two axes, zero outside the image."""
+    w, r = gaussian_window(), 5
+    out = np.asarray(image, np.float64)
+    for axis in (0, 1):
+        pad = [(0, 0)] * out.ndim
+        pad[axis] = (r, r)
+        padded, n = np.pad(out, pad), out.shape[axis]
+        out = sum(w[k] * np.take(padded, np.arange(k, k + n), axis) for k in range(11))
+    return out
+
+
+def l1_ssim(image, target, ssim_weight=0.2, mask=None) -> float:
+    """(1 - w) mean |x - y| + w (1 - mean SSIM); twin of `gof.render.l1_ssim` for (H, W, D) arrays."""
+    x, y = np.asarray(image, np.float64), np.asarray(target, np.float64)
+    weight = np.ones(x.shape[:2]) if mask is None else np.asarray(mask, np.float64)
+    weight = (weight / max(weight.sum() * x.shape[2], 1e-12))[..., None]
+    mu_x, mu_y = blur(x), blur(y)
+    var_x, var_y, cov = blur(x * x) - mu_x**2, blur(y * y) - mu_y**2, blur(x * y) - mu_x * mu_y
+    c1, c2 = 0.01**2, 0.03**2
+    ssim = (2 * mu_x * mu_y + c1) * (2 * cov + c2) / ((mu_x**2 + mu_y**2 + c1) * (var_x + var_y + c2))
+    return float((weight * ((1 - ssim_weight) * np.abs(x - y) + ssim_weight * (1 - ssim))).sum())
