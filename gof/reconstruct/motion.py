@@ -72,16 +72,10 @@ def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """(H, W) px: how far a pixel lands from itself after going forward and back; inf where it leaves the image."""
     h, w = forward.shape[:2]
     x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
-    returned = cv2.remap(
-        backward,
-        x + forward[..., 0],
-        y + forward[..., 1],
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(np.nan, np.nan),
-    )
-    error = np.linalg.norm(forward + returned, axis=-1)
-    return np.where(np.isnan(error), np.inf, error)
+    x, y = x + forward[..., 0], y + forward[..., 1]
+    inside = (x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1)
+    returned = cv2.remap(backward, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.where(inside, np.linalg.norm(forward + returned, axis=-1), np.inf)
 
 
 def _frame_velocity(images: dict[int, np.ndarray], times: np.ndarray, k: int, max_error_px: float) -> np.ndarray:

@@ -122,7 +122,7 @@ def tomography(voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, ite
     Returns:
         (V,) float64 emission >= 0, mean 1 over the voxels of the frame's hull, 0 outside it; all 0 for an empty mask.
     """
-    footprint = max(1, round(voxels.voxel_size * float(np.nanmedian(np.abs(voxels.jacobian).max((-1, -2))))))
+    footprint = max(1, int(np.ceil(voxels.voxel_size * float(np.nanmedian(np.abs(voxels.jacobian).max((-1, -2)))))))
     hit = voxels.sample(mask.astype(np.int8), outside=-1)
     emission = ((hit != 0).all(0) & (hit == 1).any(0)).astype(np.float64)
     if not emission.any():

@@ -1,0 +1,118 @@
+"""Flow fusion against exact flow of known velocities, its invariances, and its bad points."""
+
+import numpy as np
+import pytest
+from conftest import arc
+
+from gof.reconstruct.flow_field import FUSIONS, back_projected_flow, fuse_frame
+from gof.reconstruct.voxels import FlameVoxels, carve
+
+
+def setup(n_points=60, cameras=3, scale=1.0, seed=0):
+    """Random points, exact per-camera Jacobians, random true velocities and their exact flows."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(0, 0.2, (n_points, 3)) + [0, 0, 1]
+    jacobian = np.stack([c.projection_jacobian(points) for c in arc(cameras)]) / scale
+    velocity = rng.normal(0, 1, (n_points, 3)) * scale
+    flow = np.einsum("cvij,vj->cvi", jacobian, velocity)
+    return jacobian, flow, np.ones(flow.shape[:2], bool), velocity
+
+
+def test_back_projection_is_the_papers_finite_step_in_the_limit():
+    """eq. 4: pi^-1(f h + pi(x), x) - x at the depth of x, divided by the step h -> 0."""
+    camera, h = arc(1)[0], 1e-6
+    points = np.random.default_rng(3).normal(0, 0.2, (10, 3)) + [0, 0, 1]
+    flow = np.random.default_rng(4).normal(0, 10, (10, 2))
+    pixel, depth = camera.project(points)
+    moved = np.concatenate([pixel + h * flow, np.ones((10, 1))], 1)
+    rays = moved @ np.linalg.inv(camera.K).T
+    finite = ((rays * depth[:, None]) - camera.to_camera(points)) @ camera.world_to_camera[:3, :3] / h
+    ours = back_projected_flow(camera.projection_jacobian(points), flow)
+    # The shortest vector with J u = f leaves the constant-depth plane by the angle off the axis, at most 0.2 rad here.
+    np.testing.assert_allclose(np.einsum("vij,vj->vi", camera.projection_jacobian(points), finite), flow, rtol=1e-4)
+    assert (np.linalg.norm(ours, axis=1) <= np.linalg.norm(finite, axis=1) * (1 + 1e-6)).all()
+    np.testing.assert_allclose(ours, finite, atol=0.25 * np.abs(finite).max())
+
+
+def test_full_information_recovers_the_velocity_from_exact_flow():
+    jacobian, flow, valid, velocity = setup()
+    np.testing.assert_allclose(FUSIONS["full"](jacobian, flow, valid, ridge=1e-9), velocity, atol=1e-5)
+
+
+def test_two_cameras_are_enough_for_full_information_but_not_for_the_paper():
+    jacobian, flow, valid, velocity = setup(cameras=2)
+    full = FUSIONS["full"](jacobian, flow, valid, ridge=1e-9)
+    np.testing.assert_allclose(full, velocity, atol=1e-4)
+    paper = FUSIONS["paper"](jacobian, flow, valid, tau0=1e-6)
+    assert np.abs(paper - velocity).mean() > 0.1, "two equations for three unknowns"
+
+
+def test_the_papers_constraint_holds_in_the_limit_of_no_regularisation():
+    jacobian, flow, valid, _ = setup()
+    F = FUSIONS["paper"](jacobian, flow, valid, tau0=1e-5)
+    for J, f in zip(jacobian, flow, strict=True):
+        u = back_projected_flow(J, f)
+        residual = ((F - u) * u).sum(1) / (u**2).sum(1)
+        assert np.median(np.abs(residual)) < 1e-6
+
+
+@pytest.mark.parametrize("fusion", ["full", "paper"])
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_result_scales_with_the_scene(fusion, scale):
+    """The same scene in other units of length gives the same velocities in those units."""
+    base = FUSIONS[fusion](*setup()[:3])
+    np.testing.assert_allclose(FUSIONS[fusion](*setup(scale=scale)[:3]) / scale, base, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("fusion", ["full", "paper"])
+def test_result_scales_with_the_clock(fusion):
+    jacobian, flow, valid, _ = setup()
+    np.testing.assert_allclose(FUSIONS[fusion](jacobian, flow * 1e-3, valid), FUSIONS[fusion](jacobian, flow, valid) * 1e-3, rtol=1e-9)
+
+
+@pytest.mark.parametrize("fusion", ["full", "paper"])
+def test_bad_points_are_finite_and_zero(fusion):
+    jacobian, flow, valid, _ = setup()
+    fuse = FUSIONS[fusion]
+    assert (fuse(jacobian, flow * 0, valid) == 0).all(), "zero flow"
+    assert (fuse(jacobian, flow, valid & False) == 0).all(), "no camera"
+    one = valid.copy()
+    one[1:] = False
+    for case in (fuse(jacobian, flow, one), fuse(jacobian[:1].repeat(3, 0), flow[:1].repeat(3, 0), valid),  # parallel rays
+                 fuse(jacobian, flow * 1e6, valid), fuse(jacobian, flow * 1e-12, valid)):
+        assert np.isfinite(case).all()
+    assert fuse(jacobian[:, :0], flow[:, :0], valid[:, :0]).shape == (0, 3)
+
+
+def test_one_camera_gives_no_motion_along_its_ray():
+    jacobian, flow, valid, _ = setup()
+    valid[1:] = False
+    F = FUSIONS["full"](jacobian, flow, valid)
+    null = np.cross(jacobian[0, :, 0], jacobian[0, :, 1])
+    along = (F * null).sum(1) / np.linalg.norm(null, axis=1)
+    assert np.abs(along).max() < 1e-9
+
+
+def test_smoothing_keeps_a_constant_field_and_fills_gaps():
+    cameras = arc(3)
+    masks = np.zeros((1, 3, 64, 36), bool)
+    masks[:, :, 16:48, 10:26] = True
+    voxels = carve(cameras, masks, 20)
+    true = np.array([0.1, -0.2, 1.5])
+    flow = np.full((3, 64, 36, 2), np.nan, np.float32)
+    for c, camera in enumerate(cameras):  # exact flow of a constant velocity on the plane of the flame's centre
+        flow[c] = camera.projection_jacobian(np.array([[0, 0, 1.0]]))[0] @ true
+    flow[:, 30:33] = np.nan
+    velocity, known = fuse_frame(voxels, flow, masks[0], np.ones(len(voxels.center)), smooth_voxels=2)
+    assert known.all()
+    near = np.linalg.norm(voxels.center - [0, 0, 1], axis=1) < 0.3
+    np.testing.assert_allclose(velocity[near].mean(0), true, atol=0.06)
+
+
+def test_empty_mask_gives_nothing_known():
+    cameras = arc(2)
+    masks = np.ones((1, 2, 64, 36), bool)
+    voxels = carve(cameras, masks, 8)
+    assert isinstance(voxels, FlameVoxels)
+    velocity, known = fuse_frame(voxels, np.zeros((2, 64, 36, 2)), masks[0] & False, np.zeros(len(voxels.center)))
+    assert not known.any() and (velocity == 0).all()

@@ -1,0 +1,83 @@
+"""Masks and optical flow on pictures whose motion is known, and the rule that held-out frames are never touched."""
+
+import cv2
+import numpy as np
+import pytest
+from conftest import arc, write_dataset
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError
+from gof.reconstruct.motion import consistency, estimate_motion, flame_intensity, flame_mask, srgb_to_linear
+
+
+def moving_texture(n, shift, shape=(64, 36), seed=0):
+    """n frames of a smooth flame-coloured texture that moves by `shift` (x, y) px a frame over a grey plate."""
+    rng = np.random.default_rng(seed)
+    big = cv2.GaussianBlur(rng.random((200, 200)).astype(np.float32), (0, 0), 2)
+    big = (big - big.min()) / np.ptp(big)
+    plate = np.full((*shape, 3), 0.2, np.float32)
+    frames = []
+    for k in range(n):
+        move = np.float32([[1, 0, -60 + k * shift[0]], [0, 1, -60 + k * shift[1]]])
+        texture = cv2.warpAffine(big, move, shape[::-1])
+        frames.append(np.clip(plate + texture[..., None] * [0.8, 0.4, 0.05], 0, 1))
+    return np.array(frames), plate
+
+
+def make(tmp_path, frames, plate, test_frames=(), dt=0.01):
+    cameras = arc(2)
+    images = np.repeat(frames[:, None], 2, 1)
+    return Dataset.open(write_dataset(tmp_path / "d", cameras, images, [plate, plate], dt * np.arange(len(frames)), test_frames=test_frames))
+
+
+def test_flow_is_in_pixels_per_second_of_the_dataset_clock(tmp_path):
+    frames, plate = moving_texture(4, (0.5, -2.0))
+    motion = estimate_motion(make(tmp_path, frames, plate, dt=0.02))
+    inner = motion.flow[1, 0, 12:-12, 8:-8]
+    np.testing.assert_allclose(np.nanmedian(inner, (0, 1)), [0.5 / 0.02, -2.0 / 0.02], atol=0.06 / 0.02)
+    assert motion.mask[1, 0].mean() > 0.8
+
+
+def test_held_out_frames_are_never_read(tmp_path):
+    frames, plate = moving_texture(5, (0, -1.5))
+    dataset = make(tmp_path, frames, plate, test_frames=[2])
+    for c in range(2):
+        dataset.file(c, "rgb", 2).unlink()
+    motion = estimate_motion(dataset)
+    assert motion.frames.tolist() == [0, 1, 3, 4]
+    assert np.isfinite(motion.flow).all(-1).mean() > 0.5, "neighbours of a held-out frame use their other side"
+
+
+def test_lonely_frame_has_no_flow(tmp_path):
+    frames, plate = moving_texture(4, (0, -1))
+    motion = estimate_motion(make(tmp_path, frames, plate, test_frames=[0, 2]))
+    assert np.isnan(motion.flow).all()
+
+
+def test_still_black_and_saturated_pictures(tmp_path):
+    plate = np.zeros((64, 36, 3), np.float32)
+    with pytest.raises(DataFormatError, match="no flame found"):
+        estimate_motion(make(tmp_path, np.zeros((3, 64, 36, 3)), plate))
+    saturated = np.ones((64, 36, 3)) * [1, 1, 0.3]
+    motion = estimate_motion(make(tmp_path / "s", np.repeat(saturated[None], 3, 0), plate))
+    assert motion.mask.all() and np.nanmax(np.abs(motion.flow)) < 1, "no texture, no motion"
+
+
+def test_light_thrown_on_a_wall_is_not_flame():
+    plate = np.full((40, 40, 3), 0.3, np.float32)
+    picture = plate + 0.1
+    picture[10:20, 10:20] = [1, 0.7, 0.2]
+    mask = flame_mask(picture, plate, grow_px=1)
+    assert mask[12:18, 12:18].all() and not mask[25:].any()
+    assert flame_intensity(plate - 0.1, plate).max() == 0, "darker than the plate is not light"
+
+
+def test_consistency_of_exact_and_wrong_flow():
+    there = np.zeros((20, 20, 2), np.float32) + np.float32([3, 0])
+    error = consistency(there, -there)
+    assert error[:, :16].max() == 0 and np.isinf(error[:, 18:]).all(), "leaves the picture"
+    assert consistency(there, there)[10, 5] == 6
+
+
+def test_srgb_decoding_end_points():
+    np.testing.assert_allclose(srgb_to_linear(np.array([0, 0.04045, 0.5, 1.0])), [0, 0.0031308, 0.2140411, 1], atol=1e-6)

@@ -1,0 +1,85 @@
+"""Hull carving and tomography on shapes whose truth is known."""
+
+import numpy as np
+import pytest
+from conftest import arc
+
+from gof.errors import DataFormatError
+from gof.reconstruct.voxels import carve, flame_box, tomography
+
+
+def ball(cameras, center=(0, 0, 1.0), radius=0.25):
+    """Masks (C, H, W) and path lengths (C, H, W) of a ball, by exact ray-sphere intersection."""
+    lengths = []
+    for cam in cameras:
+        x, y = np.meshgrid(np.arange(cam.width) + 0.5, np.arange(cam.height) + 0.5)
+        rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(cam.K).T
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        c = cam.to_camera(np.array([center]))[0]
+        b = rays @ c
+        lengths.append(2 * np.sqrt(np.maximum(radius**2 - (c @ c - b**2), 0)))
+    lengths = np.stack(lengths)
+    return lengths > 0, lengths
+
+
+def test_box_holds_the_flame_and_is_not_huge():
+    cameras = arc(3)
+    masks, _ = ball(cameras, center=(0.1, -0.1, 1.1))
+    low, high = flame_box(cameras, masks)
+    assert (low < np.array([0.1, -0.1, 1.1]) - 0.25).all() and (high > np.array([0.1, -0.1, 1.1]) + 0.25).all()
+    assert (high - low).max() < 1.2
+
+
+def test_hull_of_a_ball():
+    cameras = arc(3)
+    masks, _ = ball(cameras)
+    voxels = carve(cameras, masks[None], 24)
+    distance = np.linalg.norm(voxels.center - [0, 0, 1], axis=1)
+    inside = 4 / 3 * np.pi * 0.25**3
+    volume = len(distance) * voxels.voxel_size**3
+    assert inside * 0.95 < volume < inside * 2.0, "the hull holds the ball; three views in an arc leave some extra"
+    assert distance.max() < 0.6
+
+
+def test_tomography_finds_the_ball_inside_its_hull():
+    cameras = arc(3)
+    masks, lengths = ball(cameras)
+    # Carve with a larger mask so that the hull is no help.
+    voxels = carve(cameras, np.ones_like(masks)[None], 24)
+    emission = tomography(voxels, lengths, np.ones_like(masks))
+    inside = np.linalg.norm(voxels.center - [0, 0, 1], axis=1) < 0.25
+    assert emission[inside].sum() / emission.sum() > 0.6
+    assert inside.mean() < 0.15, "otherwise the test says nothing"
+    assert (emission >= 0).all() and np.isfinite(emission).all()
+    assert emission[emission > 0].mean() == pytest.approx(1)
+
+
+def test_tomography_with_nothing_to_see():
+    cameras = arc(2)
+    masks, lengths = ball(cameras)
+    voxels = carve(cameras, masks[None], 10)
+    assert (tomography(voxels, lengths, masks & False) == 0).all()
+    assert np.isfinite(tomography(voxels, lengths * 0, masks)).all()
+
+
+def test_a_camera_that_lost_the_flame_does_not_carve_everything_but_one_view_is_not_enough():
+    cameras = arc(3)
+    masks, _ = ball(cameras)
+    with pytest.raises(DataFormatError, match="visible in 1 camera"):
+        carve(cameras, (masks & np.array([True, False, False])[:, None, None])[None], 10)
+    with pytest.raises(DataFormatError, match="visible in 0 camera"):
+        carve(cameras, (masks & False)[None], 10)
+
+
+def test_parallel_and_disagreeing_cameras_are_named():
+    a, b = arc(2)
+    same = [a, a]
+    masks, _ = ball(same)
+    with pytest.raises(DataFormatError, match="parallel"):
+        carve(same, masks[None], 10)
+    masks, _ = ball([a, b])
+    masks[1] = np.roll(masks[1], 30, axis=0)  # flame seen at another height: no common voxel
+    masks[1, :34] = False
+    masks[0, 30:] = False
+    with pytest.raises(DataFormatError, match="no voxel|behind"):
+        carve([a, b], masks[None], 10)
