@@ -10,7 +10,7 @@ from numpy.polynomial.hermite_e import hermegauss
 from gof.errors import GofError
 
 ORDERS = (1, 3, 5, 7)
-CHUNK_POINTS = 1 << 18  # quadrature points held at once: 6 MB per float64 vector array, near the size of a cache
+CHUNK_POINTS = 1 << 15  # quadrature points held at once; small enough for a cache, which is worth a factor of two
 
 
 class VelocityLike(Protocol):

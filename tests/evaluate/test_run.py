@@ -1,0 +1,81 @@
+"""`gof evaluate` on a synthetic flame: truth pictures drawn from known Gaussians in a known flow."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError, GofError
+from gof.evaluate.run import evaluate, main
+from gof.gaussians import TransientGaussians
+from tests.evaluate.synthetic_flame import flame_dataset
+
+
+@pytest.fixture(scope="module")
+def flame(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flame")
+    truth = flame_dataset(folder / "data")
+    return folder, Dataset.open(folder / "data"), truth
+
+
+def changed(g: TransientGaussians, **fields) -> TransientGaussians:
+    return TransientGaussians(**{name: fields.get(name, getattr(g, name)) for name in g.__dataclass_fields__})
+
+
+def test_the_truth_scores_perfectly(flame):
+    _, dataset, truth = flame
+    scores = evaluate(truth, dataset)
+    assert scores["dve"]["l2"] < 0.02 and scores["dve"]["cos_sim"] > 0.999  # what remains is the grid's interpolation
+    assert scores["dve"]["frames_scored"] == len(dataset.times_s) and scores["dve"]["order"] == 3
+    assert scores["psnr_flame"] > 45 and scores["ssim_flame"] > 0.99  # 8-bit rounding
+    assert scores["psnr_flame_plate"] < 30 and scores["psnr_flame"] > scores["psnr_flame_plate"] + 15
+    assert scores["psnr_plate"] > scores["psnr_flame_plate"]  # most of the picture has no flame
+    assert scores["images"]["count"] == 2 * len(dataset.test_frames)
+    assert set(scores["costs"]) == {"load", "dve", "render", "images"} and scores["warnings"] == []
+    json.dumps(scores, allow_nan=False)
+
+
+def test_worse_results_score_worse_in_what_they_get_wrong(flame):
+    _, dataset, truth = flame
+    right = evaluate(truth, dataset)
+    slow = evaluate(changed(truth, velocity=0.5 * truth.velocity), dataset, images=False)
+    assert slow["dve"]["l2"] == pytest.approx(0.5, abs=0.05) and slow["dve"]["speed_ratio"] == pytest.approx(0.5, abs=0.05)
+    assert slow["dve"]["cos_sim"] > 0.99 and "psnr" not in slow and "render" not in slow["costs"]
+    dim = evaluate(changed(truth, opacity=0.3 * truth.opacity), dataset)
+    assert dim["psnr_flame"] < right["psnr_flame"] - 10
+    assert dim["dve"]["l2"] == pytest.approx(right["dve"]["l2"], abs=1e-4)  # a common factor of the weights cancels
+
+
+def test_own_static_background_replaces_the_plate(flame):
+    _, dataset, truth = flame
+    static = changed(truth[:1], dynamic=np.zeros(1, bool), opacity=np.full(1, 1e-3))
+    scores = evaluate(TransientGaussians.concatenate([truth, static]), dataset)
+    assert scores["psnr"] < evaluate(truth, dataset)["psnr"] - 10  # drawn over black: the background is missing
+
+
+def test_a_set_without_dynamic_gaussians_is_an_error(flame):
+    _, dataset, truth = flame
+    with pytest.raises(GofError, match="no dynamic"):
+        evaluate(changed(truth, dynamic=np.zeros(len(truth), bool)), dataset)
+
+
+def test_command_line(flame, capsys):
+    folder, _, truth = flame
+    truth.save(folder / "result.npz")
+    out, extra = folder / "scores", folder / "copy.json"
+    assert main([str(folder / "result.npz"), "--truth", str(folder / "data"), "--out", str(out), "--json", str(extra)]) == 0
+    printed = capsys.readouterr().out
+    assert "CosSim" in printed and "control: constant" in printed and "plate" in printed
+    scores = json.loads((out / "scores.json").read_text())
+    assert scores == json.loads(extra.read_text())
+    assert {"zero", "random", "constant"} <= set(scores["controls"]) and scores["dve"]["l2"] < 0.02
+    with pytest.raises(DataFormatError):
+        main([str(folder / "nothing.npz"), "--truth", str(folder / "data")])
+
+
+def test_without_velocity_truth_or_masks(tmp_path):
+    truth = flame_dataset(tmp_path / "real", velocity=False, masks=False)
+    scores = evaluate(truth, Dataset.open(tmp_path / "real"))
+    assert scores["dve"] is None and scores["controls"] == {} and "no true velocity" in scores["warnings"][0]
+    assert scores["psnr"] > 45 and scores["psnr_flame"] is None and scores["psnr_flame_plate"] is None
