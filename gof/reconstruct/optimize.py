@@ -210,8 +210,8 @@ def _load_checkpoint(path: Path, optimizer: Adam) -> int:
                 rate,
                 (
                     type(t)(data[f"{name}.t"]),
-                    type(m)(data[f"{name}.m"].ravel()),
-                    type(v)(data[f"{name}.v"].ravel()),
+                    type(m)(data[f"{name}.m"]),
+                    type(v)(data[f"{name}.v"]),
                     extra,
                 ),
             )
