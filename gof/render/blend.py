@@ -80,6 +80,13 @@ def stride(n_columns: int) -> int:
     return -(-n_columns // 4) * 4
 
 
+def _capacity(n: int) -> int:
+    """n rounded up by at most a quarter. Expand-mode scatters compile the size of their target into the kernel; this way
+    a set that grows in training meets four new sizes per doubling."""
+    step = max(256, 1 << max(0, n.bit_length() - 3))
+    return -(-n // step) * step
+
+
 def _fetch(records: Float, gaussian: UInt, n_columns: int, active) -> list[Float]:
     quads = stride(n_columns) // 4
     out = []
@@ -98,7 +105,7 @@ def _lanes(bins: Bins):
     """(block, its list, pixel centre of its first pixel, index of its first 4-pixel row in a plane)."""
     block = UInt(bins.order)
     start, end = dr.gather(UInt, bins.start, block), dr.gather(UInt, bins.end, block)
-    columns = dr.opaque(UInt, bins.columns)
+    columns = bins.columns
     by = block // columns
     bx = block - by * columns
     x, y = Float(bx * BLOCK) + 0.5, Float(by * BLOCK) + 0.5
@@ -168,7 +175,7 @@ def _backward(records: Float, n_channels: int, n: int, bins: Bins, planes: list[
     start, end, x, y, plane_rows = _lanes(bins)
     n_columns = GEOMETRY + n_channels
     quads = stride(n_columns) // 4
-    out = dr.zeros(Float, n * 4 * quads)
+    out = dr.zeros(Float, _capacity(n) * 4 * quads)
 
     def load(plane):
         return [v for r in plane_rows for v in dr.gather(Array4f, plane, r)]

