@@ -1,0 +1,104 @@
+"""Velocities as pictures: what moves where on the screen, of the reconstruction and of the true field at the same Gaussians."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from gof.cameras import Camera
+from gof.gaussians import TransientGaussians
+
+GROUND = np.array([0.11, 0.11, 0.12])  # display colour where nothing is
+UP_HUE = 235.0  # degrees in OKLab
+ARROWS_ACROSS = 14
+MIN_ALPHA = 0.15  # below this no arrow is drawn: the mean velocity of almost nothing
+
+
+class ScreenVelocity(NamedTuple):
+    flow: np.ndarray  # (H, W, 2) px/s, opacity-weighted mean along the pixel's ray; 0 where alpha is 0
+    alpha: np.ndarray  # (H, W) in [0, 1)
+
+
+def living(gaussians: TransientGaussians, time_s: float) -> TransientGaussians:
+    """The dynamic Gaussians that can be seen at a time (opacity above 1/512, half a step of an 8-bit picture)."""
+    _, opacity = gaussians.at(time_s)
+    return gaussians[gaussians.dynamic & (opacity > 1 / 512)]
+
+
+def screen_velocity(gaussians: TransientGaussians, camera: Camera, time_s: float, velocity: np.ndarray | None = None) -> ScreenVelocity:
+    """Render the Gaussians' velocity J v instead of their colour.
+
+    Args:
+        gaussians: dynamic Gaussians (N).
+        velocity: (N, 3) m/s to show in place of their own; where they are drawn does not change.
+    Returns:
+        ScreenVelocity; J is the derivative of the pixel with respect to the world point, at each centre.
+    """
+    if len(gaussians) == 0:
+        return ScreenVelocity(np.zeros((camera.height, camera.width, 2)), np.zeros((camera.height, camera.width)))
+    from gof.render import render
+
+    centre, _ = gaussians.at(time_s)
+    jacobian = camera.projection_jacobian(centre)
+    v = gaussians.velocity if velocity is None else velocity
+    flow = np.nan_to_num(np.einsum("nij,nj->ni", jacobian, v.astype(np.float64)))  # behind the camera: not drawn anyway
+    values = {name: getattr(gaussians, name) for name in gaussians.__dataclass_fields__}
+    values["color"] = np.concatenate([flow, np.zeros((len(flow), 1))], 1)
+    out = render(TransientGaussians(**values), camera, time_s)
+    alpha = out["alpha"]
+    seen = alpha > 1e-4
+    return ScreenVelocity(np.where(seen[..., None], out["color"][..., :2] / np.where(seen, alpha, 1)[..., None], 0), alpha)
+
+
+def direction_colors(flow: np.ndarray, longest: float) -> np.ndarray:
+    """(..., 2) px/s to (..., 3) display colours: hue is the direction, brightness the length up to `longest`.
+
+    The palette runs around a circle of equal chroma in a perceptual space (OKLab), so that no direction looks faster than
+    another; up is a blue that no flame has.
+    """
+    length = np.clip(np.linalg.norm(flow, axis=-1) / max(longest, 1e-12), 0, 1)
+    hue = np.arctan2(flow[..., 1], flow[..., 0]) + np.deg2rad(UP_HUE + 90)  # image y points down: up is -90 degrees
+    lightness, chroma = 0.22 + 0.55 * length, 0.145 * length
+    lab = np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], -1)
+    lms = (lab @ np.array([[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.2914855480]]).T) ** 3
+    rgb = lms @ np.array([[4.0767416621, -3.3077115913, 0.2309699292], [-1.2684380046, 2.6097574011, -0.3413193965],
+                          [-0.0041960863, -0.7034186147, 1.7076147010]]).T
+    rgb = np.clip(rgb, 0, 1)
+    return np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray:
+    """A panel (scale H, scale W, 3) uint8: direction colours over a dark ground, arrows on a grid.
+
+    Args:
+        longest: px/s of full brightness; an arrow of that speed reaches its neighbour.
+        scale: whole factor by which the panel is larger than the picture.
+    """
+    color = direction_colors(velocity.flow, longest) * velocity.alpha[..., None] + GROUND * (1 - velocity.alpha[..., None])
+    height, width = velocity.alpha.shape
+    spacing_px = width / ARROWS_ACROSS
+    panel = cv2.resize((color * 255 + 0.5).astype(np.uint8), (scale * width, scale * height), interpolation=cv2.INTER_CUBIC)
+    for y in np.arange(spacing_px / 2, height, spacing_px):
+        for x in np.arange(spacing_px / 2, width, spacing_px):
+            i, j = int(y), int(x)
+            if velocity.alpha[i, j] < MIN_ALPHA:
+                continue
+            arrow = velocity.flow[i, j] / max(longest, 1e-12) * spacing_px
+            size = float(np.hypot(*arrow))
+            if size < 0.1 * spacing_px:
+                continue
+            arrow *= min(1.0, 1.2 * spacing_px / size)
+            tail, head = (np.array([x, y]) - arrow / 2) * scale, (np.array([x, y]) + arrow / 2) * scale
+            ends = [tuple(round(c * 16) for c in p.tolist()) for p in (tail, head)]  # 1/16 px
+            cv2.arrowedLine(panel, *ends, (255, 255, 255), 1, cv2.LINE_AA, shift=4, tipLength=0.35)
+    return panel
+
+
+def legend(size: int = 160) -> np.ndarray:
+    """The colour wheel (size, size, 4) uint8 with transparent corners: a pixel's colour is that of its offset from the middle."""
+    c = (np.arange(size) + 0.5) / size * 2 - 1
+    offset = np.stack(np.meshgrid(c, c), -1)
+    alpha = np.clip((1 - np.linalg.norm(offset, axis=-1)) * size / 2, 0, 1)
+    return (np.concatenate([direction_colors(offset, 1.0), alpha[..., None]], -1) * 255 + 0.5).astype(np.uint8)

@@ -1,0 +1,118 @@
+"""The report on a synthetic flame: complete, self-contained, decodable, and honest about bad scores."""
+
+import base64
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError
+from gof.evaluate.run import evaluate
+from gof.gaussians import TransientGaussians
+from gof.io.files import write_json
+from gof.report import Preview, build_report, main
+from gof.report.page import verdicts
+from gof.stages import StageLog
+from tests.evaluate.synthetic_flame import flame_dataset
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    """A folder as the demo leaves it: dataset, reconstruct/result.npz with stage pictures, scores, costs, preview."""
+    out = tmp_path_factory.mktemp("demo")
+    truth = flame_dataset(out / "dataset")
+    (out / "reconstruct/stages").mkdir(parents=True)
+    truth.save(out / "reconstruct/result.npz")
+    Image.fromarray(np.full((30, 40, 3), 90, np.uint8)).save(out / "reconstruct/stages/1_masks.png")
+    write_json(out / "reconstruct/stages/captions.json", {"1_masks.png": "Motion <masks> & flow"})
+    StageLog(out / "dataset/costs.json").record("render", 61.5, 800)
+    StageLog(out / "reconstruct/costs.json").record("optimize", 122, 1500)
+    Image.fromarray(np.full((64, 36, 3), 60, np.uint8)).save(out / "blender.png")
+    write_json(out / "preview.json", {"image": "blender.png", "camera": 1, "frame": 4})
+    write_json(out / "scores.json", evaluate(out / "reconstruct/result.npz", Dataset.open(out / "dataset")))
+    assert main([str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def page(out):
+    return (out / "report.html").read_text()
+
+
+def test_page_needs_no_network_and_no_other_file(page):
+    assert not re.search(r"https?:|//[\w-]+\.|<script|<link|@import|<iframe", page)
+    references = re.findall(r"""(?:src|srcset|href)=["']?([^"'\s>]{1,30})""", page) + re.findall(r"url\(([^)]{1,30})", page)
+    assert references and all(r.startswith("data:image/") for r in references)
+    assert "default-src 'none'" in page  # and the browser is told to enforce it
+
+
+def test_all_images_decode_and_the_animation_has_every_frame(out, page):
+    images = [Image.open(io.BytesIO(base64.b64decode(data))) for data in re.findall(r"data:image/\w+;base64,([^\"]+)\"", page)]
+    for image in images:
+        image.load()
+    # animation, still, legend, truth/reconstruction/difference of 2 cameras, preview pair, one stage picture
+    assert len(images) == 3 + 6 + 2 + 1
+    animated = [i for i in images if getattr(i, "n_frames", 1) > 1]
+    assert len(animated) == 1 and animated[0].n_frames == len(Dataset.open(out / "dataset").times_s)
+    assert (out / "pictures/animation.webp").stat().st_size > 1000 and (out / "pictures/animation.png").exists()
+
+
+def test_scores_controls_costs_and_origin_are_on_the_page(out, page):
+    scores = json.loads((out / "scores.json").read_text())
+    for value in (f"{scores['dve']['l2']:.3f}", f"{scores['controls']['constant']['cos_sim']:.3f}", f"{scores['psnr_flame']:.2f}",
+                  f"{scores['psnr_flame_plate']:.2f}", "2 min 2 s", "61.5 s", "1,500 MB", "Motion &lt;masks&gt; &amp; flow", "drjit", "held out"):
+        assert value in page, value
+    assert str(out) not in page  # nothing of this machine's folders
+
+
+def test_report_is_replaced_whole(out):
+    before = (out / "report.html").read_text()
+    assert main([str(out), "--camera", "0"]) == 0
+    after = (out / "report.html").read_text()
+    assert after != before and "cam_0, all" in after and not list(out.glob("**/*.partial*"))
+
+
+def test_without_truth_masks_scores_and_extras(tmp_path):
+    truth = flame_dataset(tmp_path / "real", frames=5, velocity=False, masks=False)
+    result = truth.save(tmp_path / "result.npz")
+    dataset = Dataset.open(tmp_path / "real")
+    page = build_report(tmp_path, dataset, result, evaluate(result, dataset)).read_text()
+    assert "n/a" in page and "velocity, truth" not in page and "velocity, reconstruction" in page
+    assert "What it cost" not in page and "In Blender" not in page and "no true velocity" in page
+
+
+def test_frames_in_which_nothing_lives(tmp_path):
+    g = flame_dataset(tmp_path / "data", frames=5)
+    short = TransientGaussians(**{n: getattr(g, n) for n in g.__dataclass_fields__} | {"t_sigma": np.full(len(g), 1e-4),
+                                                                                      "t_mu": np.full(len(g), 0.01)})
+    result = short.save(tmp_path / "result.npz")
+    dataset = Dataset.open(tmp_path / "data")
+    scores = evaluate(result, dataset)
+    assert scores["dve"]["frames_scored"] == 1
+    assert build_report(tmp_path, dataset, result, scores).exists()
+
+
+def test_missing_pieces_are_named(out, tmp_path):
+    with pytest.raises(DataFormatError, match=r"scores\.json"):
+        main([str(tmp_path)])
+    dataset = Dataset.open(out / "dataset")
+    with pytest.raises(DataFormatError, match="preview"):
+        build_report(tmp_path, dataset, out / "reconstruct/result.npz", json.loads((out / "scores.json").read_text()),
+                     preview=Preview(tmp_path / "none.png", 0, 0))
+
+
+def test_verdicts_say_when_a_score_is_bad():
+    def scores(l2, cos, psnr):
+        other = {"zero": (1.0, 0.0), "random": (1.4, 0.0), "constant": (0.5, 0.9), "height_mean": (0.4, 0.9)}
+        return {"dve": {"l2": l2, "cos_sim": cos, "speed_ratio": l2}, "psnr_flame": psnr, "psnr_flame_plate": 20.0,
+                "controls": {k: {"l2": a, "cos_sim": b} for k, (a, b) in other.items()}}
+
+    good, bad, mixed = verdicts(scores(0.3, 0.95, 25)), verdicts(scores(1.5, -0.2, 18)), verdicts(scores(0.45, 0.8, 25))
+    assert [g for g, _ in good[:4]] == [True] * 4 and "Better than standing still" in good[0][1] and "5.0 dB above" in good[-1][1]
+    assert [g for g, _ in bad] == [False] * 6 and "Not better than standing still" in bad[0][1] and "2.0 dB below" in bad[-1][1]
+    assert mixed[2] == (False, mixed[2][1]) and "Closer in size, not in direction" in mixed[2][1]
+    assert verdicts({"dve": None, "controls": {}, "psnr_flame": None}) == []
