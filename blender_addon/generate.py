@@ -72,7 +72,8 @@ def render(spec: SceneSpec, layout: Layout, progress) -> None:
     _open_blend(layout)
     from .scene import render as cycles
 
-    cycles.plates(spec, layout, progress)
+    progress(0, spec.clip.frames * spec.cameras.count)
+    cycles.plates(spec, layout)
     cycles.frames(spec, layout, progress)
 
 
@@ -100,7 +101,7 @@ def finish(spec: SceneSpec, layout: Layout, progress) -> None:
 
     files = [path for name in spec.cameras.names for frame in range(spec.clip.frames)
              for path in vars(layout.frame(name, frame)).values()]
-    files += [layout.static(name) for name in spec.cameras.names] + [layout.velocity / "zarr.json"]
+    files += [path for name in spec.cameras.names for path in (layout.static(name), layout.static_exr(name))] + [layout.velocity / "zarr.json"]
     missing = [path for path in files if not path.is_file()]
     if missing:
         raise FileNotFoundError(f"{len(missing)} files of the dataset are missing, first {missing[0]}; run the stages before finish")

@@ -67,6 +67,10 @@ class Layout:
     def static(self, camera: str) -> Path:
         return self.root / self.STATIC.format(camera=camera)
 
+    def static_exr(self, camera: str) -> Path:
+        """The linear form of the plate, with its depth."""
+        return self.static(camera).with_suffix(".exr")
+
     def patterns(self, camera: str) -> dict[str, str]:
         """File name patterns of a camera as written in dataset.json; ``{frame:06d}`` stays open."""
         return {kind: pattern.replace("{camera}", camera) for kind, pattern in self.PATTERNS.items()} | {

@@ -31,7 +31,8 @@ def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     stone = material.tiles("Stone", ((0.17, 0.16, 0.15), (0.085, 0.085, 0.09)), (0.03, 0.03, 0.03), (0.34, 0.34), 0.01, stains=0.6)
     wood = material.tiles("Wood", ((0.26, 0.15, 0.07), (0.13, 0.07, 0.032)), (0.015, 0.01, 0.008), (0.9, 0.09), 0.008, stains=0.5)
     steel = material.plain("Steel", (0.10, 0.11, 0.12), 0.45, 0.8)
-    paints = [material.blotches(f"Paint {index}", colours, 40.0) for index, colours in enumerate(PAINTS)]
+    paints = [material.print_work(f"Print {index}", *colours, (0.23, height))
+              for index, (colours, height) in enumerate(zip(PRINTS, (0.11, 0.14, 0.09, 0.12, 0.16, 0.1)))]
     meshes.box("Floor", (9, 9, 0.1), collection, location=(0, 0, -0.05), material=stone)
     meshes.box("Back Wall", (9, 0.2, 4), collection, location=(0, 1.9, 2), material=brick)
     _shelf(rng, collection, (-0.95, 1.6), wood, paints)
@@ -41,19 +42,26 @@ def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     _fire_bowl(spec, rng, collection, steel, stone)
     for x, radius in ((-0.12, 0.035), (0.1, 0.025)):
         meshes.lathe("Pipe", [(radius, 0.0), (radius, 4.0)], collection, 12, location=(x, 1.74, 0), material=steel, smooth=True)
-    _light(collection, (-1.9, -1.6, 3.3), 95.0, 1.2, (1.0, 0.93, 0.82))
-    _light(collection, (2.6, -0.6, 2.6), 22.0, 1.0, (0.72, 0.84, 1.0))
-    _sky((0.055, 0.06, 0.07), 1.0)
+    _light(collection, (-1.9, -1.6, 3.3), 70.0, 1.2, (1.0, 0.93, 0.82))
+    _light(collection, (2.6, -0.6, 2.6), 18.0, 1.0, (0.72, 0.84, 1.0))
+    _sky((0.04, 0.045, 0.055), 1.0)
 
 
-PAINTS = (
-    ((0.02, 0.10, 0.13), (0.03, 0.16, 0.19), (0.45, 0.42, 0.34), (0.015, 0.06, 0.08)),
-    ((0.32, 0.20, 0.03), (0.24, 0.14, 0.02), (0.05, 0.04, 0.035), (0.42, 0.34, 0.16)),
-    ((0.20, 0.03, 0.025), (0.13, 0.02, 0.02), (0.42, 0.38, 0.32), (0.06, 0.015, 0.015)),
-    ((0.06, 0.09, 0.045), (0.10, 0.14, 0.06), (0.33, 0.32, 0.22), (0.03, 0.045, 0.025)),
-    ((0.30, 0.29, 0.27), (0.20, 0.20, 0.20), (0.05, 0.05, 0.06), (0.11, 0.13, 0.18)),
+PRINTS = (
+    ((0.02, 0.13, 0.16), (0.42, 0.38, 0.28), (0.02, 0.05, 0.06)),
+    ((0.36, 0.20, 0.025), (0.36, 0.33, 0.27), (0.05, 0.03, 0.01)),
+    ((0.22, 0.025, 0.02), (0.46, 0.42, 0.34), (0.12, 0.012, 0.012)),
+    ((0.06, 0.10, 0.04), (0.34, 0.32, 0.2), (0.02, 0.03, 0.01)),
+    ((0.24, 0.24, 0.23), (0.40, 0.40, 0.38), (0.03, 0.035, 0.06)),
+    ((0.03, 0.045, 0.13), (0.42, 0.40, 0.34), (0.015, 0.02, 0.05)),
 )
-"""Base colours of painted things, four shades each."""
+"""Paint, paper and ink of printed boxes and tins."""
+
+POSTER_COLOURS = (
+    ((0.02, 0.09, 0.13), (0.04, 0.19, 0.22), (0.42, 0.35, 0.22), (0.36, 0.10, 0.03), (0.03, 0.03, 0.035)),
+    ((0.38, 0.24, 0.05), (0.26, 0.06, 0.03), (0.08, 0.03, 0.03), (0.42, 0.38, 0.3), (0.05, 0.10, 0.11)),
+    ((0.05, 0.09, 0.04), (0.14, 0.18, 0.07), (0.38, 0.36, 0.25), (0.02, 0.03, 0.02), (0.24, 0.14, 0.04)),
+)
 
 
 def _shelf(rng, collection, place, wood, paints) -> None:
@@ -61,7 +69,7 @@ def _shelf(rng, collection, place, wood, paints) -> None:
     x, y = place
     width, depth = 1.35, 0.32
     for side in (-1, 1):
-        meshes.box("Upright", (0.05, depth, 2.3), collection, location=(x + side * width / 2, y, 1.15), material=wood)
+        meshes.box("Upright", (0.05, depth, 2.3), collection, location=(x + side * width / 2, y, 1.15), material=wood, grain=2)
     for level in (0.35, 0.85, 1.35, 1.85, 2.3):
         meshes.box("Board", (width, depth, 0.035), collection, location=(x, y, level), material=wood, offset=rng.uniform(0, 9, 2))
         position = -width / 2 + 0.06
@@ -84,8 +92,7 @@ def _posters(rng, collection, y) -> None:
     for index, (x, z, width, height) in enumerate([(0.03, 1.25, 0.44, 0.6), (0.03, 0.55, 0.4, 0.42), (0.02, 1.95, 0.46, 0.36),
                                                    (-2.1, 1.4, 0.6, 0.8), (2.15, 1.5, 0.6, 0.8), (-1.0, 2.75, 0.9, 0.4),
                                                    (1.0, 2.75, 0.9, 0.4)]):
-        colours = [tuple(rng.uniform(0.02, 0.5, 3) * rng.choice([0.35, 1.0])) for _ in range(5)]
-        paper = material.blotches(f"Poster {index}", colours, rng.uniform(16, 34))
+        paper = material.blotches(f"Poster {index}", POSTER_COLOURS[index % len(POSTER_COLOURS)], rng.uniform(22, 40))
         meshes.box("Poster", (width, 0.012, height), collection, rng.uniform(0, 9, 2), location=(x, y, z), material=paper)
 
 

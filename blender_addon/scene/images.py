@@ -18,17 +18,14 @@ except ModuleNotFoundError:  # the bpy wheel does not put Blender's own Python p
 EXR_CHANNELS = ("R", "G", "B", "A", "Z", "flame.R", "flame.G", "flame.B")
 
 
-def read_passes(path: Path) -> dict[str, np.ndarray]:
-    """Channels of a multilayer EXR that Blender wrote, as float32 (H, W) by name without the view layer ("Combined.R").
-
-    Raises OSError if the file cannot be read.
-    """
+def read_exr(path: Path) -> dict[str, np.ndarray]:
+    """Channels of an EXR by name, each float32 (H, W). Raises OSError if the file cannot be read."""
     pixels, names = _read(path)
-    return {name.split(".", 1)[1]: pixels[..., index] for index, name in enumerate(names)}
+    return {name: pixels[..., index] for index, name in enumerate(names)}
 
 
-def write_frame_exr(path: Path, beauty: np.ndarray, depth: np.ndarray, flame: np.ndarray) -> None:
-    """Write one frame in the dataset's layout, atomically.
+def write_exr(path: Path, beauty: np.ndarray, depth: np.ndarray, flame: np.ndarray) -> None:
+    """Write one image in the dataset's layout, atomically.
 
     Args:
         beauty: (H, W, 4) linear RGBA.
@@ -81,6 +78,7 @@ def _read(path: Path) -> tuple[np.ndarray, list[str]]:
 
 def _write(path: Path, spec: oiio.ImageSpec, pixels: np.ndarray) -> None:
     draft = temporary(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     image = oiio.ImageOutput.create(str(draft))
     if image is None:
         raise OSError(f"{path}: {oiio.geterror()}")

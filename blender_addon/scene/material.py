@@ -91,6 +91,28 @@ def blotches(name: str, colours: Sequence[Colour], scale: float, roughness: floa
     return material
 
 
+def print_work(name: str, paint: Colour, paper: Colour, ink: Colour, size: tuple[float, float]) -> bpy.types.Material:
+    """Paint with bands of printed labels of about ``size`` (m), whose lines look like words."""
+    material, add, link, output = _new(name)
+    coordinates = add("ShaderNodeTexCoord")
+    words = add("ShaderNodeTexBrick")
+    words.offset, words.squash, words.squash_frequency = 0.37, 0.6, 3
+    for socket, value in (("Color1", (*ink, 1)), ("Color2", (*paper, 1)), ("Mortar", (*paper, 1)), ("Scale", 1.0), ("Bias", -0.1),
+                          ("Mortar Size", 0.0055), ("Mortar Smooth", 0.0), ("Brick Width", 0.05), ("Row Height", 0.022)):
+        words.inputs[socket].default_value = value
+    bands = add("ShaderNodeTexBrick")
+    bands.offset = 0.5
+    for socket, value in (("Color2", (*paint, 1)), ("Mortar", (*(0.35 * shade for shade in paint), 1)), ("Scale", 1.0), ("Bias", 0.4),
+                          ("Mortar Size", 0.008), ("Mortar Smooth", 0.0), ("Brick Width", size[0]), ("Row Height", size[1])):
+        bands.inputs[socket].default_value = value
+    surface = _principled(add, link, output, 0.5)
+    link(coordinates.outputs["UV"], words.inputs["Vector"])
+    link(coordinates.outputs["UV"], bands.inputs["Vector"])
+    link(words.outputs["Color"], bands.inputs["Color1"])
+    link(bands.outputs["Color"], surface.inputs["Base Color"])
+    return material
+
+
 def _new(name: str):
     material = bpy.data.materials.new(name)
     material.use_nodes = True

@@ -27,11 +27,15 @@ def add(name: str, vertices: Sequence, faces: Sequence, collection: bpy.types.Co
     return thing
 
 
-def box(name: str, size: Sequence[float], collection: bpy.types.Collection, offset=(0.0, 0.0), **place) -> bpy.types.Object:
-    """A box centred on its location; offset shifts the texture, so that equal boxes look different."""
+def box(name: str, size: Sequence[float], collection: bpy.types.Collection, offset=(0.0, 0.0), grain: int = 0,
+        **place) -> bpy.types.Object:
+    """A box centred on its location.
+
+    offset shifts the texture, so that equal boxes look different; grain is the axis (0 x, 1 y, 2 z) the texture runs along.
+    """
     corners = [(x * size[0] / 2, y * size[1] / 2, z * size[2] / 2) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)]
     faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    axes = [(0, 1), (0, 1), (0, 2), (0, 2), (1, 2), (1, 2)]  # texture axes of each face
+    axes = [pair if pair[1] != grain else pair[::-1] for pair in ((0, 1), (0, 1), (0, 2), (0, 2), (1, 2), (1, 2))]
     uvs = [(corners[corner][u] + offset[0], corners[corner][v] + offset[1]) for face, (u, v) in zip(faces, axes) for corner in face]
     return add(name, corners, faces, collection, uvs, **place)
 

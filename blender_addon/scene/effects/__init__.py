@@ -1,7 +1,8 @@
 """Effects a scene spec may list. Each is one module here; adding an effect means adding one file.
 
 A module holds ``Settings`` (a frozen dataclass, the JSON form of the effect) and ``apply(fire, settings, spec)``,
-which changes a built ``scene.fire.FireObjects`` before the bake. Modules import bpy only inside ``apply``.
+which changes a built ``scene.fire.FireObjects`` before the bake. ``ABSORBS_LIGHT = True`` says that the effect dims what is
+behind it, so that frames cannot be rendered as the fire-free plate plus the fire's light. Modules import bpy only inside ``apply``.
 """
 from __future__ import annotations
 
@@ -24,3 +25,8 @@ def module(name: str) -> ModuleType:
 def name_of(settings: Any) -> str:
     """Name of the effect that a settings object belongs to."""
     return type(settings).__module__.rpartition(".")[2]
+
+
+def absorbs_light(settings: Any) -> bool:
+    """Whether the effect of a settings object dims what is behind it."""
+    return getattr(module(name_of(settings)), "ABSORBS_LIGHT", False)

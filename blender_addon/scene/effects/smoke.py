@@ -3,6 +3,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+ABSORBS_LIGHT = True
+
 
 @dataclass(frozen=True)
 class Settings:
