@@ -6,7 +6,8 @@ block as a million small ones:
   Gaussians in depth order -> the block rows each touches -> the span of blocks in each row -> (block, Gaussian) pairs
   -> stable counting sort by block.
 
-The sort is stable, so pairs of one block stay in depth order, and Gaussians of equal depth in index order.
+The sort is stable, so pairs of one block stay in depth order, and Gaussians of equal depth in index order. An image that
+needs more pairs than a budget is binned in bands of block rows, one after another.
 """
 
 from __future__ import annotations
@@ -14,73 +15,100 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import drjit as dr
+import numpy as np
 
 from gof.render.backend import Bool, Float, Int, UInt
-from gof.render.project import Projected
+from gof.render.project import LOG2_E, Projected
 
 BLOCK = 4                       # pixels along one side of a block
 LOG2_255 = 7.994353436858858    # alpha >= 1/255 is drawn
 MARGIN = 1e-3                   # in log2 units and pixels: the test keeps pairs that rounding might move
+PAIR_BUDGET = 1 << 24           # pairs binned at a time; a pair takes about 40 bytes while binning
+
+
+@dataclass
+class Footprints:
+    """Ellipses of N Gaussians in depth order: in the pixel row at dy from the mean, a Gaussian reaches 1/255 in
+    mean_x + slope dy +- sqrt(half_width2 - shrink dy^2)."""
+
+    order: UInt         # index of the Gaussian
+    mean_x: Float
+    mean_y: Float
+    slope: Float
+    shrink: Float
+    half_width2: Float
+    first_row: Int      # block rows [first_row, end_row)
+    end_row: Int
+    width_bound: UInt   # blocks per row, at most
+    columns: int
+    rows: int
 
 
 @dataclass
 class Bins:
-    """Pairs sorted by block, and where each block's list starts."""
+    """Pairs of one band sorted by block. Blocks are numbered from the band's first."""
 
     pairs: int          # M
     gaussian: UInt      # (M,) index of the Gaussian; one unused entry when there is no pair
     start: UInt         # (B,) first pair of block b
     end: UInt           # (B,)
     order: UInt         # (B,) blocks from longest to shortest list: neighbouring lanes do equal work
+    first_row: int      # of the band
     columns: int        # blocks per row
-    rows: int
+    slot: UInt          # (M,) place of the sorted pair in Gaussian-major order
+    segment: UInt       # (N,) first Gaussian-major pair of each Gaussian, by depth rank
+    segment_end: UInt
 
 
-def expand(counts: UInt) -> tuple[UInt, UInt, int]:
-    """Item i repeated counts[i] times: (item (M,), index within the item (M,), M)."""
-    ends = dr.prefix_reduce(dr.ReduceOp.Add, counts, exclusive=False)
-    total = int(ends[len(ends) - 1]) if len(ends) else 0
-    if total == 0:
-        return UInt(), UInt(), 0
-    starts = ends - counts
-    heads = dr.zeros(UInt, total)
-    items = dr.arange(UInt, len(counts))
-    dr.scatter(heads, items, starts, counts > 0)
-    item = dr.prefix_reduce(dr.ReduceOp.Max, heads, exclusive=False)
-    return item, dr.arange(UInt, total) - dr.gather(UInt, starts, item), total
-
-
-def bin_gaussians(p: Projected, width: int, height: int) -> Bins:
-    """Pairs of all drawable Gaussians with the blocks in which some pixel centre gets alpha >= 1/255 (conservative)."""
+def footprints(p: Projected, width: int, height: int) -> Footprints:
+    """Ellipses in which some pixel centre may get alpha >= 1/255 (conservative); arrays come in detached."""
     columns, rows = -(-width // BLOCK), -(-height // BLOCK)
-    with dr.suspend_grad():
-        return _bin(p, columns, rows)
-
-
-def _bin(p: Projected, columns: int, rows: int) -> Bins:
-    order = dr.argsort(dr.select(p.visible, dr.detach(p.depth), dr.inf))
-    g = lambda v: dr.gather(Float, dr.detach(v), order)  # noqa: E731
-    mean_x, mean_y = g(p.mean_x), g(p.mean_y)
-    xy, yy, det = g(p.cov_xy), g(p.cov_yy), g(p.det)
-    # The drawn ellipse: a dx^2 + b dx dy + c dy^2 <= reach. In one pixel row at dy it is the interval
-    # mean_x + slope dy +- sqrt(half^2 - dy^2 shrink).
+    order = dr.argsort(dr.select(p.visible, p.depth, dr.inf))
+    g = lambda v: dr.gather(type(v), v, order)  # noqa: E731
+    mean_x, mean_y, xx, xy, yy, det = (g(v) for v in (p.mean_x, p.mean_y, p.cov_xx, p.cov_xy, p.cov_yy, p.det))
     reach = g(p.log2_opacity) + (LOG2_255 + MARGIN)
-    drawn = dr.gather(Bool, p.visible, order) & (reach > 0)
-    mahalanobis2 = dr.maximum(reach, 0.0) * (2.0 / 1.4426950408889634)
+    drawn = g(p.visible) & (reach > 0)
+    mahalanobis2 = dr.maximum(reach, 0.0) * (2.0 / LOG2_E)
     half_height = dr.sqrt(mahalanobis2 * yy) + MARGIN
-    half_width2 = mahalanobis2 * det / yy
-    slope, shrink = xy / yy, det / (yy * yy)
-
+    half_width = dr.sqrt(mahalanobis2 * xx) + MARGIN
     first_row, end_row = _span(mean_y - half_height, mean_y + half_height, rows)
-    row_counts = dr.select(drawn & (mean_x > -1e7), UInt(dr.maximum(end_row - first_row, 0)), 0)
-    dr.eval(row_counts, first_row, mean_x, mean_y, half_width2, slope, shrink)
-    owner, row_in_owner, n_rows = expand(row_counts)
-    if n_rows == 0:
-        return _empty(columns, rows)
+    first_column, end_column = _span(mean_x - half_width, mean_x + half_width, columns)
+    drawn &= end_column > first_column
+    out = Footprints(order, mean_x, mean_y, xy / yy, det / (yy * yy), mahalanobis2 * det / yy, first_row,
+                     dr.select(drawn, end_row, first_row), UInt(end_column - first_column), columns, rows)
+    dr.eval(out)
+    return out
+
+
+def plan_bands(f: Footprints, budget: int = PAIR_BUDGET) -> list[tuple[int, int]]:
+    """Bands [first block row, end) of at most `budget` pairs each by bounding boxes, or of one row."""
+    if float(dr.sum(Float(f.end_row - f.first_row) * Float(f.width_bound))[0]) <= budget:
+        return [(0, f.rows)]
+    drawn = f.end_row > f.first_row
+    change = dr.zeros(Float, f.rows + 1)
+    dr.scatter_add(change, Float(f.width_bound), UInt(f.first_row), drawn)
+    dr.scatter_add(change, -Float(f.width_bound), UInt(f.end_row), drawn)
+    per_row = np.cumsum(change.numpy().astype(np.float64))[:f.rows]
+    bands, first, total = [], 0, 0.0
+    for row in range(f.rows):
+        if row > first and total + per_row[row] > budget:
+            bands.append((first, row))
+            first, total = row, 0.0
+        total += per_row[row]
+    return [*bands, (first, f.rows)]
+
+
+def bin_band(f: Footprints, first_row: int, end_row: int) -> Bins:
+    """Pairs of the Gaussians with the blocks of rows [first_row, end_row)."""
+    from_row, to_row = dr.opaque(Int, first_row), dr.opaque(Int, end_row)
+    first = dr.maximum(f.first_row, from_row)
+    owner, row_in_owner, owner_start, owner_end = expand(UInt(dr.maximum(dr.minimum(f.end_row, to_row) - first, 0)))
+    if len(owner) == 0:
+        return _empty(f, first_row, end_row)
 
     h = lambda v: dr.gather(type(v), v, owner)  # noqa: E731
-    row = h(first_row) + Int(row_in_owner)
-    x, y, w2, s, k = h(mean_x), h(mean_y), h(half_width2), h(slope), h(shrink)
+    row = h(first) + Int(row_in_owner)
+    x, y, w2, s, k = h(f.mean_x), h(f.mean_y), h(f.half_width2), h(f.slope), h(f.shrink)
     lo, hi = Float(dr.inf), Float(-dr.inf)
     for j in range(BLOCK):
         dy = Float(BLOCK * row + j) + 0.5 - y
@@ -90,17 +118,35 @@ def _bin(p: Projected, columns: int, rows: int) -> Bins:
         centre = x + s * dy
         lo = dr.minimum(lo, dr.select(hit, centre - half, dr.inf))
         hi = dr.maximum(hi, dr.select(hit, centre + half, -dr.inf))
-    first, end = _span(lo, hi, columns)
-    span_counts = UInt(dr.maximum(end - first, 0))
-    base = UInt(row * columns + first)
-    dr.eval(span_counts, base, owner)
-    item, within, n_pairs = expand(span_counts)
-    if n_pairs == 0:
-        return _empty(columns, rows)
+    first_column, end_column = _span(lo, hi, f.columns)
+    base = UInt((row - from_row) * f.columns + first_column)
+    gaussian = h(f.order)
+    counts = UInt(dr.maximum(end_column - first_column, 0))
+    dr.eval(base, gaussian, counts)
+    item, within, item_start, item_end = expand(counts)
+    if len(item) == 0:
+        return _empty(f, first_row, end_row)
     block = dr.gather(UInt, base, item) + within
-    gaussian = dr.gather(UInt, order, dr.gather(UInt, owner, item))
+    gaussian = dr.gather(UInt, gaussian, item)
     dr.eval(block, gaussian)
-    return _sort(block, gaussian, columns, rows)
+    some = owner_end > owner_start
+    segment = dr.gather(UInt, item_start, owner_start, some)
+    segment_end = dr.gather(UInt, item_end, owner_end - 1, some)
+    return _sort(block, gaussian, segment, segment_end, f, first_row, end_row)
+
+
+def expand(counts: UInt) -> tuple[UInt, UInt, UInt, UInt]:
+    """Item i repeated counts[i] times: (item (M,), number within the item (M,), first and end place of each item)."""
+    ends = dr.prefix_reduce(dr.ReduceOp.Add, counts, exclusive=False)
+    starts = ends - counts
+    dr.eval(starts)
+    total = int(ends[len(ends) - 1])
+    if total == 0:
+        return UInt(), UInt(), starts, ends
+    heads = dr.zeros(UInt, total)
+    dr.scatter(heads, dr.arange(UInt, len(counts)), starts, counts > 0)
+    item = dr.prefix_reduce(dr.ReduceOp.Max, heads, exclusive=False)
+    return item, dr.arange(UInt, total) - dr.gather(UInt, starts, item), starts, ends
 
 
 def _span(lo: Float, hi: Float, limit: int) -> tuple[Int, Int]:
@@ -109,16 +155,15 @@ def _span(lo: Float, hi: Float, limit: int) -> tuple[Int, Int]:
     first_pixel = Int(dr.ceil(dr.clip(lo, -8.0, far) - 0.5))
     last_pixel = Int(dr.floor(dr.clip(hi, -8.0, far) - 0.5))
     some = last_pixel >= first_pixel
-    first = dr.maximum(first_pixel >> 2, 0)
+    first = dr.clip(first_pixel >> 2, 0, limit - 1)
     end = dr.minimum((last_pixel >> 2) + 1, limit)
-    return first, dr.select(some, end, first)
+    return first, dr.select(some, dr.maximum(end, first), first)
 
 
-def _sort(block: UInt, gaussian: UInt, columns: int, rows: int) -> Bins:
-    n_blocks, n = columns * rows, len(block)
-    by_block = dr.detail.block_mkperm(block, n, _power_of_two(n_blocks))
-    sorted_block = dr.gather(UInt, block, by_block)
-    sorted_gaussian = dr.gather(UInt, gaussian, by_block)
+def _sort(block: UInt, gaussian: UInt, segment: UInt, segment_end: UInt, f: Footprints, first_row: int, end_row: int) -> Bins:
+    n_blocks, n = f.columns * (end_row - first_row), len(block)
+    slot = dr.detail.block_mkperm(block, n, 1 << (n_blocks - 1).bit_length())
+    sorted_block, sorted_gaussian = dr.gather(UInt, block, slot), dr.gather(UInt, gaussian, slot)
     dr.eval(sorted_block, sorted_gaussian)
 
     i, last = dr.arange(UInt, n), dr.opaque(UInt, n - 1)
@@ -129,15 +174,12 @@ def _sort(block: UInt, gaussian: UInt, columns: int, rows: int) -> Bins:
     dr.scatter(end, i + 1, sorted_block, (i == last) | (following != sorted_block), mode=dr.ReduceMode.NoConflicts)
     shortness = 2047 - dr.minimum(end - start, 2047)
     order = dr.detail.block_mkperm(shortness, n_blocks, 2048)
-    return Bins(n, sorted_gaussian, start, end, order, columns, rows)
+    return Bins(n, sorted_gaussian, start, end, order, first_row, f.columns, slot, segment, segment_end)
 
 
-def _empty(columns: int, rows: int) -> Bins:
-    n = columns * rows
-    bins = Bins(0, dr.zeros(UInt, 1), dr.zeros(UInt, n), dr.zeros(UInt, n), dr.arange(UInt, n), columns, rows)
-    dr.make_opaque(bins.gaussian, bins.start, bins.end)     # memory, as in the usual case: the same kernels run
-    return bins
-
-
-def _power_of_two(n: int) -> int:
-    return 1 << max(0, (n - 1).bit_length())
+def _empty(f: Footprints, first_row: int, end_row: int) -> Bins:
+    n, g = f.columns * (end_row - first_row), len(f.order)
+    empty = [dr.zeros(UInt, k) for k in (1, n, n, 1, g, g)]
+    dr.make_opaque(empty)     # memory, as in the usual case: the same kernels run
+    gaussian, start, end, slot, segment, segment_end = empty
+    return Bins(0, gaussian, start, end, dr.arange(UInt, n), first_row, f.columns, slot, segment, segment_end)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import drjit as dr
 
 from gof.render.backend import Array4f, Float, UInt
-from gof.render.bins import BLOCK, LOG2_255, Bins
+from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Footprints, bin_band, plan_bands
 
 MAX_ALPHA = 0.99            # 1 - alpha stays >= 0.01, so the adjoint's division by it loses at most two digits
 MIN_TRANSMITTANCE = 1e-4    # a pixel whose transmittance would fall below this stops before that Gaussian
@@ -18,45 +18,68 @@ GEOMETRY = 6                # mean_x, mean_y, a, b, c, log2_opacity
 PIXELS = [(i, j) for j in range(BLOCK) for i in range(BLOCK)]   # column, row inside the block
 
 
-def blend(geometry: list[Float], channels: list[Float], bins: Bins, sink: ScreenGradient) -> tuple[list[Float], Float]:
+class Trace:
+    """What one picture leaves behind for its caller; the gradient of the 2D means comes with the backward pass."""
+
+    def __init__(self):
+        self.pairs = 0      # (block, Gaussian) pairs
+        self.bands = 0
+        self.mean_x_grad: Float | None = None
+        self.mean_y_grad: Float | None = None
+
+
+def blend(geometry: list[Float], channels: list[Float], shapes: Footprints, trace: Trace, *, deterministic: bool = False,
+          pair_budget: int = PAIR_BUDGET) -> tuple[list[Float], Float]:
     """Blend the channels of N Gaussians.
 
     Args:
         geometry: mean_x, mean_y, a, b, c, log2_opacity, each (N,) (see `Projected`).
         channels: what to accumulate, each (N,).
-        bins: depth-sorted lists per block.
-        sink: receives the gradient of the 2D means in the backward pass.
+        shapes: where each Gaussian may be seen, in depth order.
+        trace: filled with counts now and the 2D gradient in the backward pass.
+        deterministic: sum gradients in a fixed order; slower, and 16 bytes per pair and four values.
+        pair_budget: pairs held at a time.
     Returns:
-        (sum w_i channel_i per channel, alpha = sum w_i), each a padded plane (4 rows, 4 columns of blocks), AD.
+        (sum w_i channel_i per channel, alpha = sum w_i), each a plane of whole blocks (4 rows x 4 columns), AD.
     """
-    *planes, alpha = dr.custom(_Blend, geometry, channels, bins, sink)
+    *planes, alpha = dr.custom(_Blend, geometry, channels, shapes, trace, deterministic, pair_budget)
     return planes, alpha
 
 
-class ScreenGradient:
-    """Gradient of the loss with respect to the 2D means, filled by the backward pass."""
-
-    def __init__(self):
-        self.mean_x: Float | None = None
-        self.mean_y: Float | None = None
-
-
 class _Blend(dr.CustomOp):
-    def eval(self, geometry, channels, bins, sink):
-        self.bins, self.sink, self.n = bins, sink, len(geometry[0])
+    def eval(self, geometry, channels, shapes, trace, deterministic, pair_budget):
+        self.shapes, self.trace, self.deterministic = shapes, trace, deterministic
+        self.n, self.n_channels = len(geometry[0]), len(channels)
         self.records = pack(geometry + channels)
-        self.n_channels = len(channels)
-        self.planes = _forward(self.records, self.n_channels, bins)
+        self.bands = plan_bands(shapes, pair_budget)
+        self.planes = [dr.empty(Float, shapes.rows * shapes.columns * BLOCK * BLOCK) for _ in range(self.n_channels + 1)]
+        for band in self.bands:
+            bins = bin_band(shapes, *band)
+            _forward(self.records, self.n_channels, bins, self.planes)
+            trace.pairs += bins.pairs
+        trace.bands = len(self.bands)
+        self.bins = bins if len(self.bands) == 1 else None      # several bands: binned again in the backward pass
         return [Float(p) for p in self.planes]
 
     def backward(self):
-        size = len(self.planes[0])
-        grads = [_as_plane(g, size) for g in self.grad_out()]
-        flat, stride = _backward(self.records, self.n_channels, self.n, self.bins, self.planes, grads)
-        lane = dr.arange(UInt, self.n) * stride
+        grads = [_as_plane(g, len(self.planes[0])) for g in self.grad_out()]
+        quads = stride(GEOMETRY + self.n_channels) // 4
+        flat = None
+        for band in self.bands:
+            bins = self.bins or bin_band(self.shapes, *band)
+            if self.deterministic:
+                out = dr.zeros(Float, max(bins.pairs, 1) * 4 * quads)
+                _backward(self.records, self.n_channels, bins, self.planes, grads, out, by_pair=True)
+                out = _sum_segments(out, bins, self.shapes.order, quads)
+                flat = out if flat is None else flat + out
+                dr.eval(flat)
+            else:
+                flat = dr.zeros(Float, _capacity(self.n) * 4 * quads) if flat is None else flat
+                _backward(self.records, self.n_channels, bins, self.planes, grads, flat, by_pair=False)
+        lane = dr.arange(UInt, self.n) * (4 * quads)
         columns = [dr.gather(Float, flat, lane + k) for k in range(GEOMETRY + self.n_channels)]
         dr.eval(columns)
-        self.sink.mean_x, self.sink.mean_y = columns[0], columns[1]
+        self.trace.mean_x_grad, self.trace.mean_y_grad = columns[0], columns[1]
         self.set_grad_in("geometry", columns[:GEOMETRY])
         self.set_grad_in("channels", columns[GEOMETRY:])
 
@@ -108,6 +131,7 @@ def _lanes(bins: Bins):
     columns = bins.columns
     by = block // columns
     bx = block - by * columns
+    by += dr.opaque(UInt, bins.first_row)
     x, y = Float(bx * BLOCK) + 0.5, Float(by * BLOCK) + 0.5
     return start, end, x, y, [(by * BLOCK + j) * columns + bx for j in range(BLOCK)]
 
@@ -125,7 +149,8 @@ def _log2_alpha(record: list[Float], x: Float, y: Float) -> tuple[list[Float], l
     return out, dx, dy
 
 
-def _forward(records: Float, n_channels: int, bins: Bins) -> list[Float]:
+def _forward(records: Float, n_channels: int, bins: Bins, planes: list[Float]) -> None:
+    """Draw one band into the planes."""
     start, end, x, y, plane_rows = _lanes(bins)
     n_columns = GEOMETRY + n_channels
 
@@ -158,24 +183,23 @@ def _forward(records: Float, n_channels: int, bins: Bins) -> list[Float]:
     _, T, acc = dr.while_loop((UInt(start), T, acc), running, step, labels=("i", "T", "acc"))
 
     values = [*acc, [1 - dr.abs(t) for t in T]]
-    planes = [dr.empty(Float, len(bins.start) * 16) for _ in values]
     for plane, value in zip(planes, values, strict=True):
         for j in range(BLOCK):
             dr.scatter(plane, Array4f(*value[4 * j:4 * j + 4]), plane_rows[j], mode=dr.ReduceMode.NoConflicts)
     dr.eval(planes)
-    return planes
 
 
-def _backward(records: Float, n_channels: int, n: int, bins: Bins, planes: list[Float], grads: list[Float]):
-    """Gradient records (N * stride) by replaying the forward pass front to back.
+def _backward(records: Float, n_channels: int, bins: Bins, planes: list[Float], grads: list[Float], out: Float,
+              by_pair: bool) -> None:
+    """Add one band's gradient records to `out`, per Gaussian, or write them per pair in Gaussian-major order.
 
-    With v_i = sum_c g_c channel_ic + g_alpha and S_i = sum_{k > i} w_k v_k:  dL/dalpha_i = T_i v_i - S_i / (1 - alpha_i).
-    S starts at the whole sum, known from the forward planes, and shrinks by w_i v_i. Nothing divides by T or opacity.
+    Replays the forward pass front to back. With v_i = sum_c g_c channel_ic + g_alpha and S_i = sum_{k > i} w_k v_k:
+    dL/dalpha_i = T_i v_i - S_i / (1 - alpha_i). S starts at the whole sum, known from the forward planes, and shrinks by
+    w_i v_i. Nothing divides by T or by opacity.
     """
     start, end, x, y, plane_rows = _lanes(bins)
     n_columns = GEOMETRY + n_channels
     quads = stride(n_columns) // 4
-    out = dr.zeros(Float, _capacity(n) * 4 * quads)
 
     def load(plane):
         return [v for r in plane_rows for v in dr.gather(Array4f, plane, r)]
@@ -216,15 +240,33 @@ def _backward(records: Float, n_channels: int, n: int, bins: Bins, planes: list[
             S_out.append(s)
         gradient = _geometry_gradient(record, dx, dy, d_log2) + d_channel
         gradient += [Float(0)] * (4 * quads - len(gradient))
-        touched = i < end
         for q in range(quads):
-            dr.scatter_add(out, Array4f(*gradient[4 * q:4 * q + 4]), gaussian * quads + q, touched, mode=dr.ReduceMode.Expand)
+            value = Array4f(*gradient[4 * q:4 * q + 4])
+            if by_pair:
+                dr.scatter(out, value, dr.gather(UInt, bins.slot, i) * quads + q, mode=dr.ReduceMode.NoConflicts)
+            else:
+                dr.scatter_add(out, value, gaussian * quads + q, mode=dr.ReduceMode.Expand)
         return i + 1, T_out, S_out
 
     T = [Float(1) for _ in range(16)]
     dr.while_loop((UInt(start), T, suffix), running, step, labels=("i", "T", "S"))
     dr.eval(out)
-    return out, 4 * quads
+
+
+def _sum_segments(by_pair: Float, bins: Bins, order: UInt, quads: int) -> Float:
+    """Per-pair records to per-Gaussian records, each summed in a fixed order."""
+    out = dr.empty(Float, len(order) * 4 * quads)
+
+    def add(i, total):
+        values = [v for q in range(quads) for v in dr.gather(Array4f, by_pair, i * quads + q)]
+        return i + 1, [t + v for t, v in zip(total, values, strict=True)]
+
+    total = [Float(0) for _ in range(4 * quads)]
+    _, total = dr.while_loop((UInt(bins.segment), total), lambda i, total: i < bins.segment_end, add)
+    for q in range(quads):
+        dr.scatter(out, Array4f(*total[4 * q:4 * q + 4]), order * quads + q, mode=dr.ReduceMode.NoConflicts)
+    dr.eval(out)
+    return out
 
 
 def _geometry_gradient(record: list[Float], dx: list[Float], dy: list[Float], d_log2: list[Float]) -> list[Float]:

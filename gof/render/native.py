@@ -11,9 +11,9 @@ from gof.cameras import Camera
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.render.backend import Array2f, Bool, Float, UInt, floats
-from gof.render.bins import BLOCK, bin_gaussians
-from gof.render.blend import ScreenGradient, blend
-from gof.render.project import project
+from gof.render.bins import BLOCK, PAIR_BUDGET, footprints
+from gof.render.blend import Trace, blend
+from gof.render.project import Lens, project
 from gof.render.scene import Splats, require_finite_splats
 
 
@@ -29,8 +29,7 @@ class Frame:
     dynamic_alpha: Float | None    # sum w_i dynamic_i
     mean2d: Array2f                # (N,) px, detached
     radius: Float                  # (N,) px, 3 sigma along the longer axis; 0 = not drawn
-    intersections: int             # (4x4 block, Gaussian) pairs
-    screen_gradient: ScreenGradient
+    trace: Trace
 
     @property
     def expected_depth(self) -> Float:
@@ -41,58 +40,69 @@ class Frame:
         return dr.select(seen, self.depth / dr.select(seen, self.alpha, 1.0), 0.0)
 
     @property
+    def intersections(self) -> int:
+        """(4x4 block, Gaussian) pairs that were evaluated."""
+        return self.trace.pairs
+
+    @property
     def mean2d_grad(self) -> Array2f | None:
         """(N,) dL/d(mean2d) per pixel after `dr.backward`; None before."""
-        s = self.screen_gradient
-        return None if s.mean_x is None else Array2f(s.mean_x, s.mean_y)
+        t = self.trace
+        return None if t.mean_x_grad is None else Array2f(t.mean_x_grad, t.mean_y_grad)
 
 
 def render_splats(splats: Splats, camera: Camera, background: list | None = None, *, dynamic: Bool | Float | None = None,
-                  depth: bool = False, antialias: bool = False, near: float = 0.01) -> Frame:
+                  depth: bool = False, pose: list[Float] | None = None, deterministic: bool = False,
+                  pair_budget: int = PAIR_BUDGET, **lens) -> Frame:
     """Draw Gaussians front to back (3D Gaussian Splatting's image formation), differentiable.
 
     Args:
         splats: N Gaussians; gradients flow to every array that has `dr.enable_grad`.
-        camera: pinhole camera, global shutter.
+        camera: pinhole camera; its shutter is not looked at, see `shutter_delay`.
         background: one float or Float (H * W) per channel; None = black.
         dynamic: (N,) weight of each Gaussian in `Frame.dynamic_alpha`; drawn in the same pass as the colour.
         depth: also accumulate camera depth.
-        antialias: keep the energy of Gaussians smaller than a pixel (Mip-Splatting's compensation).
-        near: metres; nearer centres are not drawn.
+        pose: 12 differentiable values (rows of the 3x4 world-to-camera matrix) that replace the camera's own.
+        deterministic: gradients are summed in a fixed order, so that a run repeats bit for bit (the image always does).
+        pair_budget: above this many (block, Gaussian) pairs the image is drawn in bands, one after another, and its lists
+            are built again for the backward pass; bounds memory, at least one row of blocks is held.
+        lens: near, far, dilation, antialias of `gof.render.project.Lens`.
     """
     width, height = camera.width, camera.height
     if background is not None and len(background) != len(splats.color):
         raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
-    extra = int(depth) + int(dynamic is not None)
+    n_planes = len(splats.color) + int(depth) + int(dynamic is not None) + 1
+    trace = Trace()
     if len(splats) == 0:
-        zero = [dr.zeros(Float, width * height) for _ in range(len(splats.color) + extra + 1)]
-        dr.enable_grad(zero)    # an empty set has nothing to differentiate, but a training loop may still call backward
-        return _frame(zero, splats, background, width, height, dynamic, depth, Array2f(Float(), Float()), Float(), 0,
-                      ScreenGradient())
-    p = project(splats.position, splats.rotation, splats.scale, splats.opacity, camera, near, antialias)
+        planes = [dr.zeros(Float, width * height) for _ in range(n_planes)]
+        dr.enable_grad(planes)    # an empty set has nothing to differentiate, but a training loop may still call backward
+        return _frame(planes, splats, background, width, height, dynamic, depth, Array2f(Float(), Float()), Float(), trace)
+    p = project(splats.position, splats.rotation, splats.scale, splats.opacity, camera, Lens(**lens), pose)
     channels = list(splats.color)
     if depth:
         channels.append(p.depth)
     if dynamic is not None:
         channels.append(dr.select(dynamic, Float(1), Float(0)) if isinstance(dynamic, Bool) else dynamic)
     geometry = [p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity]
-    radius, mean2d = dr.detach(p.radius), dr.detach(Array2f(p.mean_x, p.mean_y))
-    dr.eval(geometry, channels, p.visible, p.depth, p.cov_xx, p.cov_xy, p.cov_yy, p.det, radius)
-    bins = bin_gaussians(p, width, height)
-    sink = ScreenGradient()
-    planes, alpha = blend(geometry, channels, bins, sink)
-    planes = [_crop(v, width, height, bins.columns) for v in [*planes, alpha]]
-    return _frame(planes, splats, background, width, height, dynamic, depth, mean2d, radius, bins.pairs, sink)
+    detached = dr.detach(p)
+    radius = detached.radius
+    dr.eval(geometry, channels, detached, radius)
+    with dr.suspend_grad():
+        shapes = footprints(detached, width, height)
+    planes, alpha = blend(geometry, channels, shapes, trace, deterministic=deterministic, pair_budget=pair_budget)
+    planes = [_crop(v, width, height, shapes.columns) for v in [*planes, alpha]]
+    return _frame(planes, splats, background, width, height, dynamic, depth, Array2f(detached.mean_x, detached.mean_y),
+                  radius, trace)
 
 
-def _frame(planes, splats, background, width, height, dynamic, depth, mean2d, radius, pairs, sink) -> Frame:
+def _frame(planes, splats, background, width, height, dynamic, depth, mean2d, radius, trace) -> Frame:
     n, alpha = len(splats.color), planes[-1]
     color = planes[:n]
     if background is not None:
         through = 1 - alpha
         color = [dr.fma(through, b, c) for c, b in zip(color, background, strict=True)]
     return Frame(width, height, color, alpha, planes[n] if depth else None,
-                 planes[n + int(depth)] if dynamic is not None else None, mean2d, radius, pairs, sink)
+                 planes[n + int(depth)] if dynamic is not None else None, mean2d, radius, trace)
 
 
 def _crop(plane: Float, width: int, height: int, columns: int) -> Float:

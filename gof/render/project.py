@@ -13,11 +13,26 @@ import drjit as dr
 from gof.cameras import Camera
 from gof.render.backend import Array3f, Array4f, Bool, Float, opaque
 
-DILATION = 0.3        # px^2 added to the 2D covariance: no Gaussian is thinner than about half a pixel
 LOG2_E = 1.4426950408889634
 MAX_SIGMA_PX = 1e6    # wider Gaussians are drawn this wide (flat over any image) so that determinants stay in float32
 MAX_MEAN_PX = 1e7     # centres further out than this are not drawn: float32 no longer resolves a pixel there
 MIN_OPACITY = 1e-20   # below: log2 is replaced by a constant, gradient 0
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How Gaussians become image Gaussians.
+
+    Args:
+        near, far: m; centres at or outside these depths are not drawn and get gradient 0.
+        dilation: px^2, > 0, added to the 2D covariance: with 0.3 no Gaussian is thinner than about half a pixel.
+        antialias: scale opacity by sqrt(det before / det after dilation), so that small Gaussians keep their energy.
+    """
+
+    near: float = 0.01
+    far: float = 1e10
+    dilation: float = 0.3
+    antialias: bool = False
 
 
 @dataclass
@@ -35,7 +50,7 @@ class Projected:
     log2_opacity: Float
     depth: Float
     visible: Bool       # in front of `near` and numerically drawable
-    cov_xx: Float       # px^2, dilated, detached: for binning and radii
+    cov_xx: Float       # px^2, dilated
     cov_xy: Float
     cov_yy: Float
     det: Float
@@ -61,22 +76,26 @@ def rotation_columns(q: Array4f) -> tuple[Array3f, Array3f, Array3f]:
     )
 
 
-def project(position: Array3f, rotation: Array4f, scale: Array3f, opacity: Float, camera: Camera,
-            near: float, antialias: bool) -> Projected:
+def camera_axes(camera: Camera, pose: list[Float] | None = None) -> tuple[list[Array3f], list[Float]]:
+    """Rows of the world-to-camera rotation and its translation; `pose` (12 values, row-major 3x4) replaces the camera's."""
+    w = [opaque(v) for v in camera.world_to_camera[:3].reshape(-1)] if pose is None else pose
+    return [Array3f(*w[4 * i:4 * i + 3]) for i in range(3)], [w[3], w[7], w[11]]
+
+
+def project(position: Array3f, rotation: Array4f, scale: Array3f, opacity: Float, camera: Camera, lens: Lens,
+            pose: list[Float] | None = None) -> Projected:
     """Project N Gaussians.
 
     Args:
         position, rotation, scale, opacity: see `Splats`.
         camera: pinhole camera; skew allowed.
-        near: metres; centres at or nearer than this are not drawn and get gradient 0.
-        antialias: scale opacity by sqrt(det before / det after dilation), so that small Gaussians keep their energy.
+        pose: differentiable world-to-camera values instead of the camera's own.
     """
-    W = [[opaque(v) for v in row] for row in camera.world_to_camera[:3]]
     fx, skew, cx, fy, cy = (opaque(camera.K[i]) for i in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2)))
-    axes = [Array3f(*row[:3]) for row in W]
-    x, y, z = (dr.dot(axes[i], position) + W[i][3] for i in range(3))
+    axes, offset = camera_axes(camera, pose)
+    x, y, z = (dr.dot(axes[i], position) + offset[i] for i in range(3))
 
-    visible = z > opaque(near)
+    visible = (z > opaque(lens.near)) & (z < opaque(lens.far))
     inv_z = 1.0 / dr.select(visible, z, 1.0)
     u, v = x * inv_z, y * inv_z
     mean_x, mean_y = fx * u + skew * v + cx, fy * v + cy
@@ -99,14 +118,14 @@ def project(position: Array3f, rotation: Array4f, scale: Array3f, opacity: Float
     xx, yy, xy = dr.squared_norm(mx), dr.squared_norm(my), dr.dot(mx, my)
     # det(M M^T) = |m_x x m_y|^2 (Lagrange): no cancellation for long thin Gaussians, unlike xx yy - xy^2.
     det_before = dr.squared_norm(dr.cross(mx, my))
-    det = det_before + DILATION * (xx + yy) + DILATION * DILATION
-    xx, yy = xx + DILATION, yy + DILATION
+    dilation = opaque(lens.dilation)
+    det = det_before + dilation * (xx + yy) + dilation * dilation
+    xx, yy = xx + dilation, yy + dilation
     inv_det = 1.0 / det
-    if antialias:
+    if lens.antialias:
         opacity = opacity * dr.sqrt(dr.maximum(det_before * inv_det, 1e-12))
-    detached = dr.detach((xx, xy, yy, det))
     return Projected(mean_x, mean_y, (0.5 * LOG2_E) * yy * inv_det, -LOG2_E * xy * inv_det, (0.5 * LOG2_E) * xx * inv_det,
-                     dr.log2(dr.maximum(opacity, MIN_OPACITY)), z, dr.detach(visible), *detached)
+                     dr.log2(dr.maximum(opacity, MIN_OPACITY)), z, visible, xx, xy, yy, det)
 
 
 def _slope_limits(camera: Camera) -> tuple[tuple[float, float], tuple[float, float]]:

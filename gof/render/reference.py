@@ -9,7 +9,7 @@ import numpy as np
 
 from gof.cameras import Camera
 
-DILATION, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE = 0.3, 0.99, 1 / 255, 1e-4
+MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE = 0.99, 1 / 255, 1e-4
 
 
 def transient_state(position, velocity, t_mu, t_sigma, opacity, time_s, dynamic=None):
@@ -31,7 +31,7 @@ def rotation_matrix(q: np.ndarray) -> np.ndarray:
         np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)], -2)
 
 
-def project(position, rotation, scale, opacity, camera: Camera, near=0.01, antialias=False):
+def project(position, rotation, scale, opacity, camera: Camera, near=0.01, antialias=False, dilation=0.3):
     """mean2d (N, 2) px, dilated 2D covariance (N, 2, 2) px^2, depth (N,) m, opacity (N,), visible (N,) bool."""
     K, W = camera.K, camera.world_to_camera
     p = np.asarray(position, np.float64) @ W[:3, :3].T + W[:3, 3]
@@ -48,7 +48,7 @@ def project(position, rotation, scale, opacity, camera: Camera, near=0.01, antia
     J[:, :, 2] = -s / z[:, None]
     M = K[:2, :2] @ J @ W[:3, :3] @ (rotation_matrix(np.asarray(rotation, np.float64)) * np.asarray(scale, np.float64)[:, None, :])
     before = M @ M.transpose(0, 2, 1)
-    cov = before + DILATION * np.eye(2)
+    cov = before + dilation * np.eye(2)
     opacity = np.asarray(opacity, np.float64)
     if antialias:
         opacity = opacity * np.sqrt(np.maximum(np.linalg.det(before) / np.linalg.det(cov), 1e-12))
@@ -90,6 +90,43 @@ def render(position, rotation, scale, opacity, color, camera: Camera, background
     if background is not None:
         out = out + T[..., None] * np.asarray(background, np.float64)
     return out, 1 - T, z_sum
+
+
+def harmonics_color(coefficients, position, eye, degree):
+    """(N, D) colours of coefficients (N, K, D) seen from `eye`; twin of `gof.render.harmonics.harmonics_color`."""
+    from math import factorial
+
+    from scipy.special import lpmv
+
+    d = np.asarray(position, np.float64) - eye
+    d = d / np.maximum(np.linalg.norm(d, axis=-1, keepdims=True), 1e-300)
+    azimuth = np.arctan2(d[:, 1], d[:, 0])
+    basis = []
+    for l in range(degree + 1):
+        for m in range(-l, l + 1):
+            k = abs(m)
+            # lpmv keeps the Condon-Shortley phase, which gives the signs 3D Gaussian Splatting uses.
+            size = np.sqrt((2 * l + 1) / (4 * np.pi) * factorial(l - k) / factorial(l + k)) * (1 if m == 0 else np.sqrt(2))
+            basis.append(size * lpmv(k, l, d[:, 2]) * (np.sin(k * azimuth) if m < 0 else np.cos(k * azimuth)))
+    values = np.einsum("kn,nkd->nd", np.array(basis), np.asarray(coefficients, np.float64)[:, :len(basis)])
+    return np.maximum(0.5 + values, 0.0)
+
+
+def shutter_delay(position, velocity, camera: Camera, exact=True, near=0.01, min_relative_speed=0.1):
+    """(N,) s; twin of `gof.render.shutter_delay`."""
+    p = camera.to_camera(position)
+    seen = p[:, 2] > near
+    safe = np.where(seen[:, None], p, [0.0, 0.0, 1.0])
+    pixels = safe[:, :2] / safe[:, 2:] @ camera.K[:2, :2].T + camera.K[:2, 2]
+    v = np.asarray(velocity, np.float64) @ camera.world_to_camera[:3, :3].T
+    speed = (v[:, :2] - safe[:, :2] / safe[:, 2:] * v[:, 2:]) / safe[:, 2:] @ camera.K[:2, :2].T
+    axis, sign = {"right": (0, 1), "left": (0, -1), "down": (1, 1), "up": (1, -1)}[camera.readout]
+    size = (camera.width, camera.height)[axis]
+    line = pixels[:, axis] - 0.5 if sign > 0 else size - 0.5 - pixels[:, axis]
+    delay = camera.row_time_s * np.clip(line, -size, 2 * size)
+    if exact:
+        delay = delay / np.maximum(1 - camera.row_time_s * sign * speed[:, axis], min_relative_speed)
+    return np.where(seen, delay, 0.0)
 
 
 def gaussian_window(size=11, sigma=1.5) -> np.ndarray:
