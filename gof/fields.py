@@ -63,8 +63,12 @@ class VelocityField:
 
     def to_index(self, points: np.ndarray) -> np.ndarray:
         """World points (N, 3) m to continuous cell index (N, 3): the centre of cell i has index i + 0.5."""
-        inverse = np.linalg.inv(self.index_to_world)
+        inverse = self._world_to_index
         return np.asarray(points, np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+
+    @cached_property
+    def _world_to_index(self) -> np.ndarray:
+        return np.linalg.inv(self.index_to_world)
 
     def cell_centers(self) -> np.ndarray:
         """(X, Y, Z, 3) world position of every cell centre, m."""
