@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 
-from gof.render.backend import Bool, Float, Int, UInt
+from gof.render.backend import Float, Int, UInt
 from gof.render.project import LOG2_E, Projected
 
 BLOCK = 4                       # pixels along one side of a block

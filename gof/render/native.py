@@ -10,11 +10,13 @@ import numpy as np
 from gof.cameras import Camera
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
-from gof.render.backend import Array2f, Bool, Float, UInt, floats
+from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, opaque
 from gof.render.bins import BLOCK, PAIR_BUDGET, footprints
 from gof.render.blend import Trace, blend
+from gof.render.harmonics import harmonics_color
 from gof.render.project import Lens, project
-from gof.render.scene import Splats, require_finite_splats
+from gof.render.scene import Splats, columns, require_finite_splats, transient_state
+from gof.render.shutter import shutter_delay
 
 
 @dataclass
@@ -114,25 +116,53 @@ def _crop(plane: Float, width: int, height: int, columns: int) -> Float:
     return dr.gather(Float, plane, row * (columns * BLOCK) + (i - row * width), mode=dr.ReduceMode.NoConflicts)
 
 
-def render(gaussians: TransientGaussians, camera: Camera, time_s: float, background=None) -> dict[str, np.ndarray]:
+def splats_at(gaussians: TransientGaussians, camera: Camera, time_s: float, *, shutter: str = "exact") -> Splats:
+    """State of a reconstruction as a camera sees it at a time, without gradients.
+
+    Args:
+        time_s: seconds on the dataset clock; with a rolling shutter, when the first line is read.
+        shutter: "exact" (delay t(p0) / (1 - grad t . v)), "first order" (t(p0)) or "global". Cameras without a row time
+            cost nothing and are global.
+    """
+    g = gaussians
+    position, velocity = columns(g.position, Array3f), columns(g.velocity, Array3f)
+    # Times relative to the frame, so that float32 resolves microsecond delays late in a long clip.
+    state = [floats(g.t_mu.astype(np.float64) - time_s), floats(g.t_sigma), floats(g.opacity)]
+    dynamic = floats(g.dynamic) > 0
+    seen, opacity = transient_state(position, velocity, *state, 0.0, dynamic)
+    if shutter != "global" and camera.row_time_s > 0 and len(g):
+        delay = shutter_delay(seen, velocity, camera, exact=shutter == "exact")
+        seen, opacity = transient_state(position, velocity, *state, delay, dynamic)
+    if g.color.ndim == 2:
+        color = columns(g.color)
+    else:
+        coefficients = [columns(g.color[:, k]) for k in range(g.color.shape[1])]
+        eye = Array3f(*(opaque(v) for v in camera.position))
+        color = harmonics_color(coefficients, seen, eye, round(len(coefficients) ** 0.5) - 1)
+    return Splats(seen, columns(g.rotation, Array4f), columns(g.scale, Array3f), opacity, color)
+
+
+def render(gaussians: TransientGaussians, camera: Camera, time_s: float, background=None, *, shutter: str = "exact",
+           **lens) -> dict[str, np.ndarray]:
     """A picture of a reconstruction at a time, as numpy arrays, without gradients.
 
     Args:
-        gaussians: N Gaussians with plain colours.
-        time_s: seconds on the dataset clock.
+        gaussians: N Gaussians with plain colours or spherical harmonics.
+        time_s, shutter: see `splats_at`.
         background: (3,) colour or (H, W, 3) image; None = black.
+        lens: near, far, dilation, antialias, min_radius of `gof.render.project.Lens`.
     Returns:
         color (H, W, 3), alpha (H, W), depth (H, W) expected camera depth in m (0 where nothing is), dynamic_alpha (H, W).
     Raises:
         NonFiniteError: NaN or Inf in the Gaussians.
     """
-    splats = Splats.from_gaussians(gaussians, time_s)
+    splats = splats_at(gaussians, camera, time_s, shutter=shutter)
     require_finite_splats(splats)
     shape = (camera.height, camera.width)
     if background is not None:
         background = np.broadcast_to(np.asarray(background, np.float32), (*shape, 3))
         background = [floats(background[..., c]) for c in range(3)]
-    frame = render_splats(splats, camera, background, dynamic=floats(gaussians.dynamic), depth=True)
+    frame = render_splats(splats, camera, background, dynamic=floats(gaussians.dynamic), depth=True, **lens)
     plane = lambda v: np.array(v.numpy()).reshape(shape)  # noqa: E731  a copy: numpy must not alias Dr.Jit's memory
     return {"color": np.stack([plane(c) for c in frame.color], -1), "alpha": plane(frame.alpha),
             "depth": plane(frame.expected_depth), "dynamic_alpha": plane(frame.dynamic_alpha)}

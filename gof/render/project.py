@@ -27,12 +27,14 @@ class Lens:
         near, far: m; centres at or outside these depths are not drawn and get gradient 0.
         dilation: px^2, > 0, added to the 2D covariance: with 0.3 no Gaussian is thinner than about half a pixel.
         antialias: scale opacity by sqrt(det before / det after dilation), so that small Gaussians keep their energy.
+        min_radius: px; Gaussians whose 3 standard deviations are shorter are not drawn.
     """
 
     near: float = 0.01
     far: float = 1e10
     dilation: float = 0.3
     antialias: bool = False
+    min_radius: float = 0.0
 
 
 @dataclass
@@ -124,8 +126,11 @@ def project(position: Array3f, rotation: Array4f, scale: Array3f, opacity: Float
     inv_det = 1.0 / det
     if lens.antialias:
         opacity = opacity * dr.sqrt(dr.maximum(det_before * inv_det, 1e-12))
-    return Projected(mean_x, mean_y, (0.5 * LOG2_E) * yy * inv_det, -LOG2_E * xy * inv_det, (0.5 * LOG2_E) * xx * inv_det,
+    out = Projected(mean_x, mean_y, (0.5 * LOG2_E) * yy * inv_det, -LOG2_E * xy * inv_det, (0.5 * LOG2_E) * xx * inv_det,
                      dr.log2(dr.maximum(opacity, MIN_OPACITY)), z, visible, xx, xy, yy, det)
+    if lens.min_radius > 0:
+        out.visible = visible & (dr.detach(out).radius >= opaque(lens.min_radius))
+    return out
 
 
 def _slope_limits(camera: Camera) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import drjit as dr
 
 from gof.errors import DataFormatError, NonFiniteError
-from gof.gaussians import TransientGaussians
 from gof.render.backend import Array3f, Array4f, Bool, Float, floats, opaque
 
 MAX_CHANNELS = 8
@@ -51,15 +50,6 @@ class Splats:
     def _parameters(self):
         return (("position", list(self.position)), ("rotation", list(self.rotation)), ("scale", list(self.scale)),
                 ("opacity", [self.opacity]), ("color", self.color))
-
-    @classmethod
-    def from_gaussians(cls, g: TransientGaussians, time_s: float) -> Splats:
-        """State of a reconstruction at a time, without gradients. `g.color` must be (N, 3), not harmonics."""
-        if g.color.ndim != 2:
-            raise DataFormatError(f"'color' has shape {g.color.shape}; evaluate the spherical harmonics first")
-        position, opacity = g.at(time_s)
-        return cls(columns(position, Array3f), columns(g.rotation, Array4f), columns(g.scale, Array3f), floats(opacity),
-                   [floats(c) for c in g.color.T])
 
 
 def columns(array, kind=list):

@@ -1,0 +1,169 @@
+"""`rasterize`: gsplat's call on torch tensors, drawn by the Dr.Jit renderer."""
+
+from __future__ import annotations
+
+import drjit as dr
+import numpy as np
+
+from gof.cameras import Camera
+from gof.errors import DataFormatError, MissingDependencyError
+from gof.render.backend import Array3f, Array4f, Float, floats
+from gof.render.harmonics import harmonics_color
+from gof.render.native import render_splats
+from gof.render.scene import Splats, require_finite_splats
+
+try:
+    import torch
+except ImportError as e:
+    raise MissingDependencyError("gof.render.rasterize works on torch tensors; install torch, or use render_splats without it") from e
+
+RENDER_MODES = {"RGB": (True, None), "D": (False, "sum"), "ED": (False, "mean"), "RGB+D": (True, "sum"), "RGB+ED": (True, "mean")}
+
+
+def rasterize(means, quats, scales, opacities, colors, viewmats, Ks, width: int, height: int, *, near_plane: float = 0.01,
+              far_plane: float = 1e10, radius_clip: float = 0.0, eps2d: float = 0.3, sh_degree: int | None = None,
+              backgrounds=None, render_mode: str = "RGB", rasterize_mode: str = "classic", deterministic: bool = False,
+              check_finite: bool = True):
+    """Draw Gaussians with gsplat's argument names, shapes and camera convention; differentiable.
+
+    Args:
+        means: (N, 3) world.  quats: (N, 4) wxyz, normalised here.  scales: (N, 3) linear.  opacities: (N,) in [0, 1].
+        colors: (N, D) or (C, N, D) with D <= 8, or with `sh_degree` coefficients (N, K, D) or (C, N, K, D).
+        viewmats: (C, 4, 4) world to camera, OpenCV axes; gets a gradient.  Ks: (C, 3, 3) pixels; gets none.
+        near_plane, far_plane: depths outside are not drawn.  radius_clip: Gaussians with a smaller radius in px are skipped.
+        eps2d: px^2 added to the 2D covariance.
+        sh_degree: 0 to 3; colours are max(0, 0.5 + harmonics) in the direction from the camera.
+        backgrounds: (C, D).
+        render_mode: "RGB", "D" (sum w z), "ED" (divided by alpha), "RGB+D", "RGB+ED".
+        rasterize_mode: "classic" or "antialiased".
+        deterministic: gradients repeat bit for bit.
+        check_finite: look for NaN and Inf in the Gaussians first (one reduction per parameter).
+    Returns:
+        colors (C, H, W, X), alphas (C, H, W, 1), and a dict with width, height, n_cameras and per camera and Gaussian:
+        "means2d" (C, N, 2) px, whose `.grad` is filled by the backward pass, "radii" (C, N) px (0 = not drawn).
+    Raises:
+        NonFiniteError, DataFormatError: named parameter and rows, or shape.
+
+    Results are float32 on the CPU whatever the inputs are; gradients have their tensor's type and device.
+    """
+    if render_mode not in RENDER_MODES or rasterize_mode not in ("classic", "antialiased"):
+        raise DataFormatError(f"render_mode '{render_mode}' is not one of {list(RENDER_MODES)}, or rasterize_mode '{rasterize_mode}' "
+                              "is neither 'classic' nor 'antialiased'")
+    n, c = len(means), len(viewmats)
+    _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree)
+    per_camera = colors.ndim == (3 if sh_degree is None else 4)
+    options = {"size": (width, height), "mode": RENDER_MODES[render_mode], "sh_degree": sh_degree, "radius_clip": radius_clip,
+               "deterministic": deterministic, "check": check_finite,
+               "lens": {"near": near_plane, "far": far_plane, "dilation": eps2d, "antialias": rasterize_mode == "antialiased"}}
+    images, alphas, centres, radii = [], [], [], []
+    learns = torch.is_grad_enabled() and any(t.requires_grad for t in (means, quats, scales, opacities, colors, viewmats))
+    means2d = torch.zeros(c, n, 2, requires_grad=learns)    # a leaf that every camera reads, so that autograd fills its .grad
+    for i in range(c):
+        image, alpha, mean2d, radius = _Rasterize.apply(
+            means, quats, scales, opacities, colors[i] if per_camera else colors, viewmats[i],
+            None if backgrounds is None else backgrounds[i], means2d[i], Ks[i], options)
+        images.append(image)
+        alphas.append(alpha)
+        centres.append(mean2d)
+        radii.append(radius)
+    means2d.data.copy_(torch.stack(centres))
+    return torch.stack(images), torch.stack(alphas), {"means2d": means2d, "radii": torch.stack(radii), "width": width,
+                                                      "height": height, "n_cameras": c}
+
+
+def _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree) -> None:
+    expected = {"means": (means, (n, 3)), "quats": (quats, (n, 4)), "scales": (scales, (n, 3)), "opacities": (opacities, (n,)),
+                "viewmats": (viewmats, (c, 4, 4)), "Ks": (Ks, (c, 3, 3))}
+    for name, (tensor, shape) in expected.items():
+        if tuple(tensor.shape) != shape:
+            raise DataFormatError(f"'{name}' has shape {tuple(tensor.shape)}, expected {shape}")
+    tail = 1 if sh_degree is None else 2
+    if tuple(colors.shape[:-tail]) not in ((n,), (c, n)):
+        raise DataFormatError(f"'colors' has shape {tuple(colors.shape)}; expected ([{c},] {n}, {'D' if sh_degree is None else 'K, D'})")
+    if backgrounds is not None and tuple(backgrounds.shape) != (c, colors.shape[-1]):
+        raise DataFormatError(f"'backgrounds' has shape {tuple(backgrounds.shape)}, expected {(c, colors.shape[-1])}")
+
+
+def _columns(tensor) -> list[Float]:
+    """(N, ...) tensor to one Float (N,) per trailing entry."""
+    flat = tensor.detach().to("cpu", torch.float32).reshape(len(tensor), -1).numpy()
+    return [floats(column) for column in flat.T]
+
+
+def _tensor(planes: list[Float], shape: tuple) -> torch.Tensor:
+    out = torch.empty(*shape)
+    for k, plane in enumerate(planes):
+        out.view(-1, len(planes))[:, k] = torch.from_numpy(np.broadcast_to(dr.detach(plane).numpy(), out.numel() // len(planes)).copy())
+    return out
+
+
+class _Rasterize(torch.autograd.Function):
+    """One camera."""
+
+    @staticmethod
+    def forward(ctx, means, quats, scales, opacities, colors, viewmat, background, means2d, K, options):
+        inputs = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors}
+        leaves = {name: _columns(t) for name, t in inputs.items()}
+        view = viewmat.detach().to("cpu", torch.float64).numpy()
+        leaves["viewmat"] = [dr.opaque(Float, float(v)) for v in view[:3].reshape(-1)]
+        if background is not None:
+            leaves["background"] = [dr.opaque(Float, float(v)) for v in background.detach().reshape(-1)]
+        ctx.tensors = {**inputs, "viewmat": viewmat, "background": background}
+        needed = dict(zip(["means", "quats", "scales", "opacities", "colors", "viewmat", "background"], ctx.needs_input_grad, strict=False))
+        needed["means"] |= ctx.needs_input_grad[7]      # keeps the graph alive for the gradient of the 2D means
+        for name, arrays in leaves.items():
+            if needed[name]:
+                dr.enable_grad(arrays)
+
+        width, height = options["size"]
+        camera = Camera("rasterize", width, height, K.detach().cpu().double().numpy(), view)
+        position, degree = Array3f(*leaves["means"]), options["sh_degree"]
+        color = leaves["colors"]
+        if degree is not None:
+            d = colors.shape[-1]
+            R, t = leaves["viewmat"], [leaves["viewmat"][k] for k in (3, 7, 11)]
+            eye = Array3f(*(-sum(R[4 * i + k] * t[i] for i in range(3)) for k in range(3)))
+            color = harmonics_color([color[k * d:(k + 1) * d] for k in range(colors.shape[-2])], position, eye, degree)
+        with_color, depth_mode = options["mode"]
+        splats = Splats(position, Array4f(*leaves["quats"]), Array3f(*leaves["scales"]), leaves["opacities"][0], color)
+        if options["check"]:
+            require_finite_splats(splats)
+        frame = render_splats(splats, camera, leaves.get("background"), depth=depth_mode is not None, pose=leaves["viewmat"],
+                              deterministic=options["deterministic"], min_radius=options["radius_clip"], **options["lens"])
+        planes = list(frame.color) if with_color else []
+        if depth_mode:
+            planes.append(frame.depth if depth_mode == "sum" else frame.expected_depth)
+        ctx.leaves, ctx.needed, ctx.frame, ctx.planes = leaves, needed, frame, [*planes, frame.alpha]
+        mean2d = _tensor([frame.mean2d.x, frame.mean2d.y], (len(means), 2))
+        radius = _tensor([frame.radius], (len(means),))
+        ctx.mark_non_differentiable(mean2d, radius)
+        return _tensor(planes, (height, width, len(planes))), _tensor([frame.alpha], (height, width, 1)), mean2d, radius
+
+    @staticmethod
+    def backward(ctx, g_image, g_alpha, _g_mean2d, _g_radius):
+        if ctx.frame is None:
+            raise RuntimeError("rasterize: backward was called twice; call rasterize again (retain_graph is not supported)")
+        flows = [p for p in ctx.planes if dr.grad_enabled(p)]
+        grads = [*_columns(g_image.reshape(-1, g_image.shape[-1])), *_columns(g_alpha.reshape(-1, 1))]
+        for plane, grad in zip(ctx.planes, grads, strict=True):
+            if dr.grad_enabled(plane):
+                dr.set_grad(plane, grad)
+        if flows:
+            for plane in flows:
+                dr.enqueue(dr.ADMode.Backward, plane)
+            dr.traverse(dr.ADMode.Backward)
+        out = []
+        for name, like in ctx.tensors.items():
+            if like is None or not ctx.needed[name]:
+                out.append(None)
+            elif name == "viewmat":
+                grad = torch.zeros(4, 4)
+                grad[:3] = _tensor([dr.grad(v) for v in ctx.leaves[name]], (1, 12)).reshape(3, 4)
+                out.append(grad.to(like))
+            else:
+                out.append(_tensor([dr.grad(v) for v in ctx.leaves[name]], tuple(like.shape)).to(like))
+        mean2d = ctx.frame.mean2d_grad
+        probe = None if mean2d is None else _tensor([mean2d.x, mean2d.y], (len(ctx.tensors["means"]), 2))
+        ctx.frame = ctx.leaves = ctx.planes = None
+        return (*out, probe, None, None)
+
