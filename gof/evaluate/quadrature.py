@@ -8,8 +8,10 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
 from gof.errors import GofError
+from gof.fields import VelocityField
 
 ORDERS = (1, 3, 5, 7)
+COMPILED_FROM = 100_000  # quadrature points; below, loading the compiler takes longer than numpy
 CHUNK_POINTS = 1 << 15  # quadrature points held at once; small enough for a cache, which is worth a factor of two
 
 
@@ -65,13 +67,22 @@ def expected_velocity(field: VelocityLike, position: np.ndarray, scale: np.ndarr
     """E[V(x)] for x ~ N(position, R diag(scale^2) R^T), one Gaussian per row.
 
     Args:
-        field: velocity in m/s at world points.
+        field: velocity in m/s at world points; on a `VelocityField` many Gaussians take a compiled kernel (float32 inside).
         position: (M, 3) m.   scale: (M, 3) standard deviations, m.   rotation: (M, 4) unit quaternions wxyz.
         order: nodes per axis, 1, 3, 5 or 7; cost grows with order^3.
     Returns:
         Expectation in float64. NaN in the field is passed on (the caller reports it with its frame).
-    Memory: about CHUNK_POINTS points at a time, whatever M is.
     """
+    if isinstance(field, VelocityField) and len(position) * order**3 >= COMPILED_FROM:
+        from gof.evaluate.grid_quadrature import expected_velocity_on_grid
+
+        return expected_velocity_on_grid(field, position, scale, rotation, order)
+    return expected_velocity_plain(field, position, scale, rotation, order)
+
+
+def expected_velocity_plain(field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray,
+                            order: int = 3) -> Expectation:
+    """`expected_velocity` in numpy float64, for any field; holds about CHUNK_POINTS points at a time, whatever M is."""
     nodes, weights = product_rule(order)
     count = len(position)
     result = Expectation(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count))
