@@ -78,18 +78,11 @@ def render(spec: SceneSpec, layout: Layout, progress) -> None:
 
 
 def ground_truth(spec: SceneSpec, layout: Layout, progress) -> None:
-    if (layout.velocity / "zarr.json").is_file():
-        progress(spec.clip.frames, spec.clip.frames)
-        return
     _open_blend(layout)
     from .scene import fire, velocity
 
-    draft = layout.hidden / "velocity.zarr"
-    shutil.rmtree(draft, ignore_errors=True)
     frames = list(range(spec.clip.first_frame, spec.clip.last_frame + 1))
-    velocity.export_velocity(fire.find_domain(), frames, spec.clip.fps, spec.clip.time_scale, draft, progress)
-    shutil.rmtree(layout.velocity, ignore_errors=True)
-    os.replace(draft, layout.velocity)
+    velocity.export_velocity(fire.find_domain(), frames, spec.clip.fps, spec.clip.time_scale, layout.velocity, progress)
 
 
 def finish(spec: SceneSpec, layout: Layout, progress) -> None:
@@ -116,6 +109,8 @@ def finish(spec: SceneSpec, layout: Layout, progress) -> None:
         "time_s": [frame / spec.clip.fps for frame in range(spec.clip.frames)],
         "cameras": [rig.describe(camera, spec) | layout.patterns(camera.name) for camera in rig.find(spec)],
         "splits": {"train": [frame for frame in range(spec.clip.frames) if frame not in test], "test": test},
+        "velocity": layout.velocity.name,
+        "scene": layout.blend.name,
         "display": spec.to_dict()["display"],
         "domain": {
             "index_to_world": velocity["attributes"]["index_to_world"],

@@ -107,10 +107,11 @@ class Fuel:
 
 
 FUELS = {
-    "propane_high": Fuel(0.75, 0.9, 3.0, 1.0, 1050.0, 1900.0, 6.0),
-    "propane_low": Fuel(1.1, 0.6, 2.5, 0.8, 1050.0, 1850.0, 6.0),
-    "wood": Fuel(0.6, 0.6, 2.2, 0.9, 1000.0, 1750.0, 5.0),
+    "propane_high": Fuel(0.7, 1.5, 3.0, 1.0, 1200.0, 2250.0, 14.0),
+    "propane_low": Fuel(1.1, 1.0, 2.5, 0.8, 1200.0, 2200.0, 14.0),
+    "wood": Fuel(0.6, 1.0, 2.2, 0.9, 1150.0, 2000.0, 12.0),
 }
+"""Presets. Turbulence comes from the effect ``vorticity``, soot from ``smoke``."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ class Fire:
     """disc: a flat round burner of 1/3 radius height; sphere: a ball."""
     position: Vector = (0.0, 0.0, 0.12)
     """Centre of the emitter, world metres."""
-    radius: float = 0.12
+    radius: float = 0.13
     """Metres."""
 
     def __post_init__(self):

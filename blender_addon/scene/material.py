@@ -20,13 +20,18 @@ def flame(fuel: Fuel) -> bpy.types.Material:
     temperature.inputs["To Min"].default_value = fuel.colour_low_k
     temperature.inputs["To Max"].default_value = fuel.colour_high_k
     colour = add("ShaderNodeBlackbody")
+    # Dense flame radiates more than in proportion, which leaves the fringe translucent.
+    density = add("ShaderNodeMath")
+    density.operation = "POWER"
+    density.inputs[1].default_value = 1.4
     strength = add("ShaderNodeMath")
     strength.operation = "MULTIPLY"
     strength.inputs[1].default_value = fuel.radiance
     emission = add("ShaderNodeEmission")
     link(reaction.outputs["Fac"], temperature.inputs["Value"])
     link(temperature.outputs["Result"], colour.inputs["Temperature"])
-    link(reaction.outputs["Fac"], strength.inputs[0])
+    link(reaction.outputs["Fac"], density.inputs[0])
+    link(density.outputs[0], strength.inputs[0])
     link(colour.outputs["Color"], emission.inputs["Color"])
     link(strength.outputs[0], emission.inputs["Strength"])
     link(emission.outputs[0], output.inputs["Volume"])

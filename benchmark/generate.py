@@ -1,0 +1,115 @@
+"""`gof generate`: from a scene spec to a dataset folder, one Blender process a stage, resumable."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from blender_addon import spec as scene_spec
+from blender_addon.generate import STAGES
+from blender_addon.layout import Layout
+from blender_addon.spec import SceneSpec, SpecError
+from gof.errors import GofError
+from gof.io.files import write_json
+from gof.stages import StageLog, run_worker
+
+SCENES = Path(__file__).parent / "scenes"
+
+
+@dataclass
+class GenerateConfig:
+    """Simulate and render a fire scene: pictures, cameras and the exact velocity of the gas, in one dataset folder.
+
+    Stopped at any time, the same command goes on where it was; no finished frame is made twice.
+    """
+
+    scene: Annotated[str, tyro.conf.Positional]
+    """Spec file (.json), or the name of a built-in scene."""
+    out: Path
+    """Dataset folder to make or to finish."""
+    preset: str | None = None
+    """Cost preset instead of the scene's own settings: toy, preview or demo."""
+    json: Path | None = None
+    """Also write what each stage cost to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """`gof generate SPEC_OR_SCENE --out DIR`; see --help."""
+    config = tyro.cli(GenerateConfig, prog="gof generate", args=argv)
+    spec, layout = load_scene(config.scene, config.preset), Layout(config.out)
+    claim(layout, spec)
+    log = StageLog(layout.costs)
+    for stage in STAGES:
+        if stage == "finish" or not layout.description.exists():
+            run_stage(stage, spec, layout, log)
+    if config.json:
+        write_json(config.json, {"dataset": str(layout.root), "stages": [asdict(cost) for cost in log.stages()]})
+    print(f"dataset: {layout.root}")
+    return 0
+
+
+def load_scene(scene: str, preset: str | None = None) -> SceneSpec:
+    """The spec of a file or of a built-in scene, with a cost preset applied.
+
+    Raises:
+        GofError: no such file or scene, or a field of the spec is wrong (names it).
+    """
+    built_in = sorted(path.parent.name for path in SCENES.glob("*/spec.json"))
+    path = SCENES / scene / "spec.json" if scene in built_in else Path(scene)
+    if not path.is_file():
+        raise GofError(f"'{scene}' is neither a spec file nor a built-in scene ({', '.join(built_in)})")
+    try:
+        spec = scene_spec.load(path)
+        return spec.with_preset(preset) if preset else spec
+    except SpecError as error:
+        raise GofError(str(error)) from error
+
+
+def claim(layout: Layout, spec: SceneSpec) -> None:
+    """Make the folder this spec's, or check that it is.
+
+    Raises:
+        GofError: the folder was made from another spec, or holds other things.
+    """
+    if layout.spec.exists():
+        try:
+            before = scene_spec.load(layout.spec)
+        except SpecError as error:
+            raise GofError(f"{error}; give another --out, or delete {layout.root}") from error
+        if before != spec:
+            raise GofError(f"{layout.root} was made from another spec ({', '.join(_differences(before, spec))} differ); "
+                           "give another --out, or delete that folder")
+    elif layout.root.is_dir() and any(layout.root.iterdir()):
+        raise GofError(f"{layout.root} is not empty and holds no spec.json; give a new folder as --out")
+    else:
+        layout.root.mkdir(parents=True, exist_ok=True)
+        scene_spec.save(spec, layout.spec)
+
+
+def run_stage(stage: str, spec: SceneSpec, layout: Layout, log: StageLog) -> None:
+    """Run one stage in its own Blender process and record its cost; a resumed stage adds to its earlier cost."""
+    layout.hidden.mkdir(exist_ok=True)
+    command = [sys.executable, "-m", "blender_addon.generate", "--spec", layout.spec, "--out", layout.root, "--stage", stage]
+    cost = run_worker(list(map(str, command)), stage, layout.log(stage).with_suffix(".err"))
+    log.record(stage, cost.seconds, cost.peak_mb, settings_of(stage, spec), resumed=True)
+
+
+def settings_of(stage: str, spec: SceneSpec) -> dict:
+    """The settings that explain a stage's cost."""
+    frames, cameras = spec.clip.frames, spec.cameras.count
+    return {
+        "bake": {"resolution": spec.domain.resolution, "steps": spec.clip.last_frame, "effects": spec.effect_names},
+        "render": {"images": frames * cameras, "percentage": spec.render.percentage, "samples": spec.render.samples,
+                   "effects": spec.effect_names},
+        "ground-truth": {"frames": frames, "resolution": spec.domain.resolution},
+        "finish": {},
+    }[stage]  # fmt: skip
+
+
+def _differences(before: SceneSpec, after: SceneSpec) -> list[str]:
+    old, new = before.to_dict(), after.to_dict()
+    return sorted(name for name in new if old[name] != new[name])
