@@ -43,6 +43,8 @@ class Samples:
 
     def only_inside(self) -> Samples:
         """The Gaussians with at least half of their mass in the domain; truth is averaged over that part alone."""
+        if (self.inside == 1).all():
+            return self
         keep = self.inside >= 0.5
         arrays = {f.name: getattr(self, f.name)[keep] for f in fields(self) if f.name not in ("time_s", "culled")}
         arrays["truth"] = arrays["truth"] / arrays["inside"][:, None]
@@ -119,7 +121,7 @@ class DVESequence:
     pooled: DVEResult
     frames: list[DVEResult]
     times_s: list[float]
-    inside: DVEResult  # pooled, counting only Gaussians inside the domain
+    inside: DVEResult | None = None  # pooled over the Gaussians inside the domain; not computed for controls
     controls: dict[str, DVESequence] = dataclass_field(default_factory=dict)
     fluctuation: DVEResult | None = None
 
@@ -142,9 +144,10 @@ class DVESequence:
         for name in ("l2", "cos_sim"):
             mean, std, count = self.spread(name) or (None, None, 0)
             out |= {f"{name}_frame_mean": mean, f"{name}_frame_std": std, "frames_scored": count}
-        out["inside"] = {"l2": self.inside.l2, "cos_sim": self.inside.cos_sim}
         out["frames"] = [{"time_s": t, "l2": f.l2, "cos_sim": f.cos_sim, "n": f.n, "undefined": f.undefined}
                          for t, f in zip(self.times_s, self.frames, strict=True)]
+        if self.inside is not None:
+            out["inside"] = {"l2": self.inside.l2, "cos_sim": self.inside.cos_sim}
         if self.fluctuation is not None:
             out["fluctuation"] = self.fluctuation.to_dict()
         return out
@@ -170,7 +173,7 @@ def probe(gaussians: TransientGaussians, field: VelocityLike, time_s: float, ord
     velocity = np.where(gaussians.dynamic[:, None], gaussians.velocity, 0.0).astype(np.float64)
     weight = gaussians.scale.astype(np.float64).prod(1) * alpha
     weight[~(gaussians.dynamic | include_static)] = 0.0
-    power = weight * (velocity**2).sum(1)
+    power = weight * _row_dot(velocity, velocity)
     living = int(np.count_nonzero(weight))
     index = np.flatnonzero((weight > 0) & ((weight >= CULL_SHARE * weight.sum() / max(living, 1))
                                            | (power > CULL_SHARE * power.sum() / max(living, 1))))
@@ -189,19 +192,22 @@ def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: n
     v = samples.velocity if velocity is None else velocity
     t = samples.truth if truth is None else truth
     w = samples.weight
-    v_norm, t_norm = np.linalg.norm(v, axis=1), np.linalg.norm(t, axis=1)
-    dot = (v * t).sum(1)
-    norms = v_norm * t_norm
+    v2, t2, dot = _row_dot(v, v), _row_dot(t, t), _row_dot(v, t)
+    norms = np.sqrt(v2) * np.sqrt(t2)
     cosine = np.divide(dot, norms, out=np.zeros_like(dot), where=norms > 0)  # no direction, no agreement: 0
-    error2 = (v - t) ** 2
-    return Sums(n=len(w), culled=samples.culled, weight=_sum(w), error2=_sum(w * error2.sum(1)), truth2=_sum(w * t_norm**2),
-                velocity2=_sum(w * v_norm**2), dot=_sum(w * dot), cosine=_sum(w * np.clip(cosine, -1, 1)),
-                outside=_sum(w * (1 - samples.inside)), zero_truth=_sum(w[t_norm == 0]), zero_velocity=_sum(w[v_norm == 0]),
-                wide=_sum(w[samples.wide]), error2_axis=tuple(_sum(w * error2[:, k]) for k in range(3)))
+    error2_axis = [_sum(w * (v[:, k] - t[:, k]) ** 2) for k in range(3)]
+    return Sums(n=len(w), culled=samples.culled, weight=_sum(w), error2=sum(error2_axis), truth2=_sum(w * t2),
+                velocity2=_sum(w * v2), dot=_sum(w * dot), cosine=_sum(w * np.clip(cosine, -1, 1)),
+                outside=_sum(w * (1 - samples.inside)), zero_truth=_sum(w[t2 == 0]), zero_velocity=_sum(w[v2 == 0]),
+                wide=_sum(w[samples.wide]), error2_axis=tuple(error2_axis))
+
+
+def _row_dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("nk,nk->n", a, b)
 
 
 def _sum(values: np.ndarray) -> float:
-    return float(np.sum(np.ascontiguousarray(values)))  # pairwise on contiguous memory: relative error ~ eps log2(M)
+    return float(np.sum(values))  # pairwise on contiguous memory: relative error ~ eps log2(M)
 
 
 def dve(gaussians: TransientGaussians, field: VelocityLike, time_s: float, order: int = 3,
@@ -223,14 +229,11 @@ def dve(gaussians: TransientGaussians, field: VelocityLike, time_s: float, order
     return DVEResult.from_sums(weighted_sums(probe(gaussians, field, time_s, order, opacity, include_static)))
 
 
-def score_sequence(frames: Sequence[Samples], velocities: Iterable[np.ndarray | None] | None = None) -> DVESequence:
-    """Score frames that are already probed; `velocities` replaces each frame's estimated velocity (M, 3) m/s."""
-    velocities = [None] * len(frames) if velocities is None else list(velocities)
+def score_sequence(frames: Sequence[Samples], velocities: Iterable[np.ndarray]) -> DVESequence:
+    """Score frames that are already probed with other velocities, (M, 3) m/s per frame, in place of the estimated ones."""
     sums = [weighted_sums(f, v) for f, v in zip(frames, velocities, strict=True)]
-    inside = [weighted_sums(f.only_inside(), None if v is None else v[f.inside >= 0.5])
-              for f, v in zip(frames, velocities, strict=True)]
     return DVESequence(pooled=DVEResult.from_sums(sum(sums, Sums())), frames=[DVEResult.from_sums(s) for s in sums],
-                       times_s=[f.time_s for f in frames], inside=DVEResult.from_sums(sum(inside, Sums())))
+                       times_s=[f.time_s for f in frames])
 
 
 def dve_sequence(gaussians: TransientGaussians, sequence, times_s: Sequence[float] | None = None, order: int = 3,

@@ -13,7 +13,7 @@ from gof.fields import VelocityField
 from gof.render.backend import Array3f, Float, Int, UInt, floats
 
 CHUNK = 1 << 20  # Gaussians per launch: bounds memory at about 150 MB, whatever their number
-FAR = 1e6  # cells; a centre farther out than this is put here, where no node of a sane Gaussian reaches the grid
+FAR = 1e6  # cells, exact in float32; a centre farther out is put here, where no node of a sane Gaussian reaches the grid
 
 
 def expected_velocity_on_grid(field: VelocityField, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray,
@@ -32,7 +32,7 @@ def expected_velocity_on_grid(field: VelocityField, position: np.ndarray, scale:
         index = np.clip(field.to_index(position[rows]) - 0.5, -FAR, FAR)  # whole numbers are cell centres
         cell = np.floor(index)
         mean, centre, outside = _kernel(
-            grid, field.resolution, [Int(np.ascontiguousarray(c, np.int32)) for c in cell.T], [floats(c) for c in (index - cell).T],
+            grid, field.resolution, [Int(floats(c)) for c in cell.T], [floats(c) for c in (index - cell).T],
             _axes(to_index, scale[rows], rotation[rows]), table)
         dr.eval(mean, centre, outside)
         result.mean[rows], result.centre[rows] = mean.numpy().T, centre.numpy().T

@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gof.dataset import Dataset
+from gof.evaluate.quadrature import expected_velocity
 from gof.gaussians import TransientGaussians
 from gof.report import velocity as velocity_module
 
@@ -79,7 +80,7 @@ class Animation:
     def save(self, path: Path) -> Path:
         """Animated WebP, endless."""
         first, *rest = (Image.fromarray(f) for f in self.frames)
-        first.save(path, "webp", save_all=True, append_images=rest, duration=self.frame_ms, loop=0, quality=82, method=3)
+        first.save(path, "webp", save_all=True, append_images=rest, duration=self.frame_ms, loop=0, quality=82, method=2)
         return path
 
 
@@ -102,7 +103,7 @@ def animate(dataset: Dataset, gaussians: TransientGaussians, camera_number: int,
         fields = [velocity_module.screen_velocity(alive, camera, time_s)]
         if has_truth:
             centre, _ = alive.at(time_s)
-            true = dataset.velocity.at(time_s).sample(centre)
+            true = expected_velocity(dataset.velocity.at(time_s), centre, alive.scale, alive.rotation).mean
             fields.append(velocity_module.screen_velocity(alive, camera, time_s, true))
         drawn.append(([to_bytes(dataset.image(camera_number, k)),
                        to_bytes(render(gaussians, camera, time_s, background=background)["color"])], fields))
