@@ -28,8 +28,13 @@ def _mitsuba():
     return mi
 
 
-def ellipsoids(gaussians: TransientGaussians, time_s: float) -> dict:
+def ellipsoids(gaussians: TransientGaussians, time_s: float, unit_m: float = 1.0) -> dict:
     """A `mi.load_dict` entry: the Gaussians at a time. Plain colours become harmonics of degree 0.
+
+    Args:
+        unit_m: metres per scene unit. The integrator steps 1e-4 units past a shell before it looks for the next one, and the
+            shell intersection is not exact: away from Gaussians of about one unit, rays miss shells or hit them twice
+            (half of the rays at 0.002 or 100 units). `scene` picks the unit.
 
     Raises:
         DataFormatError: no Gaussians (Mitsuba cannot hold an empty shape).
@@ -41,12 +46,12 @@ def ellipsoids(gaussians: TransientGaussians, time_s: float) -> dict:
     color = gaussians.color
     coefficients = ((color - 0.5) / C0)[:, None] if color.ndim == 2 else color
     tensor = lambda a: mi.TensorXf(np.ascontiguousarray(a, np.float32))  # noqa: E731
-    return {"type": "ellipsoids", "centers": tensor(position), "scales": tensor(gaussians.scale),
+    return {"type": "ellipsoids", "centers": tensor(position / unit_m), "scales": tensor(gaussians.scale / unit_m),
             "quaternions": tensor(gaussians.rotation[:, [1, 2, 3, 0]]), "opacities": tensor(opacity[:, None]),
             "sh_coeffs": tensor(coefficients.reshape(len(gaussians), -1)), "extent_adaptive_clamping": False}
 
 
-def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX) -> dict:
+def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX, unit_m: float = 1.0) -> dict:
     """A `mi.load_dict` entry for a pinhole camera with square pixels; `filter_sigma` px of a Gaussian pixel filter, 0 = box.
 
     Raises:
@@ -57,18 +62,23 @@ def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_P
     if abs(K[0, 0] - K[1, 1]) > 1e-6 * K[0, 0] or K[0, 1] != 0:
         raise DataFormatError(f"camera '{camera.name}': Mitsuba's perspective sensor needs fx = fy and no skew")
     to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])   # Mitsuba: x left, y up
+    to_world[:3, 3] /= unit_m
     rfilter = {"type": "gaussian", "stddev": filter_sigma} if filter_sigma > 0 else {"type": "box"}
     return {"type": "perspective", "fov": float(np.degrees(2 * np.arctan(w / (2 * K[0, 0])))), "fov_axis": "x",
             "principal_point_offset_x": float(0.5 - K[0, 2] / w), "principal_point_offset_y": float(0.5 - K[1, 2] / h),
-            "near_clip": 0.01, "far_clip": 1e4, "to_world": mi.ScalarTransform4f(to_world),
+            "near_clip": 0.01 / unit_m, "far_clip": 1e4 / unit_m, "to_world": mi.ScalarTransform4f(to_world),
             "film": {"type": "hdrfilm", "width": w, "height": h, "rfilter": rfilter, "pixel_format": "rgb"},
             "sampler": {"type": "independent", "sample_count": spp}}
 
 
 def scene(gaussians: TransientGaussians, camera: Camera, time_s: float, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX):
-    """A loaded Mitsuba scene of the Gaussians alone, colours taken as they are (no sRGB conversion)."""
+    """A loaded Mitsuba scene of the Gaussians alone, colours taken as they are (no sRGB conversion).
+
+    The scene's unit is the geometric mean of the Gaussians' standard deviations; see `ellipsoids`.
+    """
+    unit_m = float(np.exp(np.log(gaussians.scale).mean())) if len(gaussians) else 1.0
     return _mitsuba().load_dict({"type": "scene", "integrator": {"type": "volprim_rf_basic", "max_depth": 512, "srgb_primitives": False},
-                                 "sensor": sensor(camera, spp, filter_sigma), "flame": ellipsoids(gaussians, time_s)})
+                                 "sensor": sensor(camera, spp, filter_sigma, unit_m), "flame": ellipsoids(gaussians, time_s, unit_m)})
 
 
 def render_mitsuba(gaussians: TransientGaussians, camera: Camera, time_s: float, spp: int = 16, seed: int = 0,

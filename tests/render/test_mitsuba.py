@@ -12,8 +12,8 @@ from gof.gaussians import TransientGaussians
 
 pytest.importorskip("mitsuba")
 
-from gof.render import render  # noqa: E402
-from gof.render.mitsuba_scene import ellipsoids, render_mitsuba, sensor  # noqa: E402
+from gof.render import render
+from gof.render.mitsuba_scene import ellipsoids, render_mitsuba, sensor
 
 
 def matched(distance=2.0, width=64, height=48) -> Camera:
@@ -33,19 +33,19 @@ def flame(n=40, seed=3, size=0.07):
 
 
 def test_images_agree_on_a_matched_scene():
-    """Far camera, Gaussians of several pixels: what remains is the cut at 3 sigma, the order of entry, and noise."""
+    """What remains: the perspective inside a Gaussian (less from afar), the cuts at 1/255 and 3 sigma, the order, noise."""
     errors = {}
-    for distance in (2.0, 20.0):
+    for distance in (2.0, 6.0):
         cam = matched(distance)
-        ours, theirs = render(flame(), cam, 0.05)["color"], render_mitsuba(flame(), cam, 0.05, spp=64)
+        ours, theirs = render(flame(), cam, 0.05, antialias=True)["color"], render_mitsuba(flame(), cam, 0.05, spp=64)
         errors[distance] = np.abs(ours - theirs).sum() / ours.sum()
-        assert abs(ours.mean() / theirs.mean() - 1) < 0.05
-    assert errors[20.0] < 0.04 and errors[2.0] < 0.08
+        assert abs(ours.mean() / theirs.mean() - 1) < 0.03
+    assert errors[6.0] < errors[2.0] < 0.075 and errors[6.0] < 0.045
 
 
 def test_principal_point_and_orientation_match():
     for dx, dy in ((0, 0), (6, 0), (0, -5)):
-        cam = matched(20.0)
+        cam = matched(4.0)
         cam = dataclasses.replace(cam, K=cam.K + np.array([[0, 0, dx], [0, 0, dy], [0, 0, 0.0]]))
         g = flame()[:1]
         g.position[:] = [0.05, 0, 0.1]
