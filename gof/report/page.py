@@ -132,7 +132,9 @@ def _chart(scores: dict[str, Any]) -> dict[str, Any] | None:
         else:
             line.append(f"{xk:.1f},{y(f['l2'])}")
     return {"lines": [" ".join(part) for part in [*lines, line] if part], "zero": y(0), "one": y(1.0),
-            "constant": None if constant is None else y(constant), "end_ms": round(1000 * (times[-1] - times[0]))}
+            "constant": None if constant is None else y(constant),
+            "constant_label": None if constant is None else y(constant) + (13 if np.mean(values) > constant else -5),  # clear of the line
+            "end_ms": round(1000 * (times[-1] - times[0]))}
 
 
 def _preview(preview: Preview | None, dataset: Dataset) -> dict[str, Any] | None:
