@@ -167,6 +167,7 @@ class _Watch:
 def _save_blend(layout: Layout) -> None:
     import bpy
 
+    bpy.context.preferences.filepaths.save_version = 0  # no .blend1 beside it
     bpy.ops.wm.save_as_mainfile(filepath=str(layout.blend), check_existing=False)
 
 

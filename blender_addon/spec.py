@@ -39,7 +39,7 @@ class Clip:
     """Number of rendered instants."""
     fps: float = 100.0
     """Frames per second of the dataset clock; the solver makes exactly one step per frame."""
-    warm_up_frames: int = 80
+    warm_up_frames: int = 90
     """Frames simulated before the first rendered one, so that the flame is developed."""
     time_scale: float = 1.0
     """Simulated seconds per second of the dataset clock; below 1 is slow motion. Velocities follow the dataset clock."""
@@ -74,7 +74,7 @@ class Domain:
     """Lowest corner, world metres."""
     size: Vector = (0.8, 0.8, 1.6)
     """Side lengths, metres."""
-    resolution: int = 72
+    resolution: int = 64
     """Cells along the longest side."""
 
     def __post_init__(self):
@@ -107,7 +107,7 @@ class Fuel:
 
 
 FUELS = {
-    "propane_high": Fuel(0.7, 1.5, 3.0, 1.0, 1200.0, 2250.0, 14.0),
+    "propane_high": Fuel(0.75, 1.5, 3.0, 1.0, 1200.0, 2250.0, 11.0),
     "propane_low": Fuel(1.1, 1.0, 2.5, 0.8, 1200.0, 2200.0, 14.0),
     "wood": Fuel(0.6, 1.0, 2.2, 0.9, 1150.0, 2000.0, 12.0),
 }
@@ -182,7 +182,7 @@ class Render:
     """Cycles settings, shared by all frames."""
 
     percentage: int = 25
-    """Rendered size in percent of the sensor."""
+    """Rendered size in percent of the sensor, rounded down to whole pixels (Blender needs at least 4)."""
     samples: int = 6
     """Paths per pixel of a frame. Without smoke a frame traces the fire's light only, so few are enough."""
     plate_samples: int = 32
@@ -231,6 +231,8 @@ class SceneSpec:
     def __post_init__(self):
         require(bool(self.name) and not set(self.name) & set('/\\:*?"<>|'), "name", "a plain file name", self.name)
         require(0 <= self.seed < 2**31, "seed", "in [0, 2^31)", self.seed)
+        small = min(self.cameras.sensor_px) * self.render.percentage // 100
+        require(small >= 4, "render.percentage", f"at least {-(-400 // min(self.cameras.sensor_px))} for this sensor", self.render.percentage)
         names = self.effect_names
         require(len(set(names)) == len(names), "effects", "listed once each", names)
         for axis, low, high in zip("xyz", self.domain.min, self.domain.max):
@@ -286,7 +288,7 @@ PRESETS: dict[str, dict[str, dict]] = {
     },
     "demo": {
         "clip": {"frames": 36},
-        "domain": {"resolution": 72},
+        "domain": {"resolution": 64},
         "render": {"percentage": 25, "samples": 6, "plate_samples": 32},
     },
 }

@@ -42,9 +42,9 @@ def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     _fire_bowl(spec, rng, collection, steel, stone)
     for x, radius in ((-0.12, 0.035), (0.1, 0.025)):
         meshes.lathe("Pipe", [(radius, 0.0), (radius, 4.0)], collection, 12, location=(x, 1.74, 0), material=steel, smooth=True)
-    _light(collection, (-1.9, -1.6, 3.3), 70.0, 1.2, (1.0, 0.93, 0.82))
+    _light(collection, (-1.9, -1.6, 3.3), 85.0, 1.2, (1.0, 0.93, 0.82))
     _light(collection, (2.6, -0.6, 2.6), 18.0, 1.0, (0.72, 0.84, 1.0))
-    _sky((0.04, 0.045, 0.055), 1.0)
+    _sky((0.05, 0.055, 0.065), 1.0)
 
 
 PRINTS = (

@@ -108,7 +108,7 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     # Uneven fuel, drifting upwards: without it a round burner gives a mirror-symmetric flame.
     texture = bpy.data.textures.new("Fuel Noise", "CLOUDS")
     texture.noise_scale = 0.5
-    texture.contrast = 1.0
+    texture.contrast = 1.5
     flow.use_texture = True
     flow.noise_texture = texture
     flow.texture_map_type = "AUTO"

@@ -59,6 +59,8 @@ def plates(spec: SceneSpec, layout: Layout) -> None:
     """Render each camera's view without the fire where it is missing: linear (.exr) and for display (.png)."""
     scene, domain = bpy.context.scene, find_domain()
     domain.hide_render = True
+    # With persistent data Cycles would keep the plate's number of samples for the frames that follow.
+    scene.render.use_persistent_data = False
     scene.cycles.samples = spec.render.plate_samples
     for camera in rig.find(spec):
         png = layout.static(camera.name)
@@ -70,6 +72,7 @@ def plates(spec: SceneSpec, layout: Layout) -> None:
         _write_png(png, _beauty(passes))
     domain.hide_render = False
     scene.cycles.samples = spec.render.samples
+    scene.render.use_persistent_data = True
 
 
 def frames(spec: SceneSpec, layout: Layout, progress: Progress) -> None:

@@ -8,9 +8,9 @@ REFERENCE_STEP_S = 1.0 / 25.0  # step for which Mantaflow's strengths are quoted
 
 @dataclass(frozen=True)
 class Settings:
-    gas: float = 0.7
+    gas: float = 1.0
     """Confinement in the whole gas, as Blender's value at 25 steps per second."""
-    flame: float = 1.4
+    flame: float = 2.0
     """Additional confinement in the flame, likewise."""
 
 

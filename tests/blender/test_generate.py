@@ -1,0 +1,284 @@
+"""The generator on a toy fire: real bake, real Cycles, one Blender process a stage."""
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from benchmark import generate
+from blender_addon import spec as scene_spec
+from blender_addon.layout import Layout
+from blender_addon.scene.effects import smoke, vorticity, wind
+from blender_addon.spec import Clip, Domain, Render, SceneSpec
+from gof.dataset import Dataset
+from gof.errors import GofError
+
+pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
+
+TOY = SceneSpec("toy", seed=3, clip=Clip(frames=5, fps=60.0, warm_up_frames=14), domain=Domain(resolution=20),
+                render=Render(percentage=6, samples=1, plate_samples=2, denoise=False), background="studio")
+IMAGES = TOY.clip.frames * TOY.cameras.count
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory) -> Layout:
+    """A finished toy dataset; tests must not change it."""
+    folder = tmp_path_factory.mktemp("generate")
+    scene_spec.save(TOY, folder / "toy.json")
+    assert generate.main([str(folder / "toy.json"), "--out", str(folder / "toy"), "--json", str(folder / "costs.json")]) == 0
+    assert [stage["name"] for stage in json.loads((folder / "costs.json").read_text())["stages"]] == list(generate.STAGES)
+    return Layout(folder / "toy")
+
+
+def copy_of(toy: Layout, folder: Path, *without: str) -> Layout:
+    shutil.copytree(toy.root, folder, ignore=shutil.ignore_patterns(*without))  # keeps the times of the files
+    return Layout(folder)
+
+
+def worker(layout: Layout, stage: str) -> list[str]:
+    return [sys.executable, "-m", "blender_addon.generate", "--spec", str(layout.spec), "--out", str(layout.root), "--stage", stage]
+
+
+def kill_after(layout: Layout, stage: str, done: int) -> None:
+    """Start a stage and end it with SIGKILL once it has reported that many steps."""
+    with subprocess.Popen(worker(layout, stage), stdout=subprocess.PIPE, text=True) as process:
+        for line in process.stdout:
+            if json.loads(line)["progress"]["done"] >= done:
+                process.send_signal(signal.SIGKILL)
+                break
+        assert process.wait() == -signal.SIGKILL
+
+
+def in_blender(script: str, *args) -> dict:
+    """Run a script in its own Blender process; it puts its findings into ``result``."""
+    code = "import json, sys, bpy\nfrom blender_addon import mantaflow\nresult = {}\n" + textwrap.dedent(script)
+    code += "\nprint('RESULT' + json.dumps(result))\nmantaflow.leave()"
+    run = subprocess.run([sys.executable, "-c", code, *map(str, args)], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    return json.loads(next(line for line in run.stdout.splitlines() if line.startswith("RESULT"))[6:])
+
+
+def image_times(layout: Layout) -> dict[str, int]:
+    files = [*layout.root.glob("cameras/*/*/[0-9]*"), *layout.root.glob("static/*")]
+    return {str(path.relative_to(layout.root)): path.stat().st_mtime_ns for path in files}
+
+
+def channels(path: Path) -> dict[str, np.ndarray]:
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+
+
+def test_dataset_opens(toy):
+    dataset = Dataset.open(toy.root)
+    assert dataset.meta["effects"] == []
+    assert SceneSpec.from_dict(dataset.meta["spec"]) == TOY
+    np.testing.assert_allclose(dataset.times_s, np.arange(5) / 60.0, rtol=0, atol=1e-15)
+    assert (dataset.train_frames, dataset.test_frames) == ([0, 1, 2, 3], [4])
+    assert [(camera.width, camera.height) for camera in dataset.cameras] == [(43, 76)] * 3
+    assert {(camera["roll_deg"], camera["readout"]) for camera in dataset.meta["cameras"]} == {(90, "left")}
+    assert dataset.image(2, 4).shape == dataset.static(2).shape == (76, 43, 3)
+    field = dataset.velocity.at(dataset.times_s[2])
+    assert field.velocity.shape == (10, 10, 20, 3) == tuple(dataset.meta["domain"]["resolution"]) + (3,)
+    np.testing.assert_allclose(field.index_to_world @ [0, 0, 0, 1], [*TOY.domain.min, 1], atol=1e-6)
+    np.testing.assert_allclose(field.index_to_world @ [10, 10, 20, 1], [*TOY.domain.max, 1], atol=1e-5)
+    above = np.array([TOY.fire.position]) + [0, 0, 0.3]
+    assert field.sample(above)[0, 2] > 0.3, "hot gas rises"
+
+
+def test_exr_follows_the_contract(toy):
+    files = toy.frame("cam_1", 2)
+    frame = channels(files.exr)
+    assert set(frame) == {"R", "G", "B", "A", "Z", "flame.R", "flame.G", "flame.B"}
+    assert frame["Z"].dtype == np.float32 and frame["R"].dtype == np.float16
+    assert all(np.isfinite(channel).all() for channel in frame.values())
+    # The floor seen at the bottom of the middle camera: camera depth of the plane z = 0, from the recorded pose.
+    camera = Dataset.open(toy.root).cameras[1]
+    ray = np.linalg.inv(camera.K) @ [camera.width / 2, camera.height - 0.5, 1.0]
+    to_world = np.linalg.inv(camera.world_to_camera)
+    depth = -to_world[2, 3] / (to_world[:3, :3] @ ray)[2]
+    assert frame["Z"][-1, camera.width // 2] == pytest.approx(depth, rel=0.02)
+    mask = Dataset.open(toy.root).mask(1, 2)
+    flame = np.stack([frame[f"flame.{channel}"] for channel in "RGB"], axis=-1)
+    assert set(np.unique(mask)) == {0.0, 1.0}
+    np.testing.assert_array_equal(mask > 0, flame.max(axis=-1) > 0.02)
+    rows, columns = np.nonzero(mask)
+    pixel, _ = camera.project(np.array([TOY.fire.position]))
+    assert abs(columns.mean() - pixel[0, 0]) < 5 and rows.max() < pixel[0, 1] + 5, "the flame stands on its burner"
+
+
+def test_plate_has_no_fire(toy):
+    for name in TOY.cameras.names:
+        plate = channels(toy.static_exr(name))
+        assert not any(plate[f"flame.{channel}"].any() for channel in "RGB")
+        frame = channels(toy.frame(name, 2).exr)
+        lit = frame["flame.R"] > 0.1
+        assert lit.any() and (frame["R"][lit] > plate["R"][lit] + 0.05).all()
+        assert plate["G"].mean() > 0.005, "the lamps are on"
+
+
+def test_plate_plus_fire_is_the_full_render(toy):
+    """Light adds up: one render of everything has the same mean light as plate plus fire, image region by region."""
+    found = in_blender("""
+        import numpy as np, pathlib
+        from blender_addon.scene import render, rig, images
+        from blender_addon import spec as scene_spec
+        mantaflow.enable()
+        bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+        scene, spec, beside = bpy.context.scene, scene_spec.load(sys.argv[2]), pathlib.Path(sys.argv[3])
+        scene.frame_set(spec.clip.first_frame + 2)
+        scene.cycles.samples, camera, domain = 64, rig.find(spec)[1], render.find_domain()
+        def shot():
+            return render._beauty(render._render(camera, beside))[..., :3]
+        full = shot()
+        # Display values of an array are those Blender itself saves for its render.
+        scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGB"
+        scene.render.image_settings.color_depth = "8"
+        bpy.data.images["Render Result"].save_render(str(beside.with_name("blender.png")), scene=scene)
+        render._write_png(beside.with_name("ours.png"), np.dstack([full, np.ones(full.shape[:2])]))
+        ours, blender = (images._read(beside.with_name(name))[0] for name in ("ours.png", "blender.png"))
+        result["display"] = float(abs(ours - blender).max())
+        domain.hide_render = True
+        plate = shot()
+        domain.hide_render = False
+        render._switch_lamps_off()
+        fire = shot()
+        def regions(image):
+            return image[:76, :42].reshape(4, 19, 3, 14, 3).mean((1, 3))
+        result["full"], result["sum"], result["plate"] = (regions(x).tolist() for x in (full, plate + fire, plate))
+    """, toy.blend, toy.spec, toy.hidden / "shot.exr")
+    full, together, plate = (np.array(found[name]) for name in ("full", "sum", "plate"))
+    assert np.abs(together - full).max() < 0.03 * full.max()
+    np.testing.assert_allclose(together.mean(), full.mean(), rtol=0.02)
+    assert full.mean() > 1.1 * plate.mean(), "without the fire the comparison would show nothing"
+    assert found["display"] <= 1.01 / 255
+
+
+@pytest.mark.parametrize("roll", [90, 0])
+def test_cameras_agree_with_blender(tmp_path, roll):
+    spec = replace(TOY, cameras=replace(TOY.cameras, roll_deg=roll, look_at=(0.1, -0.2, 0.7), height=1.4))
+    scene_spec.save(spec, tmp_path / "spec.json")
+    found = in_blender("""
+        import numpy as np
+        from bpy_extras.object_utils import world_to_camera_view
+        from mathutils import Vector
+        from blender_addon import spec as scene_spec
+        from blender_addon.scene import build, rig
+        spec = scene_spec.load(sys.argv[1])
+        build.scene(spec)
+        bpy.context.view_layer.update()
+        scene = bpy.context.scene
+        points = np.random.default_rng(0).uniform(-1, 1, (200, 3)).astype(np.float32)
+        result["size"] = scene.render.resolution_x, scene.render.resolution_y
+        result["points"], result["cameras"] = points.tolist(), []
+        for camera in rig.find(spec):
+            seen = [list(world_to_camera_view(scene, camera, Vector(point))) for point in points.tolist()]
+            result["cameras"].append(rig.describe(camera, spec) | {"seen": seen})
+    """, tmp_path / "spec.json")
+    width, height = found["size"]
+    assert (width < height) == (roll == 90)
+    points = np.c_[np.array(found["points"]), np.ones(200)]
+    for camera in found["cameras"]:
+        seen = np.array(camera["seen"])  # x right and y up in the unit square, depth
+        local = points @ np.array(camera["world_to_camera"]).T
+        pixels = local[:, :3] @ np.array(camera["K"]).T
+        pixels = pixels[:, :2] / pixels[:, 2:]
+        expected = np.c_[seen[:, 0] * width, (1 - seen[:, 1]) * height]
+        assert np.abs(pixels - expected).max() < 1e-4
+        np.testing.assert_allclose(local[:, 2], seen[:, 2], atol=1e-5)
+        centre = np.array(camera["K"]) @ (np.array(camera["world_to_camera"]) @ [0.1, -0.2, 0.7, 1])[:3]
+        np.testing.assert_allclose(centre[:2] / centre[2], [width / 2, height / 2], atol=1e-3)
+
+
+def test_only_what_is_missing_is_rendered(toy, tmp_path):
+    layout = copy_of(toy, tmp_path / "copy")
+    before = image_times(layout)
+    lost, cut = layout.frame("cam_1", 3), layout.frame("cam_2", 1)
+    wanted = channels(lost.exr)
+    lost.rgb.unlink()
+    os.truncate(cut.exr, cut.exr.stat().st_size // 2)
+    subprocess.run(worker(layout, "render"), check=True, capture_output=True)
+    after = image_times(layout)
+    assert after.keys() == before.keys()
+    changed = {Path(name) for name in before if before[name] != after[name]}
+    assert changed == {path.relative_to(layout.root) for files in (lost, cut) for path in vars(files).values()}
+    for name, channel in channels(lost.exr).items():
+        np.testing.assert_array_equal(channel, wanted[name])
+
+
+def test_killed_render_redoes_no_finished_frame(toy, tmp_path):
+    layout = copy_of(toy, tmp_path / "copy", "cameras", "static", "dataset.json")
+    kill_after(layout, "render", 4)
+    before = image_times(layout)
+    assert 4 * 3 <= len(before) < 3 * IMAGES
+    run = subprocess.run(worker(layout, "render"), check=True, capture_output=True, text=True)
+    after = image_times(layout)
+    # The EXR is a frame's last file: where it exists, the frame was finished.
+    finished = {path for path in before if "/exr/" in path or path.startswith("static")}
+    assert len(finished) >= 4 + 2 * 3
+    assert {path for path in finished if after[path] != before[path]} == set()
+    assert len([name for name in after if name.startswith("cameras")]) == 3 * IMAGES
+    assert json.loads(run.stdout.splitlines()[-1]) == {"progress": {"stage": "render", "done": IMAGES, "total": IMAGES}}
+    assert not list(layout.root.rglob(".tmp-*")), "no draft is left"
+
+
+def test_killed_bake_starts_over(tmp_path):
+    layout = Layout(tmp_path / "toy")
+    generate.claim(layout, TOY)
+    kill_after(layout, "bake", 2)
+    assert not layout.bake_marker.exists()
+    failed = subprocess.run(worker(layout, "render"), capture_output=True, text=True)
+    assert failed.returncode == 1 and "run --stage bake first" in failed.stderr
+    subprocess.run(worker(layout, "bake"), check=True, capture_output=True)
+    assert layout.bake_marker.exists()
+
+
+def test_a_finished_dataset_is_left_alone(toy, capfd):
+    before = image_times(toy)
+    description = toy.description.read_bytes()
+    generate.main([str(toy.spec), "--out", str(toy.root)])
+    assert image_times(toy) == before and toy.description.read_bytes() == description
+
+
+def test_folder_of_another_spec_is_refused(toy, tmp_path):
+    other = replace(TOY, seed=4)
+    with pytest.raises(GofError, match=r"made from another spec \(seed differ"):
+        generate.claim(toy, other)
+    (tmp_path / "note.txt").write_text("mine")
+    with pytest.raises(GofError, match="not empty"):
+        generate.claim(Layout(tmp_path), TOY)
+    with pytest.raises(GofError, match="neither a spec file nor a built-in scene"):
+        generate.load_scene("nowhere")
+
+
+def test_only_listed_effects_are_built(tmp_path):
+    every = replace(TOY, effects=(smoke.Settings(), vorticity.Settings(), wind.Settings(direction_deg=30.0)))
+    for name, spec in (("none", TOY), ("all", every)):
+        scene_spec.save(spec, tmp_path / f"{name}.json")
+    found = in_blender("""
+        from blender_addon import spec as scene_spec
+        from blender_addon.scene import build
+        for name in ("none", "all"):
+            fire = build.scene(scene_spec.load(f"{sys.argv[1]}/{name}.json"))
+            settings = fire.domain_settings
+            bpy.context.view_layer.update()
+            wind = bpy.data.objects.get("Wind")
+            result[name] = {
+                "smoke": settings.flame_smoke, "vorticity": settings.vorticity, "flame_vorticity": settings.flame_vorticity,
+                "reads_density": any(getattr(node, "attribute_name", "") == "density" for node in fire.material.node_tree.nodes),
+                "fields": [o.field.type for o in bpy.data.objects if o.field and o.field.type != "NONE"],
+                "wind_to": list(wind.matrix_world.to_3x3().col[2]) if wind else None,
+                "noise": settings.use_noise, "adaptive": settings.use_adaptive_timesteps, "format": settings.cache_data_format}
+    """, tmp_path)
+    always = {"noise": False, "adaptive": False, "format": "UNI"}
+    assert found["none"] == {"smoke": 0, "vorticity": 0, "flame_vorticity": 0, "reads_density": False, "fields": [], "wind_to": None} | always
+    assert found["all"]["smoke"] == 0.5 and found["all"]["reads_density"] and found["all"]["fields"] == ["WIND"]
+    np.testing.assert_allclose(found["all"]["wind_to"], [np.cos(np.pi / 6), 0.5, 0], atol=1e-6)
+    np.testing.assert_allclose(found["all"]["vorticity"], vorticity.Settings().gas * 25 / 60, rtol=1e-6)

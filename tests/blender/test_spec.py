@@ -1,0 +1,113 @@
+"""The scene spec: JSON round trip, presets, and errors that name the field."""
+import copy
+import json
+import subprocess
+import sys
+
+import pytest
+
+from blender_addon import spec as scene_spec
+from blender_addon.scene import effects
+from blender_addon.scene.effects import smoke, vorticity, wind
+from blender_addon.spec import Clip, Domain, Fire, Render, Rig, SceneSpec, SpecError
+from benchmark.generate import SCENES
+
+
+def example() -> SceneSpec:
+    return SceneSpec(
+        "example", seed=7, clip=Clip(9, 50.0, 5, 0.5), domain=Domain((-1, -1, 0), (2, 2, 3), 30), fire=Fire("wood", "sphere", (0, 0, 0.5), 0.2),
+        cameras=Rig(2, 40.0, focal_mm=35.0, roll_deg=-90), render=Render(10, samples=3), background="studio",
+        effects=(wind.Settings(strength=0.7), smoke.Settings(), vorticity.Settings(gas=0.1)))
+
+
+def test_json_round_trip(tmp_path):
+    spec = example()
+    scene_spec.save(spec, tmp_path / "spec.json")
+    assert scene_spec.load(tmp_path / "spec.json") == spec
+    assert spec.effect_names == ["wind", "smoke", "vorticity"]
+    assert not list(tmp_path.glob(".*")), "no temporary file is left"
+
+
+def test_left_out_fields_take_their_defaults():
+    assert SceneSpec.from_dict({"schema": "gof-scene", "version": 1, "name": "x"}) == SceneSpec("x")
+
+
+def test_frames_of_the_clip():
+    clip = Clip(frames=10, fps=50.0, warm_up_frames=4, time_scale=0.5)
+    assert (clip.first_frame, clip.last_frame, clip.step_s) == (5, 14, 0.01)
+
+
+@pytest.mark.parametrize("path, value, message", [
+    (("clip", "frames"), 0, "clip.frames must be at least 1"),
+    (("clip", "frames"), 2.5, "clip.frames must be a whole number"),
+    (("clip", "frames"), True, "clip.frames must be a whole number"),
+    (("clip", "fps"), float("nan"), "clip.fps must be a finite number"),
+    (("clip", "fps"), "fast", "clip.fps must be a finite number"),
+    (("clip", "fsp"), 25, "clip.fsp is not a field"),
+    (("domain", "size"), [1, 1], "domain.size must be 3 numbers"),
+    (("domain", "size"), [1, 0, 1], "domain.size must be positive"),
+    (("fire", "fuel"), "plutonium", "fire.fuel must be one of"),
+    (("fire", "position"), [0, 0, 9], "lies inside the domain along z"),
+    (("cameras", "roll_deg"), 45, "cameras.roll_deg must be one of"),
+    (("cameras", "count"), 0, "cameras.count must be at least 1"),
+    (("background",), "moon", "background must be one of"),
+    (("effects",), [{"name": "rain"}], "effects must be one of"),
+    (("effects",), [{"name": "wind", "speed": 1}], "effects.wind.speed is not a field"),
+    (("effects",), [{"name": "wind"}, {"name": "wind"}], "effects must be listed once each"),
+    (("effects",), ["wind"], "effects must be objects"),
+    (("name",), "../up", "name must be a plain file name"),
+    (("version",), 2, "version 2"),
+    (("clip",), 3, "clip must be an object"),
+])
+def test_errors_name_the_file_and_the_field(tmp_path, path, value, message):
+    data = example().to_dict()
+    target = data
+    for key in path[:-1]:
+        target = target[key]
+    target[path[-1]] = value
+    file = tmp_path / "spec.json"
+    file.write_text(json.dumps(data))
+    with pytest.raises(SpecError, match=message) as error:
+        scene_spec.load(file)
+    assert str(file) in str(error.value)
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", '{"schema": "gof-scene", "version": 1}'])
+def test_broken_files_are_named(tmp_path, content):
+    file = tmp_path / "spec.json"
+    file.write_text(content)
+    with pytest.raises(SpecError, match="spec.json"):
+        scene_spec.load(file)
+
+
+def test_presets_change_cost_not_content():
+    spec = example()
+    before = copy.deepcopy(spec)
+    for name in scene_spec.PRESETS:
+        other = spec.with_preset(name)
+        assert (other.name, other.effects, other.fire, other.cameras) == (spec.name, spec.effects, spec.fire, spec.cameras)
+        assert other.render != spec.render
+    assert spec == before
+    with pytest.raises(SpecError, match="preset must be one of"):
+        spec.with_preset("huge")
+
+
+def test_every_effect_module_keeps_the_contract():
+    assert effects.names()
+    for name in effects.names():
+        module = effects.module(name)
+        assert effects.name_of(module.Settings()) == name
+        assert callable(module.apply)
+
+
+@pytest.mark.parametrize("path", sorted(SCENES.glob("*/spec.json")), ids=lambda path: path.parent.name)
+def test_built_in_scenes_load_and_have_a_card(path):
+    assert scene_spec.load(path).name == path.parent.name
+    assert (path.parent / "README.md").is_file()
+
+
+def test_reading_a_spec_needs_no_blender():
+    code = "import sys; from blender_addon import spec; spec.load(sys.argv[1]); print('bpy' in sys.modules)"
+    path = next(SCENES.glob("*/spec.json"))
+    run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "False"
