@@ -51,6 +51,12 @@ if BACKEND == "llvm":
     _tune_llvm(lanes=256)
 
 
+def frozen(function):
+    """Record a function of arrays and integers once per set of integers and replay its kernels afterwards, at any array
+    size: tracing the blend and loss kernels in Python costs milliseconds per step otherwise. Arrays must be in memory."""
+    return dr.freeze(function, warn_after=1000)
+
+
 def opaque(value: float) -> Float:
     """A scalar that the kernels read from memory, so that a new value does not compile a new kernel."""
     return dr.opaque(Float, float(value))

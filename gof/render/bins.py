@@ -45,17 +45,23 @@ class Footprints:
 
 
 @dataclass
-class Bins:
-    """Pairs of one band sorted by block. Blocks are numbered from the band's first."""
+class Lists:
+    """What the blend kernels read of a band: arrays only. Blocks are numbered from the band's first."""
 
-    pairs: int          # M
-    gaussian: UInt      # (M,) index of the Gaussian; one unused entry when there is no pair
+    gaussian: UInt      # (M,) index of the Gaussian, by block, front to back; one unused entry when there is no pair
     start: UInt         # (B,) first pair of block b
     end: UInt           # (B,)
     order: UInt         # (B,) blocks from longest to shortest list: neighbouring lanes do equal work
-    first_row: int      # of the band
-    columns: int        # blocks per row
-    slot: UInt          # (M,) place of the sorted pair in Gaussian-major order
+    first_row: UInt     # (1,) of the band
+
+
+@dataclass
+class Bins:
+    """One band."""
+
+    pairs: int          # M
+    lists: Lists
+    slot: UInt          # (M,) place of each pair in Gaussian-major order
     segment: UInt       # (N,) first Gaussian-major pair of each Gaussian, by depth rank
     segment_end: UInt
 
@@ -174,7 +180,8 @@ def _sort(block: UInt, gaussian: UInt, segment: UInt, segment_end: UInt, f: Foot
     dr.scatter(end, i + 1, sorted_block, (i == last) | (following != sorted_block), mode=dr.ReduceMode.NoConflicts)
     shortness = 2047 - dr.minimum(end - start, 2047)
     order = dr.detail.block_mkperm(shortness, n_blocks, 2048)
-    return Bins(n, sorted_gaussian, start, end, order, first_row, f.columns, slot, segment, segment_end)
+    dr.eval(start, end)
+    return Bins(n, Lists(sorted_gaussian, start, end, order, dr.opaque(UInt, first_row)), slot, segment, segment_end)
 
 
 def _empty(f: Footprints, first_row: int, end_row: int) -> Bins:
@@ -182,4 +189,6 @@ def _empty(f: Footprints, first_row: int, end_row: int) -> Bins:
     empty = [dr.zeros(UInt, k) for k in (1, n, n, 1, g, g)]
     dr.make_opaque(empty)     # memory, as in the usual case: the same kernels run
     gaussian, start, end, slot, segment, segment_end = empty
-    return Bins(0, gaussian, start, end, dr.arange(UInt, n), first_row, f.columns, slot, segment, segment_end)
+    order = dr.arange(UInt, n)
+    dr.make_opaque(order)
+    return Bins(0, Lists(gaussian, start, end, order, dr.opaque(UInt, first_row)), slot, segment, segment_end)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import drjit as dr
 
-from gof.render.backend import Array4f, Float, UInt
-from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Footprints, bin_band, plan_bands
+from gof.render.backend import Array4f, Float, Int, UInt, frozen
+from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Footprints, Lists, bin_band, plan_bands
 
 MAX_ALPHA = 0.99            # 1 - alpha stays >= 0.01, so the adjoint's division by it loses at most two digits
 MIN_TRANSMITTANCE = 1e-4    # a pixel whose transmittance would fall below this stops before that Gaussian
@@ -55,7 +55,7 @@ class _Blend(dr.CustomOp):
         self.planes = [dr.empty(Float, shapes.rows * shapes.columns * BLOCK * BLOCK) for _ in range(self.n_channels + 1)]
         for band in self.bands:
             bins = bin_band(shapes, *band)
-            _forward(self.records, self.n_channels, bins, self.planes)
+            _forward(self.records, bins.lists, self.planes, self.n_channels, shapes.columns)
             trace.pairs += bins.pairs
         trace.bands = len(self.bands)
         self.bins = bins if len(self.bands) == 1 else None      # several bands: binned again in the backward pass
@@ -67,15 +67,15 @@ class _Blend(dr.CustomOp):
         flat = None
         for band in self.bands:
             bins = self.bins or bin_band(self.shapes, *band)
+            args = (self.records, bins.lists, self.planes, grads, self.n_channels, self.shapes.columns)
             if self.deterministic:
                 out = dr.zeros(Float, max(bins.pairs, 1) * 4 * quads)
-                _backward(self.records, self.n_channels, bins, self.planes, grads, out, by_pair=True)
+                _backward(*args, out, bins.slot)
                 out = _sum_segments(out, bins, self.shapes.order, quads)
-                flat = out if flat is None else flat + out
-                dr.eval(flat)
             else:
-                flat = dr.zeros(Float, _capacity(self.n) * 4 * quads) if flat is None else flat
-                _backward(self.records, self.n_channels, bins, self.planes, grads, flat, by_pair=False)
+                out = _gradient(*args, _capacity(self.n) * 4 * quads)
+            flat = out if flat is None else flat + out
+            dr.eval(flat)
         lane = dr.arange(UInt, self.n) * (4 * quads)
         columns = [dr.gather(Float, flat, lane + k) for k in range(GEOMETRY + self.n_channels)]
         dr.eval(columns)
@@ -110,12 +110,9 @@ def _capacity(n: int) -> int:
     return -(-n // step) * step
 
 
-def _fetch(records: Float, gaussian: UInt, n_columns: int, active) -> list[Float]:
+def _fetch(records: Float, gaussian: UInt, n_columns: int) -> list[Float]:
     quads = stride(n_columns) // 4
-    out = []
-    for q in range(quads):
-        out += list(dr.gather(Array4f, records, gaussian * quads + q, active))
-    return out[:n_columns]
+    return [v for q in range(quads) for v in dr.gather(Array4f, records, gaussian * quads + q)][:n_columns]
 
 
 def _as_plane(gradient: Float, size: int) -> Float:
@@ -124,14 +121,13 @@ def _as_plane(gradient: Float, size: int) -> Float:
     return gradient
 
 
-def _lanes(bins: Bins):
-    """(block, its list, pixel centre of its first pixel, index of its first 4-pixel row in a plane)."""
-    block = UInt(bins.order)
-    start, end = dr.gather(UInt, bins.start, block), dr.gather(UInt, bins.end, block)
-    columns = bins.columns
+def _lanes(lists: Lists, columns: int):
+    """Per lane: first and end pair of its block, centre of the block's first pixel, its four 4-pixel rows in a plane."""
+    block = UInt(lists.order)
+    start, end = dr.gather(UInt, lists.start, block), dr.gather(UInt, lists.end, block)
     by = block // columns
     bx = block - by * columns
-    by += dr.opaque(UInt, bins.first_row)
+    by += lists.first_row
     x, y = Float(bx * BLOCK) + 0.5, Float(by * BLOCK) + 0.5
     return start, end, x, y, [(by * BLOCK + j) * columns + bx for j in range(BLOCK)]
 
@@ -149,38 +145,59 @@ def _log2_alpha(record: list[Float], x: Float, y: Float) -> tuple[list[Float], l
     return out, dx, dy
 
 
-def _forward(records: Float, n_channels: int, bins: Bins, planes: list[Float]) -> None:
-    """Draw one band into the planes."""
-    start, end, x, y, plane_rows = _lanes(bins)
-    n_columns = GEOMETRY + n_channels
+def _exp2(x: Float) -> Float:
+    """2^x for x in [-8, 0], relative error 2e-7; anything below -8 gives a value that the caller masks.
 
-    # T holds the transmittance; its sign bit is set once the pixel has stopped, which saves a mask per pixel.
-    def running(i, T, acc):
-        alive = T[0] > 0
-        for t in T[1:]:
-            alive |= t > 0
-        return (i < end) & alive
+    Adding 1.5 * 2^23 rounds x to an integer in the low mantissa bits, which are then added to the exponent.
+    """
+    rounded = x + 12582912.0
+    r = x - (rounded - 12582912.0)
+    value = Float(0.0013333558)
+    for c in (0.0096181291, 0.0555041087, 0.2402265070, 0.6931471806, 1.0):
+        value = dr.fma(r, value, c)
+    return dr.reinterpret_array(Float, dr.reinterpret_array(Int, value) + (dr.reinterpret_array(Int, rounded) << 23))
+
+
+def _absorb(log2_alpha: Float, T: Float) -> tuple[Float, Float, Float]:
+    """(alpha, 0 where the pixel does not blend it; weight T alpha; transmittance after it) for one pixel.
+
+    The sign bit of the transmittance is set once the pixel has stopped, which saves a mask per pixel.
+    """
+    alpha = dr.select(log2_alpha >= -LOG2_255, dr.minimum(_exp2(log2_alpha), MAX_ALPHA), 0.0)
+    before = dr.maximum(T, 0.0)
+    rest = dr.fma(-before, alpha, before)
+    stops = rest < MIN_TRANSMITTANCE
+    alpha = dr.select(stops, 0.0, alpha)
+    return alpha, before * alpha, dr.select(stops, -dr.abs(T), rest)
+
+
+def _more(i: UInt, end: UInt, T: list[Float]):
+    """Lanes with Gaussians left and a pixel that has not stopped."""
+    largest = T[0]
+    for t in T[1:]:
+        largest = dr.maximum(largest, t)
+    return (i < end) & (largest > 0)
+
+
+@frozen
+def _forward(records: Float, lists: Lists, planes: list[Float], n_channels: int, columns: int) -> None:
+    """Draw one band into the planes."""
+    start, end, x, y, plane_rows = _lanes(lists, columns)
 
     def step(i, T, acc):
-        gaussian = dr.gather(UInt, bins.gaussian, i)
-        record = _fetch(records, gaussian, n_columns, True)
+        record = _fetch(records, dr.gather(UInt, lists.gaussian, i), GEOMETRY + n_channels)
         log2_alpha, _, _ = _log2_alpha(record, x, y)
         T_out, acc_out = [], [[] for _ in range(n_channels)]
         for k in range(16):
-            alpha = dr.minimum(dr.exp2(log2_alpha[k]), MAX_ALPHA)
-            drawn = (log2_alpha[k] >= -LOG2_255) & (T[k] > 0)
-            w = T[k] * alpha
-            rest = T[k] - w
-            stops = rest < MIN_TRANSMITTANCE
-            w = dr.select(drawn & ~stops, w, 0)
-            T_out.append(dr.select(drawn, dr.select(stops, -T[k], rest), T[k]))
+            _, w, rest = _absorb(log2_alpha[k], T[k])
+            T_out.append(rest)
             for ch in range(n_channels):
                 acc_out[ch].append(dr.fma(w, record[GEOMETRY + ch], acc[ch][k]))
         return i + 1, T_out, acc_out
 
     T = [Float(1) for _ in range(16)]
     acc = [[Float(0) for _ in range(16)] for _ in range(n_channels)]
-    _, T, acc = dr.while_loop((UInt(start), T, acc), running, step, labels=("i", "T", "acc"))
+    _, T, acc = dr.while_loop((UInt(start), T, acc), lambda i, T, acc: _more(i, end, T), step, labels=("i", "T", "acc"))
 
     values = [*acc, [1 - dr.abs(t) for t in T]]
     for plane, value in zip(planes, values, strict=True):
@@ -189,15 +206,23 @@ def _forward(records: Float, n_channels: int, bins: Bins, planes: list[Float]) -
     dr.eval(planes)
 
 
-def _backward(records: Float, n_channels: int, bins: Bins, planes: list[Float], grads: list[Float], out: Float,
-              by_pair: bool) -> None:
-    """Add one band's gradient records to `out`, per Gaussian, or write them per pair in Gaussian-major order.
+@frozen
+def _gradient(records: Float, lists: Lists, planes: list[Float], grads: list[Float], n_channels: int, columns: int, size: int) -> Float:
+    """Gradient records per Gaussian, summed in any order. `size` is compiled into expand-mode scatters."""
+    out = dr.zeros(Float, size)
+    _backward(records, lists, planes, grads, n_channels, columns, out, None)
+    return out
+
+
+def _backward(records: Float, lists: Lists, planes: list[Float], grads: list[Float], n_channels: int, columns: int,
+              out: Float, slot: UInt | None) -> None:
+    """Add one band's gradient records to `out` per Gaussian, or with `slot` write them per pair in Gaussian-major order.
 
     Replays the forward pass front to back. With v_i = sum_c g_c channel_ic + g_alpha and S_i = sum_{k > i} w_k v_k:
     dL/dalpha_i = T_i v_i - S_i / (1 - alpha_i). S starts at the whole sum, known from the forward planes, and shrinks by
     w_i v_i. Nothing divides by T or by opacity.
     """
-    start, end, x, y, plane_rows = _lanes(bins)
+    start, end, x, y, plane_rows = _lanes(lists, columns)
     n_columns = GEOMETRY + n_channels
     quads = stride(n_columns) // 4
 
@@ -208,48 +233,36 @@ def _backward(records: Float, n_channels: int, bins: Bins, planes: list[Float], 
     totals = [load(p) for p in planes]
     suffix = [sum(g[ch][k] * totals[ch][k] for ch in range(n_channels + 1)) for k in range(16)]
 
-    def running(i, T, S):
-        alive = T[0] > 0
-        for t in T[1:]:
-            alive |= t > 0
-        return (i < end) & alive
-
     def step(i, T, S):
-        gaussian = dr.gather(UInt, bins.gaussian, i)
-        record = _fetch(records, gaussian, n_columns, True)
+        gaussian = dr.gather(UInt, lists.gaussian, i)
+        record = _fetch(records, gaussian, n_columns)
         log2_alpha, dx, dy = _log2_alpha(record, x, y)
         T_out, S_out, d_log2 = [], [], []
         d_channel = [Float(0) for _ in range(n_channels)]
         for k in range(16):
-            raw = dr.exp2(log2_alpha[k])
-            alpha = dr.minimum(raw, MAX_ALPHA)
-            drawn = (log2_alpha[k] >= -LOG2_255) & (T[k] > 0)
-            w = T[k] * alpha
-            rest = T[k] - w
-            stops = rest < MIN_TRANSMITTANCE
-            blended = drawn & ~stops
-            w = dr.select(blended, w, 0)
+            alpha, w, rest = _absorb(log2_alpha[k], T[k])
             v = g[n_channels][k]
             for ch in range(n_channels):
                 v = dr.fma(g[ch][k], record[GEOMETRY + ch], v)
                 d_channel[ch] = dr.fma(w, g[ch][k], d_channel[ch])
-            s = S[k] - w * v
-            d_alpha = T[k] * v - s * dr.rcp(1 - alpha)
-            d_log2.append(dr.select(blended & (raw < MAX_ALPHA), alpha * d_alpha, 0))
-            T_out.append(dr.select(drawn, dr.select(stops, -T[k], rest), T[k]))
+            wv = w * v
+            s = S[k] - wv
+            # alpha dL/dalpha; 0 where alpha is 0 without a mask, and by choice where alpha was clamped.
+            d_log2.append(dr.select(alpha < MAX_ALPHA, dr.fma(-s, alpha * dr.rcp(1 - alpha), wv), 0.0))
+            T_out.append(rest)
             S_out.append(s)
         gradient = _geometry_gradient(record, dx, dy, d_log2) + d_channel
         gradient += [Float(0)] * (4 * quads - len(gradient))
         for q in range(quads):
             value = Array4f(*gradient[4 * q:4 * q + 4])
-            if by_pair:
-                dr.scatter(out, value, dr.gather(UInt, bins.slot, i) * quads + q, mode=dr.ReduceMode.NoConflicts)
+            if slot is not None:
+                dr.scatter(out, value, dr.gather(UInt, slot, i) * quads + q, mode=dr.ReduceMode.NoConflicts)
             else:
                 dr.scatter_add(out, value, gaussian * quads + q, mode=dr.ReduceMode.Expand)
         return i + 1, T_out, S_out
 
     T = [Float(1) for _ in range(16)]
-    dr.while_loop((UInt(start), T, suffix), running, step, labels=("i", "T", "S"))
+    dr.while_loop((UInt(start), T, suffix), lambda i, T, S: _more(i, end, T), step, labels=("i", "T", "S"))
     dr.eval(out)
 
 

@@ -11,7 +11,7 @@ import drjit as dr
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.render.backend import Array4f, Float, UInt, floats
+from gof.render.backend import Array4f, Float, UInt, floats, frozen
 from gof.render.reference import gaussian_window
 
 C1, C2 = 0.01**2, 0.03**2
@@ -41,18 +41,31 @@ class Target:
             raise DataFormatError(f"target mask has shape {weight.shape} and sum {weight.sum():g}; expected {image.shape[:2]}, > 0")
         self.quads = -(-self.width // 4)
         pad = ((0, 0), (0, 4 * self.quads - self.width))
-        self.weight = floats(np.pad(weight / (weight.sum() * self.channels), pad))
-        self.image = floats(np.pad(image.transpose(2, 0, 1), ((0, 0), *pad)))
-        grid = _Grid(self)
-        rows = _blur_rows(grid, lambda q, on: _moments(_load(self.image, q, on)), 2)
-        self.mu, self.square = _empty(self.image, 2)
+        weight = floats(np.pad(weight / (weight.sum() * self.channels), pad))
+        y = floats(np.pad(image.transpose(2, 0, 1), ((0, 0), *pad)))
+        self.grid = (self.channels, self.height, self.quads)
+        self.arrays = (y, weight, *_blurred_moments(y, self.grid))
 
-        def keep(q, on, maps):
-            for plane, value in zip((self.mu, self.square), maps, strict=True):
-                _store(plane, value, q, on)
-            return Float(0)
 
-        dr.eval(_blur_columns(grid, rows, keep), self.mu, self.square)
+@frozen
+def _blurred_moments(y: Float, grid: tuple) -> list[Float]:
+    """Windowed E[y] and E[y^2]."""
+    grid = _Grid(*grid)
+
+    def moments(q, on):
+        a = _load(y, q, on)
+        return [a, [v * v for v in a]]
+
+    rows = _blur_rows(grid, moments, 2)
+    out = _empty(y, 2)
+
+    def keep(q, on, maps):
+        for plane, value in zip(out, maps, strict=True):
+            _store(plane, value, q, on)
+        return Float(0)
+
+    dr.eval(_blur_columns(grid, rows, keep), out)
+    return out
 
 
 def l1_ssim(image: list[Float], target: Target | np.ndarray, ssim_weight: float = 0.2) -> Float:
@@ -79,58 +92,72 @@ class _L1SSIM(dr.CustomOp):
     def eval(self, image, target, ssim_weight):
         self.target, self.ssim_weight = target, ssim_weight
         self.image = _stack(image, target)
-        x, y = self.image, target.image
-
-        def moments(q, on):
-            a, b = _load(x, q, on), _load(y, q, on)
-            return [a, [v * v for v in a], [v * w for v, w in zip(a, b, strict=True)]]
-
-        grid = _Grid(target)
-        rows = _blur_rows(grid, moments, 3)
-        self.partials = _empty(x, 3)
-
-        def score(q, on, maps):
-            total = Float(0)
-            weight = _load(target.weight, grid.weight_quad(q), on)
-            a, b, mu, square = (_load(v, q, on) for v in (x, y, target.mu, target.square))
-            out = [[], [], []]
-            for k in range(4):
-                ssim, partials = _ssim(maps[0][k], maps[1][k], maps[2][k], mu[k], square[k])
-                w = weight[k] * ssim_weight
-                total += w * (1 - ssim) + (weight[k] - w) * dr.abs(a[k] - b[k])
-                for column, p in zip(out, partials, strict=True):
-                    column.append(-w * p)
-            for plane, value in zip(self.partials, out, strict=True):
-                _store(plane, value, q, on)
-            return total
-
-        lanes = _blur_columns(grid, rows, score)
-        dr.eval(lanes, self.partials)
-        return dr.sum(lanes)
+        loss, self.partials = _forward(self.image, *target.arrays, ssim_weight, target.grid)
+        return loss
 
     def backward(self):
-        target, x, y = self.target, self.image, self.target.image
-        grid, upstream = _Grid(target), self.grad_out()
+        upstream = Float(self.grad_out())
         dr.make_opaque(upstream)
-        rows = _blur_rows(grid, lambda q, on: [_load(p, q, on) for p in self.partials], 3)
-        gradient, = _empty(x, 1)
-
-        def combine(q, on, maps):
-            weight = _load(target.weight, grid.weight_quad(q), on)
-            a, b = _load(x, q, on), _load(y, q, on)
-            out = []
-            for k in range(4):
-                sign = dr.select(a[k] > b[k], Float(1), dr.select(a[k] < b[k], Float(-1), Float(0)))
-                smooth = maps[0][k] + 2 * a[k] * maps[1][k] + b[k] * maps[2][k]
-                out.append(upstream * (smooth + weight[k] * (1 - self.ssim_weight) * sign))
-            _store(gradient, out, q, on)
-            return Float(0)
-
-        dr.eval(_blur_columns(grid, rows, combine), gradient)
-        self.set_grad_in("image", _unstack(gradient, target))
+        x, weight = self.target.arrays[0], self.target.arrays[1]
+        gradient = _backward(self.image, x, weight, self.partials, self.ssim_weight, upstream, self.target.grid)
+        self.set_grad_in("image", _unstack(gradient, self.target))
 
     def name(self):
         return "l1_ssim"
+
+
+@frozen
+def _forward(x: Float, y: Float, weights: Float, mu: Float, square: Float, ssim_weight: Float, grid: tuple) -> tuple:
+    """Loss, and its derivatives with respect to the local moments E[x], E[x^2], E[xy]."""
+    grid = _Grid(*grid)
+
+    def moments(q, on):
+        a, b = _load(x, q, on), _load(y, q, on)
+        return [a, [v * v for v in a], [v * w for v, w in zip(a, b, strict=True)]]
+
+    rows = _blur_rows(grid, moments, 3)
+    partial_planes = _empty(x, 3)
+
+    def score(q, on, maps):
+        total = Float(0)
+        weight = _load(weights, grid.weight_quad(q), on)
+        a, b, mu_y, square_y = (_load(v, q, on) for v in (x, y, mu, square))
+        out = [[], [], []]
+        for k in range(4):
+            ssim, partials = _ssim(maps[0][k], maps[1][k], maps[2][k], mu_y[k], square_y[k])
+            w = weight[k] * ssim_weight
+            total += w * (1 - ssim) + (weight[k] - w) * dr.abs(a[k] - b[k])
+            for column, p in zip(out, partials, strict=True):
+                column.append(-w * p)
+        for plane, value in zip(partial_planes, out, strict=True):
+            _store(plane, value, q, on)
+        return total
+
+    lanes = _blur_columns(grid, rows, score)
+    dr.eval(lanes, partial_planes)
+    return dr.sum(lanes), partial_planes
+
+
+@frozen
+def _backward(x: Float, y: Float, weights: Float, partials: list[Float], ssim_weight: Float, upstream: Float, grid: tuple) -> Float:
+    """Gradient of every stacked pixel: blurred partials chained to x, plus the sign of L1."""
+    grid = _Grid(*grid)
+    rows = _blur_rows(grid, lambda q, on: [_load(p, q, on) for p in partials], 3)
+    gradient, = _empty(x, 1)
+
+    def combine(q, on, maps):
+        weight = _load(weights, grid.weight_quad(q), on)
+        a, b = _load(x, q, on), _load(y, q, on)
+        out = []
+        for k in range(4):
+            sign = dr.select(a[k] > b[k], Float(1), dr.select(a[k] < b[k], Float(-1), Float(0)))
+            smooth = maps[0][k] + 2 * a[k] * maps[1][k] + b[k] * maps[2][k]
+            out.append(upstream * (smooth + weight[k] * (1 - ssim_weight) * sign))
+        _store(gradient, out, q, on)
+        return Float(0)
+
+    dr.eval(_blur_columns(grid, rows, combine), gradient)
+    return gradient
 
 
 def _ssim(mu_x, square_x, product, mu_y, square_y) -> tuple[Float, list[Float]]:
@@ -147,14 +174,14 @@ def _ssim(mu_x, square_x, product, mu_y, square_y) -> tuple[Float, list[Float]]:
 class _Grid:
     """Lane layouts over D stacked planes whose rows are padded to whole quads of 4 pixels."""
 
-    def __init__(self, t: Target):
+    def __init__(self, channels: int, height: int, quads: int):
         # Python integers: Dr.Jit turns a division by a constant into a multiplication.
-        self.quads, self.height = t.quads, t.height
-        self.pairs, self.strips = -(-t.quads // 2), -(-t.height // PATCH)
-        self.n_row_lanes = t.channels * t.height * self.pairs
-        self.n_column_lanes = t.channels * t.quads * self.strips
-        self.size = t.channels * t.height * t.quads * 4
-        self.plane_quads = t.height * t.quads
+        self.quads, self.height = quads, height
+        self.pairs, self.strips = -(-quads // 2), -(-height // PATCH)
+        self.n_row_lanes = channels * height * self.pairs
+        self.n_column_lanes = channels * quads * self.strips
+        self.size = channels * height * quads * 4
+        self.plane_quads = height * quads
 
     def weight_quad(self, q: UInt) -> UInt:
         """The quad of the one-channel weight plane below quad q of the stacked planes."""
@@ -214,10 +241,6 @@ def _window_sums(values: list[Float], first: int, n: int) -> list[Float]:
             total = dr.fma(values[i + k] + values[i + 2 * REACH - k], WINDOW[k], total)
         out.append(total)
     return out
-
-
-def _moments(x: list[Float]) -> list[list[Float]]:
-    return [x, [v * v for v in x]]
 
 
 def _load(plane: Float, quad: UInt, active) -> list[Float]:
