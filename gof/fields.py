@@ -12,7 +12,6 @@ import numpy as np
 from gof.errors import DataFormatError
 
 SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
-DRJIT_FROM = 20_000  # points; below, compiling and loading Dr.Jit costs more than numpy does
 
 
 @dataclass(frozen=True)
@@ -44,13 +43,6 @@ class VelocityField:
         index_to_world = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
         index_to_world[:3, 3] = origin
         return cls(np.asarray(velocity), index_to_world, time_s)
-
-    @cached_property
-    def _flat(self):
-        """Velocities as one Dr.Jit array of float32."""
-        from drjit.llvm import Float
-
-        return Float(np.ascontiguousarray(self.velocity, np.float32).ravel())
 
     @property
     def resolution(self) -> tuple[int, int, int]:
@@ -91,31 +83,8 @@ class VelocityField:
         index = self.to_index(points)
         inside = ((index >= 0) & (index <= self.resolution)).all(-1)
         out = np.zeros((len(index), 3), np.float32)
-        sampler = self._trilinear if inside.sum() < DRJIT_FROM else self._trilinear_drjit
-        out[inside] = sampler(index[inside] - 0.5)
+        out[inside] = self._trilinear(index[inside] - 0.5)
         return out
-
-    def _trilinear_drjit(self, coordinate: np.ndarray) -> np.ndarray:
-        """The same as `_trilinear`, compiled: about 30 times faster on many points."""
-        import drjit as dr
-        from drjit.llvm import Array3f, Float, Float64, UInt
-
-        base, corners = UInt(0), [(UInt(0), Float(1))]
-        strides = (self.resolution[1] * self.resolution[2], self.resolution[2], 1)
-        for column, size, stride in zip(coordinate.T, self.resolution, strides, strict=True):
-            # opaque: a grid of another size is other data, not another kernel
-            top, stride, step = dr.opaque(Float64, size - 1), dr.opaque(UInt, stride), dr.opaque(UInt, int(size > 1))
-            x = dr.clip(Float64(np.ascontiguousarray(column)), 0, top)
-            low = dr.minimum(UInt(x), UInt(dr.maximum(top - 1, 0)))
-            fraction = Float(x - Float64(low))
-            base += low * stride
-            corners = [
-                (offset + high * step * stride, weight * (fraction if high else 1 - fraction))
-                for offset, weight in corners
-                for high in (0, 1)
-            ]
-        result = sum(weight * dr.gather(Array3f, self._flat, base + offset) for offset, weight in corners)
-        return result.numpy().T
 
     def _trilinear(self, coordinate: np.ndarray) -> np.ndarray:
         size = np.array(self.resolution)

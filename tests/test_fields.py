@@ -125,16 +125,3 @@ def test_foreign_truncated_and_damaged_stores(tmp_path):
     chunk.write_bytes(chunk.read_bytes()[:10])
     with pytest.raises(DataFormatError, match=r"w\.zarr.*frame 1"):
         VelocitySequence.open(tmp_path / "w.zarr").frame(1)
-
-
-@pytest.mark.parametrize("resolution", [(5, 9, 4), (1, 3, 2), (1, 1, 1)])
-@pytest.mark.parametrize("dtype", [np.float16, np.float32])
-def test_compiled_sampling_equals_its_numpy_twin(monkeypatch, resolution, dtype):
-    import gof.fields
-
-    rng = np.random.default_rng(3)
-    field = VelocityField.from_array(rng.normal(size=(*resolution, 3)).astype(dtype), (0.1, 0, -3), 0.5)
-    points = rng.uniform(-0.2, 1.2, (3000, 3)) * np.array(resolution) * 0.5 + [0.1, 0, -3]
-    twin = field.sample(points)
-    monkeypatch.setattr(gof.fields, "DRJIT_FROM", 0)
-    np.testing.assert_array_equal(field.sample(points), twin)
