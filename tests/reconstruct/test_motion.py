@@ -7,7 +7,7 @@ from conftest import arc, write_dataset
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
-from gof.reconstruct.motion import consistency, estimate_motion, flame_intensity, flame_mask, srgb_to_linear
+from gof.reconstruct.motion import consistency, estimate_motion, flame_mask, light_above, srgb_to_linear
 
 
 def moving_texture(n, shift, shape=(64, 36), seed=0):
@@ -69,7 +69,7 @@ def test_light_thrown_on_a_wall_is_not_flame():
     picture[10:20, 10:20] = [1, 0.7, 0.2]
     mask = flame_mask(picture, plate, grow_px=1)
     assert mask[12:18, 12:18].all() and not mask[25:].any()
-    assert flame_intensity(plate - 0.1, plate).max() == 0, "darker than the plate is not light"
+    assert light_above(plate - 0.1, plate).max() == 0, "darker than the plate is not light"
 
 
 def test_consistency_of_exact_and_wrong_flow():
