@@ -77,7 +77,8 @@ def main(argv: list[str]) -> int:
         cost = run_worker(
             [sys.executable, "-m", "gof", *map(str, stage.command)], stage.name, config.out / f"{stage.name}.log"
         )
-        log.record(stage.name, cost.seconds, cost.peak_mb, resumed=stage.costs is not None)
+        if not stage.costs:  # the others keep their own, part by part
+            log.record(stage.name, cost.seconds, cost.peak_mb)
         print(f"{stage.name}: {cost.seconds:.0f} s, {cost.peak_mb:.0f} MB")
     scores = collect_scores(config)
     write_json(config.out / "scores.json", scores)
@@ -89,16 +90,10 @@ def main(argv: list[str]) -> int:
 
 
 def collect_scores(config: DemoConfig) -> dict:
-    """The evaluation's scores, and what every stage cost (with its parts where it has any)."""
+    """The evaluation's scores, and what every stage cost."""
     scores = read_json(config.out / "evaluate" / "evaluation.json")
-    totals = {s.name: s for s in StageLog(config.out / "costs.json").stages()}
-    rows = []
-    for stage in stages_of(config):
-        if stage.name in totals:
-            rows.append(asdict(totals[stage.name]))
-        if stage.costs and stage.costs.exists():
-            rows += [asdict(s) | {"name": f"{stage.name}: {s.name}"} for s in StageLog(stage.costs).stages()]
-    return scores | {"stages": rows}
+    logs = [stage.costs for stage in stages_of(config) if stage.costs] + [config.out / "costs.json"]
+    return scores | {"stages": [asdict(cost) for log in logs for cost in StageLog(log).stages()]}
 
 
 def summarise(scores: dict) -> None:
@@ -116,10 +111,11 @@ def summarise(scores: dict) -> None:
         table.add_row(f"control: {name}", f"{control['l2']:.3f}", f"{control['cos_sim']:.3f}")
     console = Console()
     console.print(table)
-    console.print(
-        f"held-out pictures, flame only: PSNR [bold]{scores['psnr_flame']:.2f} dB[/] (plate alone "
-        f"{scores['psnr_flame_plate']:.2f} dB), SSIM {scores['ssim_flame']:.3f} ({scores['ssim_flame_plate']:.3f})"
-    )
+    if scores["psnr_flame"] is not None:
+        console.print(
+            f"held-out pictures, flame only: PSNR [bold]{scores['psnr_flame']:.2f} dB[/] (plate alone "
+            f"{scores['psnr_flame_plate']:.2f} dB), SSIM {scores['ssim_flame']:.3f} ({scores['ssim_flame_plate']:.3f})"
+        )
 
 
 if __name__ == "__main__":

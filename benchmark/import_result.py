@@ -46,6 +46,9 @@ def main(argv: list[str]) -> int:
     worker = [sys.executable, "-m", "blender_addon.import_result", "--result", config.result, "--dataset", config.dataset,
               "--blend", config.blend, "--preview", preview, "--frame", frame, "--camera", camera]  # fmt: skip
     cost = run_worker([str(part) for part in worker], "import into Blender", config.blend.with_suffix(".log"))
+    names = [c.name for c in dataset.cameras]
+    # Which truth the preview belongs to, for `gof report`.
+    write_json(preview.with_suffix(".json"), {"image": preview.name, "camera": names.index(camera), "frame": frame})
     if config.json:
         write_json(config.json, {"blend": str(config.blend), "preview": str(preview), "seconds": cost.seconds, "peak_mb": cost.peak_mb})
     print(f"{config.blend} and {preview} ({cost.seconds:.1f} s): open the .blend and press play")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import resource
@@ -81,7 +82,7 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
     In a child of `run_worker` it prints progress lines instead, and the parent draws the bar.
     """
     if os.environ.get(WORKER_VARIABLE):
-        yield lambda done, total, **figures: report_progress(title, done, total, **figures)
+        yield lambda done, total, stage=title, **figures: report_progress(stage, done, total, **figures)
         return
     from rich.console import Console
     from rich.progress import (
@@ -140,6 +141,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
         errors="replace",
         start_new_session=True,
         env=os.environ | {WORKER_VARIABLE: "1"},
+        preexec_fn=_die_with_parent if sys.platform == "linux" else None,
     )
     peak = _PeakMemory(child.pid)
     try:
@@ -170,6 +172,12 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
         where = f" (full log: {log})" if log else ""
         raise GofError(f"{title} failed with status {status}{where}:\n{''.join(tail)}")
     return StageCost(title, time.perf_counter() - start, peak.mb, figures)
+
+
+def _die_with_parent() -> None:
+    """In a child: be killed when the parent is, so that a killed run leaves nobody writing into its folder."""
+    PR_SET_PDEATHSIG = 1
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class _PeakMemory:

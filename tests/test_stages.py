@@ -44,3 +44,35 @@ def test_atomic_write_keeps_the_old_file_on_failure(tmp_path):
         write_json(tmp_path / "a.json", {"x": float("nan")})
     assert json.loads((tmp_path / "a.json").read_text()) == {"x": 1}
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_progress_passes_through_nested_workers():
+    inner = "from gof.stages import report_progress; report_progress('inner', 2, 2)"
+    outer = f"import sys; from gof.stages import run_worker; run_worker([sys.executable, '-c', {inner!r}], 'outer')"
+    assert run_worker([sys.executable, "-c", outer], "top").settings["stage"] == "inner"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="kept by the Linux kernel; elsewhere the worker stops at its next progress line")
+def test_killing_the_parent_kills_the_whole_chain(tmp_path):
+    import os
+    import signal
+    import subprocess
+    import time
+
+    import psutil
+
+    inner = f"import os, time; open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+    outer = f"import sys; from gof.stages import run_worker; run_worker([sys.executable, '-c', {inner!r}], 'inner')"
+    top = subprocess.Popen([sys.executable, "-c", f"import sys; from gof.stages import run_worker; run_worker([sys.executable, '-c', {outer!r}], 'x')"])
+    for _ in range(200):
+        if (tmp_path / "pid").exists() and (tmp_path / "pid").read_text():
+            break
+        time.sleep(0.1)
+    pid = int((tmp_path / "pid").read_text())
+    os.kill(top.pid, signal.SIGKILL)
+    top.wait()
+    for _ in range(50):
+        if not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE:
+            return
+        time.sleep(0.1)
+    pytest.fail("the innermost worker still runs")
