@@ -81,8 +81,10 @@ def claim(layout: Layout, spec: SceneSpec) -> None:
         except SpecError as error:
             raise GofError(f"{error}; give another --out, or delete {layout.root}") from error
         if before != spec:
-            raise GofError(f"{layout.root} was made from another spec ({', '.join(_differences(before, spec))} differ); "
-                           "give another --out, or delete that folder")
+            raise GofError(
+                f"{layout.root} was made from another spec ({', '.join(_differences(before, spec))} differ); "
+                "give another --out, or delete that folder"
+            )
     elif layout.root.is_dir() and any(layout.root.iterdir()):
         raise GofError(f"{layout.root} is not empty and holds no spec.json; give a new folder as --out")
     else:
@@ -93,7 +95,17 @@ def claim(layout: Layout, spec: SceneSpec) -> None:
 def run_stage(stage: str, spec: SceneSpec, layout: Layout, log: StageLog) -> None:
     """Run one stage in its own Blender process and record its cost; a resumed stage adds to its earlier cost."""
     layout.hidden.mkdir(exist_ok=True)
-    command = [sys.executable, "-m", "blender_addon.generate", "--spec", layout.spec, "--out", layout.root, "--stage", stage]
+    command = [
+        sys.executable,
+        "-m",
+        "blender_addon.generate",
+        "--spec",
+        layout.spec,
+        "--out",
+        layout.root,
+        "--stage",
+        stage,
+    ]
     cost = run_worker(list(map(str, command)), stage, layout.log(stage).with_suffix(".err"))
     log.record(stage, cost.seconds, cost.peak_mb, settings_of(stage, spec), resumed=True)
 

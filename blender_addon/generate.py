@@ -9,6 +9,7 @@ because a second bake in the same process is unreliable and the wheel cannot exi
 Progress goes to standard output as lines ``{"progress": {"stage": "render", "done": 3, "total": 108}}``;
 what Blender itself prints goes to DATASET/.cache/<stage>.log.
 """
+
 from __future__ import annotations
 
 import argparse
@@ -61,7 +62,9 @@ def bake(spec: SceneSpec, layout: Layout, progress) -> None:
     scene_objects = build.scene(spec)
     _save_blend(layout)  # the cache folder is relative to the file
     settings = scene_objects.domain_settings
-    with _Watch(lambda: sum(fire.velocity_file(settings, frame).is_file() for frame in range(1, total + 1)), total, progress):
+    with _Watch(
+        lambda: sum(fire.velocity_file(settings, frame).is_file() for frame in range(1, total + 1)), total, progress
+    ):
         fire.bake(scene_objects.domain)
     bpy.context.scene.frame_set(spec.clip.first_frame)
     _save_blend(layout)
@@ -86,44 +89,61 @@ def ground_truth(spec: SceneSpec, layout: Layout, progress) -> None:
 
 
 def finish(spec: SceneSpec, layout: Layout, progress) -> None:
-    """Write dataset.json, the last file of a dataset. Raises FileNotFoundError if a frame or the velocity is missing."""
+    """Write dataset.json, the last file of a dataset.
+
+    Raises FileNotFoundError if a frame or the velocity is missing.
+    """
     _open_blend(layout)
     import bpy
 
     from .scene import rig
 
-    files = [path for name in spec.cameras.names for frame in range(spec.clip.frames)
-             for path in vars(layout.frame(name, frame)).values()]
-    files += [path for name in spec.cameras.names for path in (layout.static(name), layout.static_exr(name))] + [layout.velocity / "zarr.json"]
+    files = [
+        path
+        for name in spec.cameras.names
+        for frame in range(spec.clip.frames)
+        for path in vars(layout.frame(name, frame)).values()
+    ]
+    files += [path for name in spec.cameras.names for path in (layout.static(name), layout.static_exr(name))] + [
+        layout.velocity / "zarr.json"
+    ]
     missing = [path for path in files if not path.is_file()]
     if missing:
-        raise FileNotFoundError(f"{len(missing)} files of the dataset are missing, first {missing[0]}; run the stages before finish")
+        raise FileNotFoundError(
+            f"{len(missing)} files of the dataset are missing, first {missing[0]}; run the stages before finish"
+        )
     velocity = json.loads((layout.velocity / "zarr.json").read_text(encoding="utf-8"))
     test = [frame for frame in range(spec.clip.frames) if frame % TEST_EVERY == TEST_FIRST]
-    _write_json(layout.description, {
-        "schema": "gof-dataset",
-        "version": 1,
-        "name": spec.name,
-        "spec": spec.to_dict(),
-        "effects": spec.effect_names,
-        "time_s": [frame / spec.clip.fps for frame in range(spec.clip.frames)],
-        "cameras": [rig.describe(camera, spec) | layout.patterns(camera.name) for camera in rig.find(spec)],
-        "splits": {"train": [frame for frame in range(spec.clip.frames) if frame not in test], "test": test},
-        "velocity": layout.velocity.name,
-        "scene": layout.blend.name,
-        "display": spec.to_dict()["display"],
-        "domain": {
-            "index_to_world": velocity["attributes"]["index_to_world"],
-            "resolution": velocity["shape"][1:4],
-            "voxel_size": velocity["attributes"]["voxel_size"],
+    _write_json(
+        layout.description,
+        {
+            "schema": "gof-dataset",
+            "version": 1,
+            "name": spec.name,
+            "spec": spec.to_dict(),
+            "effects": spec.effect_names,
+            "time_s": [frame / spec.clip.fps for frame in range(spec.clip.frames)],
+            "cameras": [rig.describe(camera, spec) | layout.patterns(camera.name) for camera in rig.find(spec)],
+            "splits": {"train": [frame for frame in range(spec.clip.frames) if frame not in test], "test": test},
+            "velocity": layout.velocity.name,
+            "scene": layout.blend.name,
+            "display": spec.to_dict()["display"],
+            "domain": {
+                "index_to_world": velocity["attributes"]["index_to_world"],
+                "resolution": velocity["shape"][1:4],
+                "voxel_size": velocity["attributes"]["voxel_size"],
+            },
+            "provenance": {"blender": bpy.app.version_string, "generator": GENERATOR_VERSION},
         },
-        "provenance": {"blender": bpy.app.version_string, "generator": GENERATOR_VERSION},
-    })
+    )
     progress(1, 1)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one stage; returns the exit status. The caller must leave through ``mantaflow.leave`` in a bpy-wheel process."""
+    """Run one stage; returns the exit status.
+
+    In a process of the bpy wheel the caller must then leave through ``mantaflow.leave``.
+    """
     parser = argparse.ArgumentParser(prog="python -m blender_addon.generate", description=__doc__.split("\n")[0])
     parser.add_argument("--spec", type=Path, required=True, help="scene spec (JSON)")
     parser.add_argument("--out", type=Path, required=True, help="dataset folder")
@@ -133,7 +153,9 @@ def main(argv: list[str] | None = None) -> int:
     try:
         spec = scene_spec.load(args.spec)
         progress = Reporter(args.stage, layout.log(args.stage))
-        {"bake": bake, "render": render, "ground-truth": ground_truth, "finish": finish}[args.stage](spec, layout, progress)
+        {"bake": bake, "render": render, "ground-truth": ground_truth, "finish": finish}[args.stage](
+            spec, layout, progress
+        )
     except scene_spec.SpecError as error:
         print(error, file=sys.stderr)
         return 2

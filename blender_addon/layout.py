@@ -1,4 +1,5 @@
 """Where a dataset keeps its files; the one place that knows. Never imports bpy."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -20,8 +21,11 @@ class Layout:
 
     root: Path
 
-    PATTERNS = {"rgb": "cameras/{camera}/rgb/{frame:06d}.png", "exr": "cameras/{camera}/exr/{frame:06d}.exr",
-                "mask": "cameras/{camera}/mask/{frame:06d}.png"}
+    PATTERNS = {
+        "rgb": "cameras/{camera}/rgb/{frame:06d}.png",
+        "exr": "cameras/{camera}/exr/{frame:06d}.exr",
+        "mask": "cameras/{camera}/mask/{frame:06d}.png",
+    }
     STATIC = "static/{camera}.png"
 
     @property
@@ -61,8 +65,9 @@ class Layout:
         return self.hidden / f"{stage}.log"
 
     def frame(self, camera: str, frame: int) -> FrameFiles:
-        return FrameFiles(**{kind: self.root / pattern.format(camera=camera, frame=frame)
-                             for kind, pattern in self.PATTERNS.items()})
+        return FrameFiles(
+            **{kind: self.root / pattern.format(camera=camera, frame=frame) for kind, pattern in self.PATTERNS.items()}
+        )
 
     def static(self, camera: str) -> Path:
         return self.root / self.STATIC.format(camera=camera)
@@ -74,4 +79,5 @@ class Layout:
     def patterns(self, camera: str) -> dict[str, str]:
         """File name patterns of a camera as written in dataset.json; ``{frame:06d}`` stays open."""
         return {kind: pattern.replace("{camera}", camera) for kind, pattern in self.PATTERNS.items()} | {
-            "static": self.STATIC.format(camera=camera)}
+            "static": self.STATIC.format(camera=camera)
+        }

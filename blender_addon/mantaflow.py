@@ -1,4 +1,5 @@
 """Make Blender's fluid solver usable from the ``bpy`` wheel, and leave such a process safely."""
+
 from __future__ import annotations
 
 import ctypes

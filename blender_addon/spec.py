@@ -1,7 +1,9 @@
 """The scene spec: everything that defines a generated dataset, as dataclasses with a JSON form.
 
-Never imports bpy, so that a spec can be read, checked and edited anywhere. World axes: right-handed, Z up, metres, seconds.
+Never imports bpy, so that a spec can be read, checked and edited anywhere. World axes: right-handed, Z up, metres,
+seconds.
 """
+
 from __future__ import annotations
 
 import dataclasses
@@ -42,7 +44,7 @@ class Clip:
     warm_up_frames: int = 90
     """Frames simulated before the first rendered one, so that the flame is developed."""
     time_scale: float = 1.0
-    """Simulated seconds per second of the dataset clock; below 1 is slow motion. Velocities follow the dataset clock."""
+    """Simulated seconds per second of the dataset clock, below 1 for slow motion; velocities follow the clock."""
 
     def __post_init__(self):
         require(self.frames >= 1, "clip.frames", "at least 1", self.frames)
@@ -83,7 +85,7 @@ class Domain:
 
     @property
     def max(self) -> Vector:
-        return tuple(low + side for low, side in zip(self.min, self.size))
+        return tuple(low + side for low, side in zip(self.min, self.size, strict=False))
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,9 @@ class Render:
         require(self.samples >= 1, "render.samples", "at least 1", self.samples)
         require(self.plate_samples >= 1, "render.plate_samples", "at least 1", self.plate_samples)
         require(self.max_bounces >= 0, "render.max_bounces", "0 or more", self.max_bounces)
-        require(0.01 <= self.volume_step_rate <= 100, "render.volume_step_rate", "in [0.01, 100]", self.volume_step_rate)
+        require(
+            0.01 <= self.volume_step_rate <= 100, "render.volume_step_rate", "in [0.01, 100]", self.volume_step_rate
+        )
 
 
 @dataclass(frozen=True)
@@ -232,13 +236,26 @@ class SceneSpec:
         require(bool(self.name) and not set(self.name) & set('/\\:*?"<>|'), "name", "a plain file name", self.name)
         require(0 <= self.seed < 2**31, "seed", "in [0, 2^31)", self.seed)
         small = min(self.cameras.sensor_px) * self.render.percentage // 100
-        require(small >= 4, "render.percentage", f"at least {-(-400 // min(self.cameras.sensor_px))} for this sensor", self.render.percentage)
+        require(
+            small >= 4,
+            "render.percentage",
+            f"at least {-(-400 // min(self.cameras.sensor_px))} for this sensor",
+            self.render.percentage,
+        )
         names = self.effect_names
         require(len(set(names)) == len(names), "effects", "listed once each", names)
-        for axis, low, high in zip("xyz", self.domain.min, self.domain.max):
+        for axis, low, high in zip("xyz", self.domain.min, self.domain.max, strict=False):
             i = "xyz".index(axis)
-            inside = low <= self.fire.position[i] - self.fire.half_size[i] and self.fire.position[i] + self.fire.half_size[i] <= high
-            require(inside, "fire.position", f"such that the emitter lies inside the domain along {axis}", self.fire.position)
+            inside = (
+                low <= self.fire.position[i] - self.fire.half_size[i]
+                and self.fire.position[i] + self.fire.half_size[i] <= high
+            )
+            require(
+                inside,
+                "fire.position",
+                f"such that the emitter lies inside the domain along {axis}",
+                self.fire.position,
+            )
 
     @property
     def effect_names(self) -> list[str]:
@@ -251,7 +268,10 @@ class SceneSpec:
     def to_dict(self) -> dict:
         """The JSON form; ``from_dict(to_dict())`` gives an equal spec."""
         data = {"schema": SCHEMA, "version": VERSION, **dataclasses.asdict(self)}
-        data["effects"] = [{"name": name, **dataclasses.asdict(effect)} for name, effect in zip(self.effect_names, self.effects)]
+        data["effects"] = [
+            {"name": name, **dataclasses.asdict(effect)}
+            for name, effect in zip(self.effect_names, self.effects, strict=False)
+        ]
         return json.loads(json.dumps(data))  # tuples become lists, as in a file
 
     @classmethod
@@ -271,7 +291,9 @@ class SceneSpec:
     def with_preset(self, preset: str) -> SceneSpec:
         """This spec with the cost-related fields of a preset in PRESETS. Raises SpecError for an unknown name."""
         require(preset in PRESETS, "preset", f"one of {sorted(PRESETS)}", preset)
-        sections = {name: dataclasses.replace(getattr(self, name), **values) for name, values in PRESETS[preset].items()}
+        sections = {
+            name: dataclasses.replace(getattr(self, name), **values) for name, values in PRESETS[preset].items()
+        }
         return dataclasses.replace(self, **sections)
 
 
@@ -344,13 +366,15 @@ def _value(hint: Any, value: Any, name: str) -> Any:
         if args[-1] is Ellipsis:  # effects, already built
             return value
         require(isinstance(value, (list, tuple)) and len(value) == len(args), name, f"{len(args)} numbers", value)
-        return tuple(_value(arg, item, f"{name}[{i}]") for i, (arg, item) in enumerate(zip(args, value)))
+        return tuple(_value(arg, item, f"{name}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=False)))
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if hint is float:
         require(number and math.isfinite(value), name, "a finite number", value)
         return float(value)
     if hint is int:
-        require(number and value == int(value) if number and math.isfinite(value) else False, name, "a whole number", value)
+        require(
+            number and value == int(value) if number and math.isfinite(value) else False, name, "a whole number", value
+        )
         return int(value)
     require(isinstance(value, hint), name, f"a {hint.__name__}", value)
     return value

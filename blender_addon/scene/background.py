@@ -1,4 +1,5 @@
-"""Built-in surroundings of the fire. One function per background; the fire burns above the origin, cameras are at -Y."""
+"""Built-in surroundings of the fire, one function each. The fire burns above the origin, cameras are at -Y."""
+
 from __future__ import annotations
 
 import math
@@ -19,20 +20,34 @@ def studio(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     """A plain photographer's studio: checked floor, grey backdrop, one soft light."""
     floor = material.tiles("Floor", ((0.28, 0.28, 0.28), (0.12, 0.12, 0.13)), (0.05, 0.05, 0.05), (0.3, 0.3), shift=0.0)
     meshes.box("Floor", (8, 8, 0.1), collection, location=(0, 0, -0.05), material=floor)
-    meshes.box("Backdrop", (8, 0.1, 5), collection, location=(0, 2.0, 2.5), material=material.plain("Backdrop", (0.16, 0.17, 0.18)))
+    meshes.box(
+        "Backdrop",
+        (8, 0.1, 5),
+        collection,
+        location=(0, 2.0, 2.5),
+        material=material.plain("Backdrop", (0.16, 0.17, 0.18)),
+    )
     _light(collection, (-1.8, -2.0, 3.2), 70.0, 1.5, (1.0, 0.96, 0.9))
     _sky((0.05, 0.055, 0.065), 1.0)
 
 
 def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
-    """A cluttered workshop: brick walls, a stone floor, shelves of painted boxes and tins, crates, posters, a fire bowl."""
+    """A cluttered workshop: brick wall, stone floor, shelves of boxes and tins, crates, posters, a fire bowl."""
     rng = np.random.default_rng([spec.seed, 1])
-    brick = material.tiles("Brick", ((0.20, 0.085, 0.055), (0.085, 0.042, 0.035)), (0.17, 0.155, 0.14), (0.215, 0.075), 0.01)
-    stone = material.tiles("Stone", ((0.17, 0.16, 0.15), (0.085, 0.085, 0.09)), (0.03, 0.03, 0.03), (0.34, 0.34), 0.01, stains=0.6)
-    wood = material.tiles("Wood", ((0.26, 0.15, 0.07), (0.13, 0.07, 0.032)), (0.015, 0.01, 0.008), (0.9, 0.09), 0.008, stains=0.5)
+    brick = material.tiles(
+        "Brick", ((0.20, 0.085, 0.055), (0.085, 0.042, 0.035)), (0.17, 0.155, 0.14), (0.215, 0.075), 0.01
+    )
+    stone = material.tiles(
+        "Stone", ((0.17, 0.16, 0.15), (0.085, 0.085, 0.09)), (0.03, 0.03, 0.03), (0.34, 0.34), 0.01, stains=0.6
+    )
+    wood = material.tiles(
+        "Wood", ((0.26, 0.15, 0.07), (0.13, 0.07, 0.032)), (0.015, 0.01, 0.008), (0.9, 0.09), 0.008, stains=0.5
+    )
     steel = material.plain("Steel", (0.10, 0.11, 0.12), 0.45, 0.8)
-    paints = [material.print_work(f"Print {index}", *colours, (0.23, height))
-              for index, (colours, height) in enumerate(zip(PRINTS, (0.11, 0.14, 0.09, 0.12, 0.16, 0.1)))]
+    paints = [
+        material.print_work(f"Print {index}", *colours, (0.23, height))
+        for index, (colours, height) in enumerate(zip(PRINTS, (0.11, 0.14, 0.09, 0.12, 0.16, 0.1), strict=False))
+    ]
     meshes.box("Floor", (9, 9, 0.1), collection, location=(0, 0, -0.05), material=stone)
     meshes.box("Back Wall", (9, 0.2, 4), collection, location=(0, 1.9, 2), material=brick)
     _shelf(rng, collection, (-0.95, 1.6), wood, paints)
@@ -41,7 +56,9 @@ def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     _crates(rng, collection, wood, paints)
     _fire_bowl(spec, rng, collection, steel, stone)
     for x, radius in ((-0.12, 0.035), (0.1, 0.025)):
-        meshes.lathe("Pipe", [(radius, 0.0), (radius, 4.0)], collection, 12, location=(x, 1.74, 0), material=steel, smooth=True)
+        meshes.lathe(
+            "Pipe", [(radius, 0.0), (radius, 4.0)], collection, 12, location=(x, 1.74, 0), material=steel, smooth=True
+        )
     _light(collection, (-1.9, -1.6, 3.3), 85.0, 1.2, (1.0, 0.93, 0.82))
     _light(collection, (2.6, -0.6, 2.6), 18.0, 1.0, (0.72, 0.84, 1.0))
     _sky((0.05, 0.055, 0.065), 1.0)
@@ -69,9 +86,18 @@ def _shelf(rng, collection, place, wood, paints) -> None:
     x, y = place
     width, depth = 1.35, 0.32
     for side in (-1, 1):
-        meshes.box("Upright", (0.05, depth, 2.3), collection, location=(x + side * width / 2, y, 1.15), material=wood, grain=2)
+        meshes.box(
+            "Upright", (0.05, depth, 2.3), collection, location=(x + side * width / 2, y, 1.15), material=wood, grain=2
+        )
     for level in (0.35, 0.85, 1.35, 1.85, 2.3):
-        meshes.box("Board", (width, depth, 0.035), collection, location=(x, y, level), material=wood, offset=rng.uniform(0, 9, 2))
+        meshes.box(
+            "Board",
+            (width, depth, 0.035),
+            collection,
+            location=(x, y, level),
+            material=wood,
+            offset=rng.uniform(0, 9, 2),
+        )
         position = -width / 2 + 0.06
         while level < 2.2 and position < width / 2 - 0.2:
             size = rng.uniform((0.1, 0.12, 0.12), (0.24, 0.26, 0.36))
@@ -79,55 +105,132 @@ def _shelf(rng, collection, place, wood, paints) -> None:
             centre = (x + position + size[0] / 2, y - rng.uniform(0, 0.04), level + 0.0175)
             if rng.random() < 0.35:
                 radius, tall = 0.35 * size[0] + 0.02, size[2]
-                meshes.lathe("Tin", [(0, 0), (radius, 0), (radius, tall), (radius * 0.93, tall), (0, tall * 0.97)], collection, 24,
-                             location=centre, material=paint, turn_deg=rng.uniform(0, 360))
+                meshes.lathe(
+                    "Tin",
+                    [(0, 0), (radius, 0), (radius, tall), (radius * 0.93, tall), (0, tall * 0.97)],
+                    collection,
+                    24,
+                    location=centre,
+                    material=paint,
+                    turn_deg=rng.uniform(0, 360),
+                )
             else:
-                meshes.box("Box", size, collection, rng.uniform(0, 9, 2), location=(centre[0], centre[1], centre[2] + size[2] / 2),
-                           material=paint, turn_deg=rng.uniform(-8, 8))
+                meshes.box(
+                    "Box",
+                    size,
+                    collection,
+                    rng.uniform(0, 9, 2),
+                    location=(centre[0], centre[1], centre[2] + size[2] / 2),
+                    material=paint,
+                    turn_deg=rng.uniform(-8, 8),
+                )
             position += size[0] + rng.uniform(0.01, 0.06)
 
 
 def _posters(rng, collection, y) -> None:
     """Prints on the wall between and above the shelves."""
-    for index, (x, z, width, height) in enumerate([(0.03, 1.25, 0.44, 0.6), (0.03, 0.55, 0.4, 0.42), (0.02, 1.95, 0.46, 0.36),
-                                                   (-2.1, 1.4, 0.6, 0.8), (2.15, 1.5, 0.6, 0.8), (-1.0, 2.75, 0.9, 0.4),
-                                                   (1.0, 2.75, 0.9, 0.4)]):
+    for index, (x, z, width, height) in enumerate(
+        [
+            (0.03, 1.25, 0.44, 0.6),
+            (0.03, 0.55, 0.4, 0.42),
+            (0.02, 1.95, 0.46, 0.36),
+            (-2.1, 1.4, 0.6, 0.8),
+            (2.15, 1.5, 0.6, 0.8),
+            (-1.0, 2.75, 0.9, 0.4),
+            (1.0, 2.75, 0.9, 0.4),
+        ]
+    ):
         paper = material.blotches(f"Poster {index}", POSTER_COLOURS[index % len(POSTER_COLOURS)], rng.uniform(22, 40))
-        meshes.box("Poster", (width, 0.012, height), collection, rng.uniform(0, 9, 2), location=(x, y, z), material=paper)
+        meshes.box(
+            "Poster", (width, 0.012, height), collection, rng.uniform(0, 9, 2), location=(x, y, z), material=paper
+        )
 
 
 def _crates(rng, collection, wood, paints) -> None:
     """Crates, drums and loose boxes on the floor, at several depths."""
-    for x, y, side in [(-0.95, 0.75, 0.5), (-0.92, 0.78, 0.36), (0.95, 0.85, 0.52), (-1.6, 0.2, 0.45), (1.65, 0.3, 0.48), (0.42, 1.3, 0.4)]:
+    for x, y, side in [
+        (-0.95, 0.75, 0.5),
+        (-0.92, 0.78, 0.36),
+        (0.95, 0.85, 0.52),
+        (-1.6, 0.2, 0.45),
+        (1.65, 0.3, 0.48),
+        (0.42, 1.3, 0.4),
+    ]:
         base = 0.5 if side == 0.36 else 0.0
-        meshes.box("Crate", (side, side, side), collection, rng.uniform(0, 9, 2), location=(x, y, base + side / 2), material=wood,
-                   turn_deg=rng.uniform(-25, 25))
-    for x, y, tall, paint in [(0.98, 0.9, 0.32, 1), (-0.45, 1.25, 0.62, 0), (1.35, -0.2, 0.28, 2), (-1.25, -0.35, 0.26, 1)]:
+        meshes.box(
+            "Crate",
+            (side, side, side),
+            collection,
+            rng.uniform(0, 9, 2),
+            location=(x, y, base + side / 2),
+            material=wood,
+            turn_deg=rng.uniform(-25, 25),
+        )
+    for x, y, tall, paint in [
+        (0.98, 0.9, 0.32, 1),
+        (-0.45, 1.25, 0.62, 0),
+        (1.35, -0.2, 0.28, 2),
+        (-1.25, -0.35, 0.26, 1),
+    ]:
         base = 0.52 if x == 0.98 else 0.0
         radius = 0.28 * tall + 0.06
-        ribs = [(0.0, 0.0), (radius, 0.0), (radius, tall * 0.32), (radius * 1.05, tall * 0.34), (radius, tall * 0.36), (radius, tall * 0.64),
-                (radius * 1.05, tall * 0.66), (radius, tall * 0.68), (radius, tall), (radius * 0.94, tall), (0.0, tall * 0.96)]
-        meshes.lathe("Drum", ribs, collection, 32, location=(x, y, base), material=paints[paint], turn_deg=rng.uniform(0, 360))
+        ribs = [
+            (0.0, 0.0),
+            (radius, 0.0),
+            (radius, tall * 0.32),
+            (radius * 1.05, tall * 0.34),
+            (radius, tall * 0.36),
+            (radius, tall * 0.64),
+            (radius * 1.05, tall * 0.66),
+            (radius, tall * 0.68),
+            (radius, tall),
+            (radius * 0.94, tall),
+            (0.0, tall * 0.96),
+        ]
+        meshes.lathe(
+            "Drum", ribs, collection, 32, location=(x, y, base), material=paints[paint], turn_deg=rng.uniform(0, 360)
+        )
     for _ in range(16):
         angle, distance = rng.uniform(-0.15 * math.pi, 1.15 * math.pi), rng.uniform(0.62, 1.1)
         size = rng.uniform(0.05, 0.15, 3)
-        meshes.box("Offcut", size, collection, rng.uniform(0, 9, 2), material=paints[rng.integers(len(paints))],
-                   location=(distance * math.cos(angle), distance * math.sin(angle), size[2] / 2), turn_deg=rng.uniform(0, 90))
+        meshes.box(
+            "Offcut",
+            size,
+            collection,
+            rng.uniform(0, 9, 2),
+            material=paints[rng.integers(len(paints))],
+            location=(distance * math.cos(angle), distance * math.sin(angle), size[2] / 2),
+            turn_deg=rng.uniform(0, 90),
+        )
 
 
 def _fire_bowl(spec, rng, collection, steel, stone) -> None:
     """A steel bowl under the emitter inside a ring of stones."""
     x, y, z = spec.fire.position
     radius, top = 1.35 * spec.fire.radius, z
-    profile = [(0.5 * radius, 0.0), (0.45 * radius, 0.3 * top), (0.8 * radius, 0.55 * top), (radius, top), (0.93 * radius, top),
-               (0.7 * radius, 0.66 * top), (0.0, 0.6 * top)]
+    profile = [
+        (0.5 * radius, 0.0),
+        (0.45 * radius, 0.3 * top),
+        (0.8 * radius, 0.55 * top),
+        (radius, top),
+        (0.93 * radius, top),
+        (0.7 * radius, 0.66 * top),
+        (0.0, 0.6 * top),
+    ]
     meshes.lathe("Fire Bowl", profile, collection, 40, location=(x, y, 0), material=steel, smooth=True)
     count = 11
     for index in range(count):
         angle = 2 * math.pi * (index + rng.uniform(-0.15, 0.15)) / count
         size = rng.uniform((0.1, 0.13, 0.06), (0.14, 0.18, 0.1))
-        meshes.box("Hearth Stone", size, collection, rng.uniform(0, 9, 2), material=stone, turn_deg=math.degrees(angle),
-                   location=(x + 0.36 * math.cos(angle), y + 0.36 * math.sin(angle), size[2] / 2))
+        meshes.box(
+            "Hearth Stone",
+            size,
+            collection,
+            rng.uniform(0, 9, 2),
+            material=stone,
+            turn_deg=math.degrees(angle),
+            location=(x + 0.36 * math.cos(angle), y + 0.36 * math.sin(angle), size[2] / 2),
+        )
 
 
 def _light(collection, location, watts: float, size: float, colour) -> None:

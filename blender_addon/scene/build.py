@@ -1,4 +1,5 @@
 """A scene from its spec."""
+
 from __future__ import annotations
 
 import bpy

@@ -1,4 +1,5 @@
 """The simulated fire: gas domain, emitter and the bake."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -54,10 +55,15 @@ def bake(domain: bpy.types.Object) -> None:
     with bpy.context.temp_override(object=domain, active_object=domain, scene=bpy.context.scene):
         bpy.ops.fluid.bake_all()
     settings = domain.modifiers["Fluid"].domain_settings
-    missing = [frame for frame in range(settings.cache_frame_start, settings.cache_frame_end + 1)
-               if not velocity_file(settings, frame).is_file()]
+    missing = [
+        frame
+        for frame in range(settings.cache_frame_start, settings.cache_frame_end + 1)
+        if not velocity_file(settings, frame).is_file()
+    ]
     if missing or not settings.has_cache_baked_data:
-        raise RuntimeError(f"the fluid bake stopped before frame {missing[0] if missing else '?'}; its messages are in the log")
+        raise RuntimeError(
+            f"the fluid bake stopped before frame {missing[0] if missing else '?'}; its messages are in the log"
+        )
 
 
 def velocity_file(settings: bpy.types.FluidDomainSettings, frame: int) -> Path:
@@ -66,7 +72,7 @@ def velocity_file(settings: bpy.types.FluidDomainSettings, frame: int) -> Path:
 
 
 def _domain(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Object:
-    centre = [low + side / 2 for low, side in zip(spec.domain.min, spec.domain.size)]
+    centre = [low + side / 2 for low, side in zip(spec.domain.min, spec.domain.size, strict=False)]
     domain = meshes.box(DOMAIN_NAME, spec.domain.size, collection, location=centre)
     domain.display_type = "WIRE"
     modifier = domain.modifiers.new("Fluid", "FLUID")

@@ -1,4 +1,5 @@
 """Image files of the dataset, through the OpenImageIO library that Blender ships."""
+
 from __future__ import annotations
 
 import os

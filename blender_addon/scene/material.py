@@ -1,5 +1,6 @@
 """Procedural materials: the flame, and surfaces rich in features. No surface emits light, so that the emission pass
 holds the flame alone."""
+
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -12,7 +13,10 @@ Colour = tuple[float, float, float]
 
 
 def flame(fuel: Fuel) -> bpy.types.Material:
-    """Volume emission of a flame: black-body colour and brightness follow the solver's reaction grid ``flame`` (0..1)."""
+    """Volume emission of a flame.
+
+    Black-body colour and brightness follow the solver's reaction grid ``flame`` (0..1).
+    """
     material, add, link, output = _new("Flame")
     reaction = add("ShaderNodeAttribute")
     reaction.attribute_name = "flame"
@@ -45,21 +49,42 @@ def plain(name: str, colour: Colour, roughness: float = 0.6, metallic: float = 0
     return material
 
 
-def tiles(name: str, colours: tuple[Colour, Colour], joint: Colour, size: tuple[float, float], gap: float = 0.012,
-          shift: float = 0.5, stains: float = 0.5, roughness: float = 0.8) -> bpy.types.Material:
+def tiles(
+    name: str,
+    colours: tuple[Colour, Colour],
+    joint: Colour,
+    size: tuple[float, float],
+    gap: float = 0.012,
+    shift: float = 0.5,
+    stains: float = 0.5,
+    roughness: float = 0.8,
+) -> bpy.types.Material:
     """Rows of bricks, planks or tiles of ``size`` (m), each of its own shade, with joints and stains."""
     material, add, link, output = _new(name)
     coordinates = add("ShaderNodeTexCoord")
     bricks = add("ShaderNodeTexBrick")
     bricks.offset = shift
-    for socket, value in (("Color1", (*colours[0], 1)), ("Color2", (*colours[1], 1)), ("Mortar", (*joint, 1)), ("Scale", 1.0),
-                          ("Mortar Size", gap), ("Mortar Smooth", 0.1), ("Brick Width", size[0]), ("Row Height", size[1])):
+    for socket, value in (
+        ("Color1", (*colours[0], 1)),
+        ("Color2", (*colours[1], 1)),
+        ("Mortar", (*joint, 1)),
+        ("Scale", 1.0),
+        ("Mortar Size", gap),
+        ("Mortar Smooth", 0.1),
+        ("Brick Width", size[0]),
+        ("Row Height", size[1]),
+    ):
         bricks.inputs[socket].default_value = value
     stain = add("ShaderNodeTexNoise")
     stain.inputs["Scale"].default_value = 3.0 / min(size)
     stain.inputs["Detail"].default_value = 4.0
     darken = add("ShaderNodeMapRange")
-    for socket, value in (("From Min", 0.35), ("From Max", 0.65), ("To Min", 1.0 - stains), ("To Max", 1.0 + stains / 2)):
+    for socket, value in (
+        ("From Min", 0.35),
+        ("From Max", 0.65),
+        ("To Min", 1.0 - stains),
+        ("To Max", 1.0 + stains / 2),
+    ):
         darken.inputs[socket].default_value = value
     product = add("ShaderNodeVectorMath")
     product.operation = "MULTIPLY"
@@ -102,13 +127,30 @@ def print_work(name: str, paint: Colour, paper: Colour, ink: Colour, size: tuple
     coordinates = add("ShaderNodeTexCoord")
     words = add("ShaderNodeTexBrick")
     words.offset, words.squash, words.squash_frequency = 0.37, 0.6, 3
-    for socket, value in (("Color1", (*ink, 1)), ("Color2", (*paper, 1)), ("Mortar", (*paper, 1)), ("Scale", 1.0), ("Bias", -0.1),
-                          ("Mortar Size", 0.0055), ("Mortar Smooth", 0.0), ("Brick Width", 0.05), ("Row Height", 0.022)):
+    for socket, value in (
+        ("Color1", (*ink, 1)),
+        ("Color2", (*paper, 1)),
+        ("Mortar", (*paper, 1)),
+        ("Scale", 1.0),
+        ("Bias", -0.1),
+        ("Mortar Size", 0.0055),
+        ("Mortar Smooth", 0.0),
+        ("Brick Width", 0.05),
+        ("Row Height", 0.022),
+    ):
         words.inputs[socket].default_value = value
     bands = add("ShaderNodeTexBrick")
     bands.offset = 0.5
-    for socket, value in (("Color2", (*paint, 1)), ("Mortar", (*(0.35 * shade for shade in paint), 1)), ("Scale", 1.0), ("Bias", 0.4),
-                          ("Mortar Size", 0.008), ("Mortar Smooth", 0.0), ("Brick Width", size[0]), ("Row Height", size[1])):
+    for socket, value in (
+        ("Color2", (*paint, 1)),
+        ("Mortar", (*(0.35 * shade for shade in paint), 1)),
+        ("Scale", 1.0),
+        ("Bias", 0.4),
+        ("Mortar Size", 0.008),
+        ("Mortar Smooth", 0.0),
+        ("Brick Width", size[0]),
+        ("Row Height", size[1]),
+    ):
         bands.inputs[socket].default_value = value
     surface = _principled(add, link, output, 0.5)
     link(coordinates.outputs["UV"], words.inputs["Vector"])

@@ -1,4 +1,5 @@
 """Small mesh builders with outward faces and texture coordinates in metres."""
+
 from __future__ import annotations
 
 import math
@@ -8,9 +9,17 @@ import bpy
 import numpy as np
 
 
-def add(name: str, vertices: Sequence, faces: Sequence, collection: bpy.types.Collection, uvs: Sequence | None = None,
-        location=(0.0, 0.0, 0.0), turn_deg: float = 0.0, material: bpy.types.Material | None = None,
-        smooth: bool = False) -> bpy.types.Object:
+def add(
+    name: str,
+    vertices: Sequence,
+    faces: Sequence,
+    collection: bpy.types.Collection,
+    uvs: Sequence | None = None,
+    location=(0.0, 0.0, 0.0),
+    turn_deg: float = 0.0,
+    material: bpy.types.Material | None = None,
+    smooth: bool = False,
+) -> bpy.types.Object:
     """Add a mesh object; uvs holds one (u, v) per face corner; turn_deg rotates it about Z."""
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(vertices, [], faces)
@@ -27,21 +36,28 @@ def add(name: str, vertices: Sequence, faces: Sequence, collection: bpy.types.Co
     return thing
 
 
-def box(name: str, size: Sequence[float], collection: bpy.types.Collection, offset=(0.0, 0.0), grain: int = 0,
-        **place) -> bpy.types.Object:
+def box(
+    name: str, size: Sequence[float], collection: bpy.types.Collection, offset=(0.0, 0.0), grain: int = 0, **place
+) -> bpy.types.Object:
     """A box centred on its location.
 
-    offset shifts the texture, so that equal boxes look different; grain is the axis (0 x, 1 y, 2 z) the texture runs along.
+    offset shifts the texture, so that equal boxes look different; grain is the axis (0 x, 1 y, 2 z) the texture runs
+    along.
     """
     corners = [(x * size[0] / 2, y * size[1] / 2, z * size[2] / 2) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)]
     faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     axes = [pair if pair[1] != grain else pair[::-1] for pair in ((0, 1), (0, 1), (0, 2), (0, 2), (1, 2), (1, 2))]
-    uvs = [(corners[corner][u] + offset[0], corners[corner][v] + offset[1]) for face, (u, v) in zip(faces, axes) for corner in face]
+    uvs = [
+        (corners[corner][u] + offset[0], corners[corner][v] + offset[1])
+        for face, (u, v) in zip(faces, axes, strict=False)
+        for corner in face
+    ]
     return add(name, corners, faces, collection, uvs, **place)
 
 
-def lathe(name: str, profile: Sequence[tuple[float, float]], collection: bpy.types.Collection, segments: int = 32,
-          **place) -> bpy.types.Object:
+def lathe(
+    name: str, profile: Sequence[tuple[float, float]], collection: bpy.types.Collection, segments: int = 32, **place
+) -> bpy.types.Object:
     """A surface of revolution about local Z; profile lists (radius, z) from bottom to top along the outside."""
     vertices, faces, uvs = [], [], []
     lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(np.array(profile), axis=0).T))])
@@ -56,20 +72,36 @@ def lathe(name: str, profile: Sequence[tuple[float, float]], collection: bpy.typ
             low, high = ring * segments, (ring + 1) * segments
             faces.append((low + segment, low + after, high + after, high + segment))
             left, right = (2 * math.pi * widest * s / segments for s in (segment, segment + 1))
-            uvs += [(left, lengths[ring]), (right, lengths[ring]), (right, lengths[ring + 1]), (left, lengths[ring + 1])]
+            uvs += [
+                (left, lengths[ring]),
+                (right, lengths[ring]),
+                (right, lengths[ring + 1]),
+                (left, lengths[ring + 1]),
+            ]
     return add(name, vertices, faces, collection, uvs, **place)
 
 
-def ellipsoid(name: str, half_size: Sequence[float], collection: bpy.types.Collection, rings: int = 12, segments: int = 24,
-              **place) -> bpy.types.Object:
+def ellipsoid(
+    name: str,
+    half_size: Sequence[float],
+    collection: bpy.types.Collection,
+    rings: int = 12,
+    segments: int = 24,
+    **place,
+) -> bpy.types.Object:
     """A closed ellipsoid (poles are single vertices, as a fluid emitter needs a watertight mesh)."""
     vertices = [(0.0, 0.0, -half_size[2])]
     for ring in range(1, rings):
         polar = math.pi * ring / rings
         for segment in range(segments):
             angle = 2 * math.pi * segment / segments
-            vertices.append((half_size[0] * math.sin(polar) * math.cos(angle), half_size[1] * math.sin(polar) * math.sin(angle),
-                             -half_size[2] * math.cos(polar)))
+            vertices.append(
+                (
+                    half_size[0] * math.sin(polar) * math.cos(angle),
+                    half_size[1] * math.sin(polar) * math.sin(angle),
+                    -half_size[2] * math.cos(polar),
+                )
+            )
     vertices.append((0.0, 0.0, half_size[2]))
     top, faces = len(vertices) - 1, []
     for segment in range(segments):

@@ -1,9 +1,11 @@
 """Cycles frames of the rig: all cameras at one instant before the next instant, resumable frame by frame.
 
 Light adds up. Where nothing absorbs light in front of the surroundings (no smoke), a frame is the fire-free plate plus
-what the fire alone adds: its own light and its light on the surroundings. The plate is rendered once, with many samples; a
-frame then renders only the fire's part, with the scene's lamps off, which needs far fewer samples for the same noise.
+what the fire alone adds: its own light and its light on the surroundings. The plate is rendered once, with many
+samples; a frame then renders only the fire's part, with the scene's lamps off, which needs far fewer samples for the
+same noise.
 """
+
 from __future__ import annotations
 
 import os
@@ -35,7 +37,9 @@ def configure(spec: SceneSpec) -> None:
     cycles.seed = spec.seed
     cycles.samples = spec.render.samples
     cycles.use_adaptive_sampling = False
-    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = spec.render.max_bounces
+    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = (
+        spec.render.max_bounces
+    )
     cycles.volume_bounces = 0
     cycles.volume_step_rate = spec.render.volume_step_rate
     cycles.caustics_reflective = cycles.caustics_refractive = False

@@ -1,4 +1,5 @@
 """The generator on a toy fire: real bake, real Cycles, one Blender process a stage."""
+
 import json
 import os
 import shutil
@@ -23,8 +24,14 @@ from gof.errors import GofError
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
 
-TOY = SceneSpec("toy", seed=3, clip=Clip(frames=5, fps=60.0, warm_up_frames=14), domain=Domain(resolution=20),
-                render=Render(percentage=6, samples=1, plate_samples=2, denoise=False), background="studio")
+TOY = SceneSpec(
+    "toy",
+    seed=3,
+    clip=Clip(frames=5, fps=60.0, warm_up_frames=14),
+    domain=Domain(resolution=20),
+    render=Render(percentage=6, samples=1, plate_samples=2, denoise=False),
+    background="studio",
+)
 IMAGES = TOY.clip.frames * TOY.cameras.count
 
 
@@ -33,8 +40,13 @@ def toy(tmp_path_factory) -> Layout:
     """A finished toy dataset; tests must not change it."""
     folder = tmp_path_factory.mktemp("generate")
     scene_spec.save(TOY, folder / "toy.json")
-    assert generate.main([str(folder / "toy.json"), "--out", str(folder / "toy"), "--json", str(folder / "costs.json")]) == 0
-    assert [stage["name"] for stage in json.loads((folder / "costs.json").read_text())["stages"]] == list(generate.STAGES)
+    assert (
+        generate.main([str(folder / "toy.json"), "--out", str(folder / "toy"), "--json", str(folder / "costs.json")])
+        == 0
+    )
+    assert [stage["name"] for stage in json.loads((folder / "costs.json").read_text())["stages"]] == list(
+        generate.STAGES
+    )
     return Layout(folder / "toy")
 
 
@@ -44,7 +56,17 @@ def copy_of(toy: Layout, folder: Path, *without: str) -> Layout:
 
 
 def worker(layout: Layout, stage: str) -> list[str]:
-    return [sys.executable, "-m", "blender_addon.generate", "--spec", str(layout.spec), "--out", str(layout.root), "--stage", stage]
+    return [
+        sys.executable,
+        "-m",
+        "blender_addon.generate",
+        "--spec",
+        str(layout.spec),
+        "--out",
+        str(layout.root),
+        "--stage",
+        stage,
+    ]
 
 
 def kill_after(layout: Layout, stage: str, done: int) -> None:
@@ -86,10 +108,10 @@ def test_dataset_opens(toy):
     assert {(camera["roll_deg"], camera["readout"]) for camera in dataset.meta["cameras"]} == {(90, "left")}
     assert dataset.image(2, 4).shape == dataset.static(2).shape == (76, 43, 3)
     field = dataset.velocity.at(dataset.times_s[2])
-    assert field.velocity.shape == (10, 10, 20, 3) == tuple(dataset.meta["domain"]["resolution"]) + (3,)
+    assert field.velocity.shape == (10, 10, 20, 3) == (*tuple(dataset.meta["domain"]["resolution"]), 3)
     np.testing.assert_allclose(field.index_to_world @ [0, 0, 0, 1], [*TOY.domain.min, 1], atol=1e-6)
     np.testing.assert_allclose(field.index_to_world @ [10, 10, 20, 1], [*TOY.domain.max, 1], atol=1e-5)
-    above = np.array([TOY.fire.position]) + [0, 0, 0.3]
+    above = [*np.array([TOY.fire.position]), 0, 0, 0.3]
     assert field.sample(above)[0, 2] > 0.3, "hot gas rises"
 
 
@@ -126,7 +148,8 @@ def test_plate_has_no_fire(toy):
 
 def test_plate_plus_fire_is_the_full_render(toy):
     """Light adds up: one render of everything has the same mean light as plate plus fire, image region by region."""
-    found = in_blender("""
+    found = in_blender(
+        """
         import numpy as np, pathlib
         from blender_addon.scene import render, rig, images
         from blender_addon import spec as scene_spec
@@ -153,7 +176,11 @@ def test_plate_plus_fire_is_the_full_render(toy):
         def regions(image):
             return image[:76, :42].reshape(4, 19, 3, 14, 3).mean((1, 3))
         result["full"], result["sum"], result["plate"] = (regions(x).tolist() for x in (full, plate + fire, plate))
-    """, toy.blend, toy.spec, toy.hidden / "shot.exr")
+    """,
+        toy.blend,
+        toy.spec,
+        toy.hidden / "shot.exr",
+    )
     full, together, plate = (np.array(found[name]) for name in ("full", "sum", "plate"))
     assert np.abs(together - full).max() < 0.03 * full.max()
     np.testing.assert_allclose(together.mean(), full.mean(), rtol=0.02)
@@ -165,7 +192,8 @@ def test_plate_plus_fire_is_the_full_render(toy):
 def test_cameras_agree_with_blender(tmp_path, roll):
     spec = replace(TOY, cameras=replace(TOY.cameras, roll_deg=roll, look_at=(0.1, -0.2, 0.7), height=1.4))
     scene_spec.save(spec, tmp_path / "spec.json")
-    found = in_blender("""
+    found = in_blender(
+        """
         import numpy as np
         from bpy_extras.object_utils import world_to_camera_view
         from mathutils import Vector
@@ -181,7 +209,9 @@ def test_cameras_agree_with_blender(tmp_path, roll):
         for camera in rig.find(spec):
             seen = [list(world_to_camera_view(scene, camera, Vector(point))) for point in points.tolist()]
             result["cameras"].append(rig.describe(camera, spec) | {"seen": seen})
-    """, tmp_path / "spec.json")
+    """,
+        tmp_path / "spec.json",
+    )
     width, height = found["size"]
     assert (width < height) == (roll == 90)
     points = np.c_[np.array(found["points"]), np.ones(200)]
@@ -262,7 +292,8 @@ def test_only_listed_effects_are_built(tmp_path):
     every = replace(TOY, effects=(smoke.Settings(), vorticity.Settings(), wind.Settings(direction_deg=30.0)))
     for name, spec in (("none", TOY), ("all", every)):
         scene_spec.save(spec, tmp_path / f"{name}.json")
-    found = in_blender("""
+    found = in_blender(
+        """
         from blender_addon import spec as scene_spec
         from blender_addon.scene import build
         for name in ("none", "all"):
@@ -271,14 +302,24 @@ def test_only_listed_effects_are_built(tmp_path):
             bpy.context.view_layer.update()
             wind = bpy.data.objects.get("Wind")
             result[name] = {
-                "smoke": settings.flame_smoke, "vorticity": settings.vorticity, "flame_vorticity": settings.flame_vorticity,
-                "reads_density": any(getattr(node, "attribute_name", "") == "density" for node in fire.material.node_tree.nodes),
+                "smoke": settings.flame_smoke,
+                "vorticity": settings.vorticity,
+                "flame_vorticity": settings.flame_vorticity,
+                "reads_density": "density" in [getattr(node, "attribute_name", "") for node in fire.material.node_tree.nodes],
                 "fields": [o.field.type for o in bpy.data.objects if o.field and o.field.type != "NONE"],
                 "wind_to": list(wind.matrix_world.to_3x3().col[2]) if wind else None,
-                "noise": settings.use_noise, "adaptive": settings.use_adaptive_timesteps, "format": settings.cache_data_format}
-    """, tmp_path)
+                "noise": settings.use_noise,
+                "adaptive": settings.use_adaptive_timesteps,
+                "format": settings.cache_data_format}
+    """,
+        tmp_path,
+    )
     always = {"noise": False, "adaptive": False, "format": "UNI"}
-    assert found["none"] == {"smoke": 0, "vorticity": 0, "flame_vorticity": 0, "reads_density": False, "fields": [], "wind_to": None} | always
+    assert (
+        found["none"]
+        == {"smoke": 0, "vorticity": 0, "flame_vorticity": 0, "reads_density": False, "fields": [], "wind_to": None}
+        | always
+    )
     assert found["all"]["smoke"] == 0.5 and found["all"]["reads_density"] and found["all"]["fields"] == ["WIND"]
     np.testing.assert_allclose(found["all"]["wind_to"], [np.cos(np.pi / 6), 0.5, 0], atol=1e-6)
     np.testing.assert_allclose(found["all"]["vorticity"], vorticity.Settings().gas * 25 / 60, rtol=1e-6)

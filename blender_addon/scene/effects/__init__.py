@@ -1,9 +1,11 @@
 """Effects a scene spec may list. Each is one module here; adding an effect means adding one file.
 
 A module holds ``Settings`` (a frozen dataclass, the JSON form of the effect) and ``apply(fire, settings, spec)``,
-which changes a built ``scene.fire.FireObjects`` before the bake. ``ABSORBS_LIGHT = True`` says that the effect dims what is
-behind it, so that frames cannot be rendered as the fire-free plate plus the fire's light. Modules import bpy only inside ``apply``.
+which changes a built ``scene.fire.FireObjects`` before the bake. ``ABSORBS_LIGHT = True`` says that the effect dims
+what is behind it, so that frames cannot be rendered as the fire-free plate plus the fire's light. Modules import bpy
+only inside ``apply``.
 """
+
 from __future__ import annotations
 
 import importlib

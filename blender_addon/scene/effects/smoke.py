@@ -1,4 +1,5 @@
 """Smoke: the flame releases soot that absorbs and scatters light."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass

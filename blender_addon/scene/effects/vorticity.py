@@ -1,4 +1,5 @@
 """Vorticity confinement: gives small eddies back what the solver's numerical diffusion takes."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
