@@ -21,7 +21,7 @@ if BACKEND not in ("llvm", "cuda"):
     raise GofError(f"GOF_RENDER_BACKEND is '{BACKEND}'; use 'llvm' or 'cuda'")
 _types = import_module(f"drjit.{BACKEND}.ad")
 Array2f, Array3f, Array4f, Bool = _types.Array2f, _types.Array3f, _types.Array4f, _types.Bool
-Float, Int, UInt = _types.Float, _types.Int, _types.UInt
+Float, Int, UInt, Array2u = _types.Float, _types.Int, _types.UInt, _types.Array2u
 
 
 def _tune_llvm(lanes: int) -> None:
@@ -72,4 +72,23 @@ def floats(array) -> Float:
         return Float(flat)
     out = dr.empty(Float, flat.size)
     out.numpy()[:] = flat
+    return out
+
+
+def pack(columns: list[Float], stride: int) -> Float:
+    """N records of `stride` floats (a multiple of 4, padded with 0), so that a lane fetches a record in 128-bit loads."""
+    out = dr.empty(Float, len(columns[0]) * stride)
+    columns = columns + [Float(0)] * (stride - len(columns))
+    record = dr.arange(UInt, len(out) // stride) * (stride // 4)
+    for q in range(stride // 4):
+        dr.scatter(out, Array4f(*columns[4 * q:4 * q + 4]), record + q, mode=dr.ReduceMode.NoConflicts)
+    dr.eval(out)
+    return out
+
+
+def pack_words(a: UInt, b: UInt) -> UInt:
+    """N records of two words."""
+    out = dr.empty(UInt, 2 * max(len(a), len(b)))
+    dr.scatter(out, Array2u(a, b), dr.arange(UInt, len(out) // 2), mode=dr.ReduceMode.NoConflicts)
+    dr.eval(out)
     return out

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 
-from gof.render.backend import Float, Int, UInt
+from gof.render.backend import Array2u, Array4f, Float, Int, UInt, pack, pack_words
 from gof.render.project import LOG2_E, Projected
 
 BLOCK = 4                       # pixels along one side of a block
@@ -28,18 +28,18 @@ PAIR_BUDGET = 1 << 24           # pairs binned at a time; a pair takes about 40 
 
 @dataclass
 class Footprints:
-    """Ellipses of N Gaussians in depth order: in the pixel row at dy from the mean, a Gaussian reaches 1/255 in
-    mean_x + slope dy +- sqrt(half_width2 - shrink dy^2)."""
+    """Where N Gaussians may be seen, as records of 8 words in depth order.
 
-    order: UInt         # index of the Gaussian
-    mean_x: Float
-    mean_y: Float
-    slope: Float
-    shrink: Float
-    half_width2: Float
-    first_row: Int      # block rows [first_row, end_row)
+    A record is mean_x, mean_y, slope, shrink, half_width2 (floats), first_row, end_row (integers), Gaussian. In the pixel row
+    at dy from its mean, a Gaussian reaches alpha 1/255 in mean_x + slope dy +- sqrt(half_width2 - shrink dy^2); it is seen
+    in block rows [first_row, end_row).
+    """
+
+    records: Float
+    first_row: Int      # (N,) by depth
     end_row: Int
-    width_bound: UInt   # blocks per row, at most
+    order: UInt         # (N,) Gaussians by depth
+    bound: UInt         # (N,) blocks per row, at most, in the Gaussians' own order
     columns: int
     rows: int
 
@@ -69,31 +69,39 @@ class Bins:
 def footprints(p: Projected, width: int, height: int) -> Footprints:
     """Ellipses in which some pixel centre may get alpha >= 1/255 (conservative); arrays come in detached."""
     columns, rows = -(-width // BLOCK), -(-height // BLOCK)
-    order = dr.argsort(dr.select(p.visible, p.depth, dr.inf))
-    g = lambda v: dr.gather(type(v), v, order)  # noqa: E731
-    mean_x, mean_y, xx, xy, yy, det = (g(v) for v in (p.mean_x, p.mean_y, p.cov_xx, p.cov_xy, p.cov_yy, p.det))
-    reach = g(p.log2_opacity) + (LOG2_255 + MARGIN)
-    drawn = g(p.visible) & (reach > 0)
+    reach = p.log2_opacity + (LOG2_255 + MARGIN)
+    drawn = p.visible & (reach > 0)
     mahalanobis2 = dr.maximum(reach, 0.0) * (2.0 / LOG2_E)
-    half_height = dr.sqrt(mahalanobis2 * yy) + MARGIN
-    half_width = dr.sqrt(mahalanobis2 * xx) + MARGIN
-    first_row, end_row = _span(mean_y - half_height, mean_y + half_height, rows)
-    first_column, end_column = _span(mean_x - half_width, mean_x + half_width, columns)
+    half_height = dr.sqrt(mahalanobis2 * p.cov_yy) + MARGIN
+    half_width = dr.sqrt(mahalanobis2 * p.cov_xx) + MARGIN
+    first_row, end_row = _span(p.mean_y - half_height, p.mean_y + half_height, rows)
+    first_column, end_column = _span(p.mean_x - half_width, p.mean_x + half_width, columns)
     drawn &= end_column > first_column
-    out = Footprints(order, mean_x, mean_y, xy / yy, det / (yy * yy), mahalanobis2 * det / yy, first_row,
-                     dr.select(drawn, end_row, first_row), UInt(end_column - first_column), columns, rows)
+    inverse = dr.rcp(p.cov_yy)
+    shrink = p.det * inverse * inverse
+    end_row = dr.select(drawn, end_row, first_row)
+    word = lambda v: dr.reinterpret_array(Float, v)  # noqa: E731
+    unsorted = pack([p.mean_x, p.mean_y, p.cov_xy * inverse, shrink, mahalanobis2 * p.cov_yy * shrink, word(first_row),
+                     word(end_row), word(dr.arange(UInt, len(p.depth)))], 8)
+    # Depths are positive, so their bits sort like the numbers.
+    order = dr.argsort(dr.select(p.visible, dr.reinterpret_array(UInt, p.depth), 0xFFFFFFFF))
+    front, back = dr.gather(Array4f, unsorted, 2 * order), dr.gather(Array4f, unsorted, 2 * order + 1)
+    first_row, end_row = (dr.reinterpret_array(Int, back[k]) for k in (1, 2))
+    dr.schedule(first_row, end_row)
+    out = Footprints(pack([*front, *back], 8), first_row, end_row, order, UInt(end_column - first_column), columns, rows)
     dr.eval(out)
     return out
 
 
 def plan_bands(f: Footprints, budget: int = PAIR_BUDGET) -> list[tuple[int, int]]:
     """Bands [first block row, end) of at most `budget` pairs each by bounding boxes, or of one row."""
-    if float(dr.sum(Float(f.end_row - f.first_row) * Float(f.width_bound))[0]) <= budget:
+    bound = Float(dr.gather(UInt, f.bound, f.order))
+    if float(dr.sum(Float(f.end_row - f.first_row) * bound)[0]) <= budget:
         return [(0, f.rows)]
     drawn = f.end_row > f.first_row
     change = dr.zeros(Float, f.rows + 1)
-    dr.scatter_add(change, Float(f.width_bound), UInt(f.first_row), drawn)
-    dr.scatter_add(change, -Float(f.width_bound), UInt(f.end_row), drawn)
+    dr.scatter_add(change, bound, UInt(f.first_row), drawn)
+    dr.scatter_add(change, -bound, UInt(f.end_row), drawn)
     per_row = np.cumsum(change.numpy().astype(np.float64))[:f.rows]
     bands, first, total = [], 0, 0.0
     for row in range(f.rows):
@@ -112,33 +120,34 @@ def bin_band(f: Footprints, first_row: int, end_row: int) -> Bins:
     if len(owner) == 0:
         return _empty(f, first_row, end_row)
 
-    h = lambda v: dr.gather(type(v), v, owner)  # noqa: E731
-    row = h(first) + Int(row_in_owner)
-    x, y, w2, s, k = h(f.mean_x), h(f.mean_y), h(f.half_width2), h(f.slope), h(f.shrink)
+    x, y, slope, shrink = dr.gather(Array4f, f.records, 2 * owner)
+    half_width2, owner_row, _, gaussian = dr.gather(Array4f, f.records, 2 * owner + 1)
+    gaussian = dr.reinterpret_array(UInt, gaussian)
+    row = dr.maximum(dr.reinterpret_array(Int, owner_row), from_row) + Int(row_in_owner)
     lo, hi = Float(dr.inf), Float(-dr.inf)
     for j in range(BLOCK):
         dy = Float(BLOCK * row + j) + 0.5 - y
-        inside = w2 - dy * dy * k
+        inside = half_width2 - dy * dy * shrink
         half = dr.sqrt(dr.maximum(inside, 0.0)) + MARGIN
         hit = inside > -MARGIN
-        centre = x + s * dy
+        centre = x + slope * dy
         lo = dr.minimum(lo, dr.select(hit, centre - half, dr.inf))
         hi = dr.maximum(hi, dr.select(hit, centre + half, -dr.inf))
     first_column, end_column = _span(lo, hi, f.columns)
     base = UInt((row - from_row) * f.columns + first_column)
-    gaussian = h(f.order)
-    counts = UInt(dr.maximum(end_column - first_column, 0))
-    dr.eval(base, gaussian, counts)
+    counts = UInt(end_column - first_column)
+    dr.schedule(counts)
+    words = pack_words(base, gaussian)      # (block, Gaussian) travel as pairs of words: one load each instead of two
     item, within, item_start, item_end = expand(counts)
     if len(item) == 0:
         return _empty(f, first_row, end_row)
-    block = dr.gather(UInt, base, item) + within
-    gaussian = dr.gather(UInt, gaussian, item)
-    dr.eval(block, gaussian)
     some = owner_end > owner_start
     segment = dr.gather(UInt, item_start, owner_start, some)
     segment_end = dr.gather(UInt, item_end, owner_end - 1, some)
-    return _sort(block, gaussian, segment, segment_end, f, first_row, end_row)
+    base, gaussian = dr.gather(Array2u, words, item)
+    block = base + within
+    dr.schedule(block)
+    return _sort(block, pack_words(block, gaussian), segment, segment_end, f, first_row, end_row)
 
 
 def expand(counts: UInt) -> tuple[UInt, UInt, UInt, UInt]:
@@ -166,22 +175,24 @@ def _span(lo: Float, hi: Float, limit: int) -> tuple[Int, Int]:
     return first, dr.select(some, dr.maximum(end, first), first)
 
 
-def _sort(block: UInt, gaussian: UInt, segment: UInt, segment_end: UInt, f: Footprints, first_row: int, end_row: int) -> Bins:
+def _sort(block: UInt, pairs: UInt, segment: UInt, segment_end: UInt, f: Footprints, first_row: int, end_row: int) -> Bins:
+    """Order (block, Gaussian) pairs by block; pairs of one block keep their order."""
     n_blocks, n = f.columns * (end_row - first_row), len(block)
-    slot = dr.detail.block_mkperm(block, n, 1 << (n_blocks - 1).bit_length())
-    sorted_block, sorted_gaussian = dr.gather(UInt, block, slot), dr.gather(UInt, gaussian, slot)
-    dr.eval(sorted_block, sorted_gaussian)
-
     i, last = dr.arange(UInt, n), dr.opaque(UInt, n - 1)
-    previous = dr.gather(UInt, sorted_block, i - 1, i > 0)
-    following = dr.gather(UInt, sorted_block, i + 1, i < last)
+    slot = dr.detail.block_mkperm(block, n, 1 << (n_blocks - 1).bit_length())
+    block, gaussian = dr.gather(Array2u, pairs, slot)
+    dr.eval(block, gaussian)
+
+    previous = dr.gather(UInt, block, i - 1, i > 0)
+    begins = (i == 0) | (previous != block)
     start, end = dr.zeros(UInt, n_blocks), dr.zeros(UInt, n_blocks)
-    dr.scatter(start, i, sorted_block, (i == 0) | (previous != sorted_block), mode=dr.ReduceMode.NoConflicts)
-    dr.scatter(end, i + 1, sorted_block, (i == last) | (following != sorted_block), mode=dr.ReduceMode.NoConflicts)
+    dr.scatter(start, i, block, begins, mode=dr.ReduceMode.NoConflicts)
+    dr.scatter(end, i, previous, begins & (i > 0), mode=dr.ReduceMode.NoConflicts)
+    dr.scatter(end, i + 1, block, i == last, mode=dr.ReduceMode.NoConflicts)
     shortness = 2047 - dr.minimum(end - start, 2047)
     order = dr.detail.block_mkperm(shortness, n_blocks, 2048)
     dr.eval(start, end)
-    return Bins(n, Lists(sorted_gaussian, start, end, order, dr.opaque(UInt, first_row)), slot, segment, segment_end)
+    return Bins(n, Lists(gaussian, start, end, order, dr.opaque(UInt, first_row)), slot, segment, segment_end)
 
 
 def _empty(f: Footprints, first_row: int, end_row: int) -> Bins:

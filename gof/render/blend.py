@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import drjit as dr
 
-from gof.render.backend import Array4f, Float, Int, UInt, frozen
+from gof.render.backend import Array4f, Float, Int, UInt, frozen, pack
 from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Footprints, Lists, bin_band, plan_bands
 
 MAX_ALPHA = 0.99            # 1 - alpha stays >= 0.01, so the adjoint's division by it loses at most two digits
@@ -50,7 +50,7 @@ class _Blend(dr.CustomOp):
     def eval(self, geometry, channels, shapes, trace, deterministic, pair_budget):
         self.shapes, self.trace, self.deterministic = shapes, trace, deterministic
         self.n, self.n_channels = len(geometry[0]), len(channels)
-        self.records = pack(geometry + channels)
+        self.records = pack(geometry + channels, stride(len(geometry) + len(channels)))
         self.bands = plan_bands(shapes, pair_budget)
         self.planes = [dr.empty(Float, shapes.rows * shapes.columns * BLOCK * BLOCK) for _ in range(self.n_channels + 1)]
         for band in self.bands:
@@ -85,18 +85,6 @@ class _Blend(dr.CustomOp):
 
     def name(self):
         return "blend"
-
-
-def pack(columns: list[Float]) -> Float:
-    """N records of `stride(len(columns))` floats, so that a lane fetches a Gaussian with 128-bit loads."""
-    n, quads = len(columns[0]), stride(len(columns)) // 4
-    columns = columns + [Float(0)] * (4 * quads - len(columns))
-    out = dr.empty(Float, n * 4 * quads)
-    lane = dr.arange(UInt, n) * quads
-    for q in range(quads):
-        dr.scatter(out, Array4f(*columns[4 * q:4 * q + 4]), lane + q, mode=dr.ReduceMode.NoConflicts)
-    dr.eval(out)
-    return out
 
 
 def stride(n_columns: int) -> int:

@@ -2,7 +2,7 @@
 into a Mitsuba scene.
 
 Mitsuba traces rays through the 3D Gaussians, so it differs from splatting in known ways: no affine approximation of the
-perspective, Gaussians cut at 3 standard deviations, ordered by where a ray enters their shell instead of by their centre,
+perspective, Gaussians cut at an ellipsoid that shrinks with their opacity, ordered by where a ray enters their shell instead of by their centre,
 alpha up to 0.9999 and rays stopped at transmittance 0.01, and a pixel is filtered by sampling instead of by dilation.
 """
 
@@ -48,7 +48,7 @@ def ellipsoids(gaussians: TransientGaussians, time_s: float, unit_m: float = 1.0
     tensor = lambda a: mi.TensorXf(np.ascontiguousarray(a, np.float32))  # noqa: E731
     return {"type": "ellipsoids", "centers": tensor(position / unit_m), "scales": tensor(gaussians.scale / unit_m),
             "quaternions": tensor(gaussians.rotation[:, [1, 2, 3, 0]]), "opacities": tensor(opacity[:, None]),
-            "sh_coeffs": tensor(coefficients.reshape(len(gaussians), -1)), "extent_adaptive_clamping": False}
+            "sh_coeffs": tensor(coefficients.reshape(len(gaussians), -1))}
 
 
 def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX, unit_m: float = 1.0) -> dict:
