@@ -92,3 +92,11 @@ def pack_words(a: UInt, b: UInt) -> UInt:
     dr.scatter(out, Array2u(a, b), dr.arange(UInt, len(out) // 2), mode=dr.ReduceMode.NoConflicts)
     dr.eval(out)
     return out
+
+
+def shifted(array: Float, start: int, n: int) -> Float:
+    """Entries [start, start + n) of an array in memory. On the CPU nothing is copied or gathered: kernels read the same
+    memory from another address, with contiguous loads. Neither array may be written to afterwards."""
+    if BACKEND == "cuda":
+        return dr.gather(Float, array, dr.arange(UInt, n) + start)
+    return Float(array.numpy()[start:start + n])
