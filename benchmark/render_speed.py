@@ -169,7 +169,7 @@ def mitsuba_peer(n: int, width: int, height: int, ours: bool) -> dict:
 
     loaded = scene(flame(n), camera(width, height), 0.0, spp=1, filter_sigma=0)
     params = mi.traverse(loaded)
-    keys = [k for k in params.keys() if k.endswith(("opacities", "sh_coeffs"))]  # noqa: SIM118
+    keys = [k for k in params.keys() if k.endswith(("opacities", "sh_coeffs"))]
 
     def forward():
         dr.eval(mi.render(loaded, spp=1))
