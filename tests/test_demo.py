@@ -1,0 +1,101 @@
+"""`gof demo` end to end at toy size through the real parts: real bake, real Cycles, real Dr.Jit, real kill -9."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from gof.gaussians import TransientGaussians
+
+
+def spec(folder):
+    """The built-in demo scene, coarse: 6 frames of 72x128 pixels, frame 4 held out."""
+    from benchmark.generate import load_scene
+
+    data = load_scene("demo", "toy").to_dict()
+    data["clip"] |= {"frames": 6, "warm_up_frames": 40}
+    data["domain"]["resolution"] = 32
+    data["render"]["percentage"] = 10
+    path = folder / "toy.json"
+    path.write_text(json.dumps(data))
+    return path
+
+
+def command(folder, scene):
+    return [sys.executable, "-m", "gof", "demo", "--scene", str(scene), "--gaussians", "3000", "--iterations", "150",
+            "--out", str(folder / "demo")]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """A demo that was killed in the middle of rendering and started again; returns its folder and what was finished before."""
+    folder = tmp_path_factory.mktemp("run")
+    scene = spec(folder)
+    cameras = folder / "demo" / "dataset" / "cameras"
+
+    def finished():
+        return {p: p.stat().st_mtime_ns for p in cameras.rglob("0*.*")}
+
+    first = subprocess.Popen(command(folder, scene), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 240
+    while len(finished()) < 20 and time.monotonic() < deadline:  # 54 files in all
+        time.sleep(0.02)
+    os.kill(first.pid, signal.SIGKILL)
+    first.wait()
+    time.sleep(1)  # a worker that had survived would go on writing
+    before = finished()
+    assert 20 <= len(before) < 54, "the kill must fall into the rendering"
+    done = subprocess.run(command(folder, scene), capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return folder, before, done.stdout
+
+
+def test_no_finished_frame_is_made_again(demo):
+    _, before, _ = demo
+    for path, when in before.items():
+        assert path.stat().st_mtime_ns == when, f"{path} was finished before the kill and written again"
+
+
+def test_scores_beat_random_and_still_velocities_and_the_plate(demo):
+    folder, _, _ = demo
+    scores = json.loads((folder / "demo" / "scores.json").read_text())
+    assert scores["dve"]["l2"] < min(scores["controls"]["zero"]["l2"], scores["controls"]["random"]["l2"])
+    assert scores["dve"]["cos_sim"] > scores["controls"]["random"]["cos_sim"] + 0.3
+    assert scores["psnr_flame"] > scores["psnr_flame_plate"] + 6
+    stages = {s["name"]: s for s in scores["stages"]}
+    assert {"bake", "render", "ground-truth", "motion", "flow_field", "optimize", "evaluate", "import"} <= set(stages)
+    assert all(s["seconds"] > 0 and s["peak_mb"] > 50 for s in stages.values())
+
+
+def test_everything_a_newcomer_opens_is_there(demo):
+    out = demo[0] / "demo"
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/") >= 5 and 'src="http' not in page
+    assert (out / "preview.png").stat().st_size > 1000
+    assert len(TransientGaussians.load(out / "reconstruct" / "result.ply")) > 1000
+
+
+def test_the_blend_opens_and_holds_scene_and_cloud(demo):
+    out = demo[0] / "demo"
+    code = f"""
+import bpy, numpy as np, os
+bpy.ops.wm.open_mainfile(filepath={str(out / 'result.blend')!r})
+names = {{o.type for o in bpy.data.objects}}
+assert 'CAMERA' in names and sum(o.type == 'MESH' for o in bpy.data.objects) > 10, names
+cloud = next(o for o in bpy.data.objects if any(m.type == 'NODES' for m in o.modifiers) and len(o.data.vertices) > 1000)
+print('cloud of', len(cloud.data.vertices), flush=True); os._exit(0)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and "cloud of" in done.stdout, done.stdout + done.stderr
+
+
+def test_a_third_start_does_nothing(demo):
+    folder = demo[0]
+    times = {p: p.stat().st_mtime_ns for p in (folder / "demo").rglob("*") if p.is_file() and p.name not in ("scores.json",)}
+    done = subprocess.run(command(folder, folder / "toy.json"), capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and done.stdout.count("finished before") == 5
+    assert {p: p.stat().st_mtime_ns for p in times} == times
