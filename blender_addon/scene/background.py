@@ -28,7 +28,7 @@ def studio(spec: SceneSpec, collection: bpy.types.Collection) -> None:
         material=material.plain("Backdrop", (0.16, 0.17, 0.18)),
     )
     _light(collection, (-1.8, -2.0, 3.2), 70.0, 1.5, (1.0, 0.96, 0.9))
-    _sky((0.05, 0.055, 0.065), 1.0)
+    _sky((0.032, 0.036, 0.045), 1.0)
 
 
 def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
@@ -59,9 +59,9 @@ def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
         meshes.lathe(
             "Pipe", [(radius, 0.0), (radius, 4.0)], collection, 12, location=(x, 1.74, 0), material=steel, smooth=True
         )
-    _light(collection, (-1.9, -1.6, 3.3), 85.0, 1.2, (1.0, 0.93, 0.82))
-    _light(collection, (2.6, -0.6, 2.6), 18.0, 1.0, (0.72, 0.84, 1.0))
-    _sky((0.05, 0.055, 0.065), 1.0)
+    _light(collection, (-1.9, -1.6, 3.3), 55.0, 1.2, (1.0, 0.93, 0.82))
+    _light(collection, (2.6, -0.6, 2.6), 13.0, 1.0, (0.72, 0.84, 1.0))
+    _sky((0.032, 0.036, 0.045), 1.0)
 
 
 PRINTS = (

@@ -27,7 +27,7 @@ def flame(fuel: Fuel) -> bpy.types.Material:
     # Dense flame radiates more than in proportion, which leaves the fringe translucent.
     density = add("ShaderNodeMath")
     density.operation = "POWER"
-    density.inputs[1].default_value = 1.4
+    density.inputs[1].default_value = 1.3
     strength = add("ShaderNodeMath")
     strength.operation = "MULTIPLY"
     strength.inputs[1].default_value = fuel.radiance
