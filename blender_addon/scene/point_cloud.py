@@ -6,9 +6,8 @@ Nothing is stored per frame. The modifier evaluates, from the scene's frame and 
 drops points below a cut-off opacity, and shows the rest as ellipsoids or points.
 
 The material makes each Gaussian look as in splatting. On the surface of the ellipsoid at EXTENT standard deviations, a
-ray that passes the centre at b standard deviations gets the opacity alpha(t) exp(-b^2 / 2) and the Gaussian's colour as
-emission. Layers add up in linear light here, while the reconstruction blends display values; so soft borders come out
-a little brighter than in its own pictures.
+ray that passes the centre at b standard deviations gets the opacity alpha(t) exp(-b^2 / 2). What a Gaussian emits comes
+from `display.emission`.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from . import display
 Mode = Literal["ellipsoids", "points"]
 EXTENT = 2.5  # radius of the shown ellipsoid in standard deviations; the splat has faded to 4 % there
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
-TRANSPARENT_LAYERS = 256  # surfaces a ray may pass; two per Gaussian
+TRANSPARENT_LAYERS = 1024  # surfaces a ray may pass, two per Gaussian; where it must stop the picture turns black
 
 
 def add_point_cloud(cloud: GaussianCloud, start_frame: float, mode: Mode = "ellipsoids",
@@ -48,6 +47,7 @@ def add_point_cloud(cloud: GaussianCloud, start_frame: float, mode: Mode = "elli
     scene.collection.objects.link(thing)
     material = splat_material(f"{name} Material", mode)
     thing.data.materials.append(material)
+    thing.visible_shadow = False  # fire casts no shadow
     modifier = thing.modifiers.new("Transient Gaussians", "NODES")
     modifier.node_group = _node_group(mode, material)
     sockets = {item.name: item.identifier for item in modifier.node_group.interface.items_tree
@@ -65,7 +65,7 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
     mesh.vertices.foreach_set("co", cloud.position.ravel())
     # 1 / t_sigma is 0 for "always on", so no infinity enters the node graph; static Gaussians are always on and rest.
     alive = cloud.dynamic.astype(np.float32)
-    linear = display.scene_linear(cloud.color, bpy.context.scene)
+    light = display.emission(cloud, display.ToneCurve.measure(bpy.context.scene))
     columns = {
         "gs_velocity": ("FLOAT_VECTOR", "vector", cloud.velocity * alive[:, None]),
         "gs_t_mu": ("FLOAT", "value", cloud.t_mu),
@@ -73,12 +73,23 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
         "gs_scale": ("FLOAT_VECTOR", "vector", cloud.scale),
         "gs_rotation": ("QUATERNION", "value", cloud.rotation),
         "gs_opacity": ("FLOAT", "value", cloud.opacity),
-        "gs_color": ("FLOAT_COLOR", "color", np.column_stack([linear, np.ones(len(cloud))])),
+        "gs_color": ("FLOAT_COLOR", "color", np.column_stack([light, np.ones(len(cloud))])),
     }
+    # Rows of diag(1 / scale) R^T, which maps an offset to standard deviations along the Gaussian's own axes.
+    for k, (name_of_axis, axis) in enumerate(zip("xyz", _axes(cloud.rotation), strict=True)):
+        columns[f"gs_whiten_{name_of_axis}"] = ("FLOAT_VECTOR", "vector", axis / np.maximum(cloud.scale[:, k : k + 1], 1e-9))
     for attribute, (kind, field, values) in columns.items():
         mesh.attributes.new(attribute, kind, "POINT").data.foreach_set(field, np.ravel(values).astype(np.float32))
     mesh.update()
     return mesh
+
+
+def _axes(rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The Gaussians' own x, y and z axes, (N, 3) each, in the frame of unit quaternions wxyz (N, 4)."""
+    w, x, y, z = rotation.T.astype(np.float64)
+    return (np.column_stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]),
+            np.column_stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)]),
+            np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]))
 
 
 def _follow_frame_rate(thing: bpy.types.Object, path: str, scene: bpy.types.Scene) -> None:
@@ -156,9 +167,14 @@ def _node_group(mode: Mode, material: bpy.types.Material) -> bpy.types.NodeTree:
 
 def _as_ellipsoids(nodes: _Nodes, geometry, attribute) -> bpy.types.NodeSocket:
     ball = nodes.add("GeometryNodeMeshIcoSphere", {"Radius": EXTENT, "Subdivisions": 2}).outputs["Mesh"]
-    return nodes.add("GeometryNodeInstanceOnPoints", {
+    place = nodes.add("GeometryNodeInputPosition").outputs[0]
+    ball = nodes.add("GeometryNodeStoreNamedAttribute", {"Geometry": ball, "Name": "gs_local", "Value": place},
+                     data_type="FLOAT_VECTOR", domain="POINT").outputs["Geometry"]
+    instances = nodes.add("GeometryNodeInstanceOnPoints", {
         "Points": geometry, "Instance": ball, "Rotation": attribute("gs_rotation", "QUATERNION"),
         "Scale": attribute("gs_scale", "FLOAT_VECTOR")}).outputs["Instances"]
+    # One mesh: a ray crosses dozens of Gaussians, and Cycles finds overlapping instances far more slowly.
+    return nodes.add("GeometryNodeRealizeInstances", {"Geometry": instances}).outputs[0]
 
 
 def _as_points(nodes: _Nodes, geometry, attribute) -> bpy.types.NodeSocket:
@@ -176,15 +192,19 @@ def splat_material(name: str, mode: Mode) -> bpy.types.Material:
     # A path towards each of thousands of small lights is slow and noisy; other surfaces still see the flame's glow.
     material.cycles.emission_sampling = "NONE"
     nodes = _Nodes(material.node_tree)
-    source = "INSTANCER" if mode == "ellipsoids" else "GEOMETRY"
-    color = nodes.add("ShaderNodeAttribute", attribute_name="gs_color", attribute_type=source).outputs["Color"]
-    alpha = nodes.add("ShaderNodeAttribute", attribute_name="gs_alpha", attribute_type=source).outputs["Fac"]
+
+    def attribute(name: str) -> bpy.types.bpy_prop_collection:
+        return nodes.add("ShaderNodeAttribute", attribute_name=name, attribute_type="GEOMETRY").outputs
+
+    color, alpha = attribute("gs_color")["Color"], attribute("gs_alpha")["Fac"]
     hit = nodes.add("ShaderNodeNewGeometry").outputs
     if mode == "ellipsoids":
-        # In the instance's own space the ellipsoid is a ball and lengths count standard deviations.
+        # In the Gaussian's own whitened space the ellipsoid is a ball and lengths count standard deviations.
         ray = nodes.add("ShaderNodeVectorTransform", {"Vector": hit["Incoming"]}, vector_type="VECTOR",
                         convert_from="WORLD", convert_to="OBJECT").outputs[0]
-        hit_point = nodes.add("ShaderNodeTexCoord").outputs["Object"]
+        rows = [nodes.vector("DOT_PRODUCT", attribute(f"gs_whiten_{axis}")["Vector"], ray, output="Value") for axis in "xyz"]
+        ray = nodes.add("ShaderNodeCombineXYZ", dict(zip("XYZ", rows, strict=True))).outputs[0]
+        hit_point = attribute("gs_local")["Vector"]
     else:
         ray, hit_point = hit["Incoming"], nodes.vector("SCALE", hit["Normal"], Scale=EXTENT)
     # Distance of the ray from the centre: exact wherever on the faceted ball it has hit.
@@ -194,8 +214,12 @@ def splat_material(name: str, mode: Mode) -> bpy.types.Material:
     falloff = nodes.math("EXPONENT", nodes.math("MULTIPLY", squared, -0.5))
     front = nodes.math("SUBTRACT", 1.0, hit["Backfacing"])
     opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), front)
+    # Each sample either sees this Gaussian or passes, by chance: the same picture on average, but a ray ends after a few
+    # layers instead of crossing all of them, and dense parts have no noise because every sample ends in the flame.
+    chance = nodes.add("ShaderNodeTexWhiteNoise", {"Vector": hit["Position"], "W": alpha}, noise_dimensions="4D").outputs["Value"]
+    seen = nodes.math("LESS_THAN", chance, opacity)
     clear = nodes.add("ShaderNodeBsdfTransparent").outputs[0]
     glow = nodes.add("ShaderNodeEmission", {"Color": color, "Strength": 1.0}).outputs[0]
-    mixed = nodes.add("ShaderNodeMixShader", {0: opacity, 1: clear, 2: glow}).outputs[0]
+    mixed = nodes.add("ShaderNodeMixShader", {0: seen, 1: clear, 2: glow}).outputs[0]
     nodes.add("ShaderNodeOutputMaterial", {"Surface": mixed})
     return material

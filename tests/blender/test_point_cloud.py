@@ -34,27 +34,22 @@ scene.render.fps = 100
 out = {}
 
 def look(thing, mode, key):
-    # Instances are read by transform: their derived 'position' attribute is not reliable from Python.
     graph = bpy.context.evaluated_depsgraph_get()
     geometry = thing.evaluated_get(graph).evaluated_geometry()
-    points = geometry.instances_pointcloud() if mode == "ellipsoids" else geometry.pointcloud
-    count = len(points.points) if points else 0
+    seen = geometry.mesh if mode == "ellipsoids" else geometry.pointcloud
+    count = len(seen.attributes["position"].data)
 
     def read(name, field, width):
         values = np.zeros(count * width, np.float32)
-        if count:
-            points.attributes[name].data.foreach_get(field, values)
+        seen.attributes[name].data.foreach_get(field, values)
         return values.reshape(count, width)
 
+    matrix = np.array(thing.matrix_world)
+    out[key + "/position"] = read("position", "vector", 3) @ matrix[:3, :3].T + matrix[:3, 3]
     out[key + "/alpha"] = read("gs_alpha", "value", 1)[:, 0]
     if mode == "ellipsoids":
-        world = [np.array(i.matrix_world) for i in graph.object_instances
-                 if i.is_instance and i.parent and i.parent.original == thing]
-        out[key + "/matrix"] = np.array(world).reshape(-1, 4, 4)
-        out[key + "/position"] = out[key + "/matrix"][:, :3, 3]
+        out[key + "/local"] = read("gs_local", "vector", 3)
     else:
-        matrix = np.array(thing.matrix_world)
-        out[key + "/position"] = read("position", "vector", 3) @ matrix[:3, :3].T + matrix[:3, 3]
         out[key + "/radius"] = read("radius", "value", 1)[:, 0]
 
 def at(frame):
@@ -84,7 +79,7 @@ leave()
 """
 RENDER = COMMON + """
 scene.render.fps, scene.render.engine = 100, "CYCLES"
-scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.filter_width = 16, False, 0.01
+scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 512, False, "BOX"
 scene.render.resolution_x = scene.render.resolution_y = 48
 scene.view_settings.view_transform = "Standard"
 camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -97,6 +92,7 @@ for mode in ("ellipsoids", "points"):
     cloud = gaussians_file.load(folder / f"{mode}.npz")
     thing = point_cloud.add_point_cloud(cloud, 1, mode)
     thing.location.x = -0.05
+    thing.data.attributes["gs_color"].data[0].color = (1, 1, 1, 1)  # so that the pixel is the opacity
     scene.frame_set(1)
     scene.render.filepath = str(folder / f"{mode}.exr")
     bpy.ops.render.render(write_still=True)
@@ -104,11 +100,19 @@ for mode in ("ellipsoids", "points"):
     image = bpy.data.images.load(scene.render.filepath)
     np.save(folder / f"{mode}.npy", np.array(image.pixels[:]).reshape(48, 48, 4)[..., 0])
 shown = {}
-colors = np.linspace(0, 1, 11)[:, None].repeat(3, 1)
+colors = np.linspace(0, 1, 11)
 for transform in ("Standard", "Filmic", "AgX"):
     scene.view_settings.view_transform = transform
-    linear = display.scene_linear(colors, scene)
-    shown[transform] = [linear[:, 0].tolist(), display._shown(linear[:, 0].astype(float), scene).tolist()]
+    linear = display.ToneCurve.measure(scene).light(colors)
+    shown[transform] = [linear.tolist(), display.display_values(linear, scene).tolist()]
+
+scene.view_settings.view_transform, scene.cycles.samples = "Filmic", 32
+thing = point_cloud.add_point_cloud(gaussians_file.load(folder / "column.npz"), 1, "points")
+camera.rotation_euler, camera.location = (np.pi / 2, 0, 0), (0, -5, 0)
+bpy.ops.render.render(write_still=True)
+image = bpy.data.images.load(scene.render.filepath)
+pixels = np.array(image.pixels[:]).reshape(48, 48, 4)[..., :3]
+shown["column"] = [display.display_values(pixels[..., c].ravel(), scene).tolist() for c in range(3)]
 (folder / "shown.json").write_text(json.dumps(shown))
 leave()
 """
@@ -150,16 +154,27 @@ def closed_form(cloud: GaussianCloud, time_s: float) -> tuple[np.ndarray, np.nda
     return (cloud.position + age[:, None] * cloud.velocity)[visible], alpha[visible], visible
 
 
+def seen_gaussians(file: Path, mode: str, key: str) -> tuple[np.ndarray, np.ndarray]:
+    """World positions and opacities as evaluated; an ellipsoid is a ball of 42 vertices around its centre."""
+    seen = np.load(file)
+    position, alpha = seen[f"{mode}/{key}/position"], seen[f"{mode}/{key}/alpha"]
+    if mode == "points":
+        return position, alpha
+    alpha = alpha.reshape(-1, 42)
+    assert (alpha == alpha[:, :1]).all()
+    return position.reshape(-1, 42, 3).astype(float).mean(1), alpha[:, 0]
+
+
 @pytest.mark.parametrize("mode", ["ellipsoids", "points"])
 @pytest.mark.parametrize("frame", FRAMES)
 def test_positions_and_opacities_over_time(cloud, mode, frame):
     gaussians, file = cloud
-    seen = np.load(file)
+    seen, seen_alpha = seen_gaussians(file, mode, str(frame))
     position, alpha, visible = closed_form(gaussians, (frame - START) / FPS)
     assert 0 < visible.sum() < len(gaussians)
-    assert len(seen[f"{mode}/{frame}/alpha"]) == visible.sum()
-    assert np.abs(seen[f"{mode}/{frame}/position"] - position).max() < 1e-5
-    assert np.abs(seen[f"{mode}/{frame}/alpha"] - alpha).max() < 1e-5
+    assert len(seen) == visible.sum()
+    assert np.abs(seen - position).max() < 1e-5
+    assert np.abs(seen_alpha - alpha).max() < 1e-5
     # One frame off would be noticed.
     later = closed_form(gaussians, (frame + 1 - START) / FPS)
     both = visible & later[2]
@@ -170,33 +185,28 @@ def test_positions_and_opacities_over_time(cloud, mode, frame):
 def test_shapes(cloud, frame):
     gaussians, file = cloud
     seen = np.load(file)
-    visible = closed_form(gaussians, (frame - START) / FPS)[2]
-    wanted = [rotation_matrix(q.astype(float)) * s for q, s in zip(gaussians.rotation[visible], gaussians.scale[visible], strict=True)]
-    assert np.abs(seen[f"ellipsoids/{frame}/matrix"][:, :3, :3] - wanted).max() < 1e-5
+    position, _, visible = closed_form(gaussians, (frame - START) / FPS)
+    local = seen[f"ellipsoids/{frame}/local"].reshape(-1, 42, 3)
+    assert np.allclose(np.linalg.norm(local, axis=2), EXTENT, atol=1e-5)
+    axes = np.array([rotation_matrix(q.astype(float)) * s for q, s in
+                     zip(gaussians.rotation[visible], gaussians.scale[visible], strict=True)])
+    wanted = position[:, None] + np.einsum("nij,nvj->nvi", axes, local)
+    assert np.abs(seen[f"ellipsoids/{frame}/position"].reshape(-1, 42, 3) - wanted).max() < 1e-5
     radius = EXTENT * np.cbrt(gaussians.scale[visible].astype(float).prod(1))
     assert np.abs(seen[f"points/{frame}/radius"] - radius).max() < 1e-5
 
 
 @pytest.mark.parametrize("mode", ["ellipsoids", "points"])
-def test_moved_object_takes_everything_along(cloud, mode):
+@pytest.mark.parametrize("key, fps", [("moved", 100), ("40 fps", 40)])  # 50 / 1.25 = 40 frames per second
+def test_moved_object_and_scene_frame_rate(cloud, mode, key, fps):
     gaussians, file = cloud
-    seen = np.load(file)
-    matrix = seen["matrix"]
-    position, alpha, _ = closed_form(gaussians, (100 - START) / FPS)
+    matrix = np.load(file)["matrix"]
     assert np.abs(matrix[:3, :3] - np.eye(3)).max() > 0.1
-    assert np.abs(seen[f"{mode}/moved/position"] - (position @ matrix[:3, :3].T + matrix[:3, 3])).max() < 1e-5
-    assert np.abs(seen[f"{mode}/moved/alpha"] - alpha).max() < 1e-5
-
-
-@pytest.mark.parametrize("mode", ["ellipsoids", "points"])
-def test_seconds_follow_the_scene_frame_rate(cloud, mode):
-    gaussians, file = cloud
-    seen = np.load(file)
-    matrix = seen["matrix"]
-    position, alpha, visible = closed_form(gaussians, (100 - START) / 40)  # 50 / 1.25 frames per second
-    assert len(seen[f"{mode}/40 fps/alpha"]) == visible.sum()
-    assert np.abs(seen[f"{mode}/40 fps/position"] - (position @ matrix[:3, :3].T + matrix[:3, 3])).max() < 1e-5
-    assert np.abs(seen[f"{mode}/40 fps/alpha"] - alpha).max() < 1e-5
+    seen, seen_alpha = seen_gaussians(file, mode, key)
+    position, alpha, visible = closed_form(gaussians, (100 - START) / fps)
+    assert len(seen) == visible.sum()
+    assert np.abs(seen - (position @ matrix[:3, :3].T + matrix[:3, 3])).max() < 1e-5
+    assert np.abs(seen_alpha - alpha).max() < 1e-5
 
 
 def test_unknown_mode(cloud):
@@ -210,6 +220,13 @@ def rendered(tmp_path_factory) -> Path:
         TransientGaussians(position=[[0.1, 0.05, 0]], velocity=[[0, 0, 0]], t_mu=[0], t_sigma=[np.inf], scale=[scale],
                            rotation=[[0.9, 0.2, -0.3, 0.4]], opacity=[0.8], color=[[1, 1, 1]],
                            dynamic=[True]).save(folder / f"{mode}.npz")
+    rng, n = np.random.default_rng(2), 600
+    bright = np.arange(n) % 2 == 0
+    TransientGaussians(position=rng.uniform([-0.3, -0.1, -0.3], [0.3, 0.1, 0.3], (n, 3)), velocity=np.zeros((n, 3)),
+                       t_mu=np.zeros(n), t_sigma=np.full(n, 0.1), scale=np.full((n, 3), 0.05),
+                       rotation=np.tile([1.0, 0, 0, 0], (n, 1)), opacity=np.full(n, 0.06),
+                       color=np.where(bright[:, None], [1.0, 0.7, 0.1], [0.6, 0.1, 0.1]),
+                       dynamic=np.ones(n, bool)).save(folder / "column.npz")
     run(RENDER, folder)
     return folder
 
@@ -224,9 +241,22 @@ def test_cycles_shows_the_splat(rendered, mode):
     offset = np.stack(np.meshgrid(pixel, pixel), -1) - [0.05, 0.05]
     distance = np.sqrt(np.einsum("...i,ij,...j", offset, np.linalg.inv(covariance), offset))
     seen = np.load(rendered / f"{mode}.npy")
-    core = distance < 0.9 * EXTENT
-    assert np.abs(seen - 0.8 * np.exp(-0.5 * distance**2))[core].max() < 0.004
-    assert seen[distance > 1.05 * EXTENT].max() == 0
+    error = seen - 0.8 * np.exp(-0.5 * distance**2)
+    # 512 samples, each all or nothing: at most 0.022 standard deviation per pixel.
+    assert np.abs(error[distance < 0.9 * EXTENT]).max() < 0.1
+    for low, high in ((0, 0.7), (0.7, 1.2), (1.2, 1.7), (1.7, 2.2)):
+        assert abs(error[(distance >= low) & (distance < high)].mean()) < 0.006
+    assert seen[distance > 1.3 * EXTENT].max() == 0
+
+
+def test_cloud_shows_its_display_colours(rendered):
+    """A block of bright and dark Gaussians, half covering the pixels, is shown as its blend of display values."""
+    shown = np.transpose(json.loads((rendered / "shown.json").read_text())["column"]).reshape(48, 48, 3)
+    middle = shown[16:32, 16:32].mean((0, 1))
+    depth = 600 * 2 * np.pi * 0.06 * 0.05**2 / 0.6**2  # the block is seen as 0.6 m x 0.6 m
+    wanted = (1 - np.exp(-depth)) * np.array([0.8, 0.4, 0.1])
+    assert 0.6 < 1 - np.exp(-depth) < 0.9
+    assert np.abs(middle - wanted).max() < 0.06
 
 
 @pytest.mark.parametrize("transform", ["Standard", "Filmic", "AgX"])
