@@ -85,7 +85,7 @@ class Domain:
 
     @property
     def max(self) -> Vector:
-        return tuple(low + side for low, side in zip(self.min, self.size, strict=False))
+        return tuple(low + side for low, side in zip(self.min, self.size, strict=True))
 
 
 @dataclass(frozen=True)
@@ -244,7 +244,7 @@ class SceneSpec:
         )
         names = self.effect_names
         require(len(set(names)) == len(names), "effects", "listed once each", names)
-        for axis, low, high in zip("xyz", self.domain.min, self.domain.max, strict=False):
+        for axis, low, high in zip("xyz", self.domain.min, self.domain.max, strict=True):
             i = "xyz".index(axis)
             inside = (
                 low <= self.fire.position[i] - self.fire.half_size[i]
@@ -270,7 +270,7 @@ class SceneSpec:
         data = {"schema": SCHEMA, "version": VERSION, **dataclasses.asdict(self)}
         data["effects"] = [
             {"name": name, **dataclasses.asdict(effect)}
-            for name, effect in zip(self.effect_names, self.effects, strict=False)
+            for name, effect in zip(self.effect_names, self.effects, strict=True)
         ]
         return json.loads(json.dumps(data))  # tuples become lists, as in a file
 
@@ -366,7 +366,7 @@ def _value(hint: Any, value: Any, name: str) -> Any:
         if args[-1] is Ellipsis:  # effects, already built
             return value
         require(isinstance(value, (list, tuple)) and len(value) == len(args), name, f"{len(args)} numbers", value)
-        return tuple(_value(arg, item, f"{name}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=False)))
+        return tuple(_value(arg, item, f"{name}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=True)))
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if hint is float:
         require(number and math.isfinite(value), name, "a finite number", value)

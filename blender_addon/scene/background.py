@@ -46,7 +46,7 @@ def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     steel = material.plain("Steel", (0.10, 0.11, 0.12), 0.45, 0.8)
     paints = [
         material.print_work(f"Print {index}", *colours, (0.23, height))
-        for index, (colours, height) in enumerate(zip(PRINTS, (0.11, 0.14, 0.09, 0.12, 0.16, 0.1), strict=False))
+        for index, (colours, height) in enumerate(zip(PRINTS, (0.11, 0.14, 0.09, 0.12, 0.16, 0.1), strict=True))
     ]
     meshes.box("Floor", (9, 9, 0.1), collection, location=(0, 0, -0.05), material=stone)
     meshes.box("Back Wall", (9, 0.2, 4), collection, location=(0, 1.9, 2), material=brick)

@@ -72,7 +72,7 @@ def velocity_file(settings: bpy.types.FluidDomainSettings, frame: int) -> Path:
 
 
 def _domain(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Object:
-    centre = [low + side / 2 for low, side in zip(spec.domain.min, spec.domain.size, strict=False)]
+    centre = [low + side / 2 for low, side in zip(spec.domain.min, spec.domain.size, strict=True)]
     domain = meshes.box(DOMAIN_NAME, spec.domain.size, collection, location=centre)
     domain.display_type = "WIRE"
     modifier = domain.modifiers.new("Fluid", "FLUID")

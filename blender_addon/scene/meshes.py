@@ -49,7 +49,7 @@ def box(
     axes = [pair if pair[1] != grain else pair[::-1] for pair in ((0, 1), (0, 1), (0, 2), (0, 2), (1, 2), (1, 2))]
     uvs = [
         (corners[corner][u] + offset[0], corners[corner][v] + offset[1])
-        for face, (u, v) in zip(faces, axes, strict=False)
+        for face, (u, v) in zip(faces, axes, strict=True)
         for corner in face
     ]
     return add(name, corners, faces, collection, uvs, **place)

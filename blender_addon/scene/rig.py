@@ -25,7 +25,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> list[bpy.types.O
     scene.render.resolution_x, scene.render.resolution_y = (rows, along_rows) if rig.portrait else (along_rows, rows)
     scene.render.resolution_percentage = 100
     cameras = []
-    for name, position in zip(rig.names, _positions(rig), strict=False):
+    for name, position in zip(rig.names, _positions(rig), strict=True):
         data = bpy.data.cameras.new(name)
         data.lens = rig.focal_mm
         # The focal length refers to the sensor's long side, which is vertical in a portrait image.

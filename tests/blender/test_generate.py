@@ -111,7 +111,7 @@ def test_dataset_opens(toy):
     assert field.velocity.shape == (10, 10, 20, 3) == (*tuple(dataset.meta["domain"]["resolution"]), 3)
     np.testing.assert_allclose(field.index_to_world @ [0, 0, 0, 1], [*TOY.domain.min, 1], atol=1e-6)
     np.testing.assert_allclose(field.index_to_world @ [10, 10, 20, 1], [*TOY.domain.max, 1], atol=1e-5)
-    above = [*np.array([TOY.fire.position]), 0, 0, 0.3]
+    above = np.array([np.add(TOY.fire.position, (0, 0, 0.3))])
     assert field.sample(above)[0, 2] > 0.3, "hot gas rises"
 
 

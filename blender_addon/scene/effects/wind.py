@@ -21,7 +21,7 @@ def apply(fire, settings: Settings, spec) -> None:
 
     wind = bpy.data.objects.new("Wind", None)
     fire.domain.users_collection[0].objects.link(wind)
-    wind.location = [low + side / 2 for low, side in zip(spec.domain.min, spec.domain.size, strict=False)]
+    wind.location = [low + side / 2 for low, side in zip(spec.domain.min, spec.domain.size, strict=True)]
     wind.rotation_euler = (0.0, math.pi / 2, math.radians(settings.direction_deg))  # local Z is the wind's direction
     bpy.context.view_layer.objects.active = wind
     with bpy.context.temp_override(object=wind, active_object=wind, selected_objects=[wind]):
