@@ -26,8 +26,7 @@ def read_spec(dataset: Path) -> SceneSpec:
     """The scene spec of a generated dataset.
 
     Raises:
-        FileFormatError: no dataset there, or one without a scene spec, such as a capture.
-        SpecError: the spec is broken.
+        FileFormatError: no dataset there, one without a scene spec, such as a capture, or a broken spec.
     """
     file = dataset / "dataset.json"
     try:
@@ -40,7 +39,10 @@ def read_spec(dataset: Path) -> SceneSpec:
         raise FileFormatError(f"{file}: not a 'gof-dataset'; point --dataset at a generated dataset")
     if "spec" not in description:
         raise FileFormatError(f"{file}: holds no scene spec, so there is no scene to build; use a generated dataset")
-    return SceneSpec.from_dict(description["spec"])
+    try:
+        return SceneSpec.from_dict(description["spec"])
+    except SpecError as error:
+        raise FileFormatError(f"{file}: spec: {error}") from None
 
 
 def import_into_scene(cloud: gaussians_file.GaussianCloud, spec: SceneSpec, mode: str):
@@ -128,7 +130,7 @@ def main(argv: list[str] | None = None) -> int:
             setattr(args, name, getattr(args, name).resolve())
     try:
         run(args)
-    except (FileFormatError, SpecError) as error:
+    except FileFormatError as error:
         print(error, file=sys.stderr)
         return 2
     except Exception:
