@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 
@@ -19,16 +20,31 @@ from gof.errors import GofError
 BACKEND = os.environ.get("GOF_RENDER_BACKEND", "llvm")
 if BACKEND not in ("llvm", "cuda"):
     raise GofError(f"GOF_RENDER_BACKEND is '{BACKEND}'; use 'llvm' or 'cuda'")
+WORK_UNIT = 2048    # lanes
 _types = import_module(f"drjit.{BACKEND}.ad")
 Array2f, Array3f, Array4f, Bool = _types.Array2f, _types.Array3f, _types.Array4f, _types.Bool
 Float, Int, UInt, Array2u = _types.Float, _types.Int, _types.UInt, _types.Array2u
 
 
-def _tune_llvm(lanes: int) -> None:
+def _set_work_unit(lanes: int) -> None:
+    """Replaced below where the LLVM backend offers it."""
+
+
+@contextmanager
+def work_units(lanes: int):
+    """Kernels evaluated inside hand `lanes` lanes to a thread at a time."""
+    _set_work_unit(lanes)
+    try:
+        yield
+    finally:
+        _set_work_unit(WORK_UNIT)
+
+
+def _tune_llvm():
     """Two settings of the LLVM backend that have no Python call; their C++ functions are exported.
 
     Work units: Dr.Jit hands 16384 lanes to a thread at a time. One lane of the blend kernels is a 4x4 pixel block, so a
-    640x360 image would run on one thread.
+    640x360 image would run on one thread; a unit itself costs about 0.2 us, too much for cheap lanes in small units.
     Gathers: on Intel CPUs whose microcode guards against CVE-2022-40982 a hardware gather takes about 180 ns. Sixteen
     scalar loads take 30 ns, and as long as the gather elsewhere.
 
@@ -37,18 +53,20 @@ def _tune_llvm(lanes: int) -> None:
     dr.eval(dr.arange(Float, 2))    # starts the backend
     try:
         core = ctypes.CDLL(str(Path(next(iter(dr.__path__))) / "libdrjit-core.so"))
-        core._Z23jit_llvm_set_block_sizej(ctypes.c_uint32(lanes))
         cpu, features = core._Z19jit_llvm_target_cpuv, core._Z24jit_llvm_target_featuresv
         cpu.restype = features.restype = ctypes.c_char_p
         if platform.machine() == "x86_64" and b"prefer-no-gather" not in (features() or b""):
             wanted = b",".join(f for f in (features(), b"+prefer-no-gather") if f)
             core._Z19jit_llvm_set_targetPKcS0_j(cpu(), wanted, ctypes.c_uint32(core._Z21jit_llvm_vector_widthv()))
+        set_block_size = core._Z23jit_llvm_set_block_sizej
+        return lambda lanes: set_block_size(ctypes.c_uint32(lanes))
     except (OSError, AttributeError):
-        pass
+        return _set_work_unit
 
 
 if BACKEND == "llvm":
-    _tune_llvm(lanes=256)
+    _set_work_unit = _tune_llvm()
+    _set_work_unit(WORK_UNIT)
 
 
 def frozen(function):

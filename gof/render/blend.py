@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import drjit as dr
 
-from gof.render.backend import Array4f, Float, Int, UInt, frozen, pack
+from gof.render.backend import Array4f, Float, Int, UInt, frozen, pack, work_units
 from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Footprints, Lists, bin_band, plan_bands
 
 MAX_ALPHA = 0.99            # 1 - alpha stays >= 0.01, so the adjoint's division by it loses at most two digits
 MIN_TRANSMITTANCE = 1e-4    # a pixel whose transmittance would fall below this stops before that Gaussian
 LN_2 = 0.6931471805599453
+BLOCK_LANES = 256           # blocks that a thread takes at a time
 GEOMETRY = 6                # mean_x, mean_y, a, b, c, log2_opacity
 PIXELS = [(i, j) for j in range(BLOCK) for i in range(BLOCK)]   # column, row inside the block
 
@@ -55,7 +56,8 @@ class _Blend(dr.CustomOp):
         self.planes = [dr.empty(Float, shapes.rows * shapes.columns * BLOCK * BLOCK) for _ in range(self.n_channels + 1)]
         for band in self.bands:
             bins = bin_band(shapes, *band)
-            _forward(self.records, bins.lists, self.planes, self.n_channels, shapes.columns)
+            with work_units(BLOCK_LANES):
+                _forward(self.records, bins.lists, self.planes, self.n_channels, shapes.columns)
             trace.pairs += bins.pairs
         trace.bands = len(self.bands)
         self.bins = bins if len(self.bands) == 1 else None      # several bands: binned again in the backward pass
@@ -70,10 +72,12 @@ class _Blend(dr.CustomOp):
             args = (self.records, bins.lists, self.planes, grads, self.n_channels, self.shapes.columns)
             if self.deterministic:
                 out = dr.zeros(Float, max(bins.pairs, 1) * 4 * quads)
-                _backward(*args, out, bins.slot)
+                with work_units(BLOCK_LANES):
+                    _backward(*args, out, bins.slot)
                 out = _sum_segments(out, bins, self.shapes.order, quads)
             else:
-                out = _gradient(*args, _capacity(self.n) * 4 * quads)
+                with work_units(BLOCK_LANES):
+                    out = _gradient(*args, _capacity(self.n) * 4 * quads)
             flat = out if flat is None else flat + out
             dr.eval(flat)
         lane = dr.arange(UInt, self.n) * (4 * quads)

@@ -9,6 +9,9 @@ the image, so the blur is its own adjoint).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache
+
 import drjit as dr
 import numpy as np
 
@@ -20,6 +23,51 @@ C1, C2 = 0.01**2, 0.03**2
 WINDOW = [float(v) for v in gaussian_window()]
 REACH = 5        # the window covers 11 pixels
 ALIGN = 16       # floats; a blur along rows shortens a strip by this at both ends, so that strips stay on cache lines
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Where the pixels of an image lie in a strip."""
+
+    height: int
+    width: int
+    channels: int
+
+    @property
+    def row(self) -> int:
+        return -(-(self.width + REACH) // ALIGN) * ALIGN
+
+    @property
+    def margin(self) -> int:
+        """Zeros at both ends: a blur along rows and columns, and its adjoint."""
+        return 2 * (ALIGN + REACH * self.row)
+
+    @property
+    def size(self) -> int:
+        return self.channels * (self.height + REACH) * self.row + 2 * self.margin
+
+    def fill(self, image: np.ndarray) -> Float:
+        """A strip of an (H, W, D) image."""
+        strip = np.zeros(self.size, np.float32)
+        body = strip[self.margin:self.size - self.margin].reshape(self.channels, self.height + REACH, self.row)
+        body[:, :self.height, :self.width] = image.transpose(2, 0, 1)
+        return floats(strip)
+
+    def pixels(self, channel: int, margin: int) -> UInt:
+        """Places of a channel's pixels (H * W,) in a strip that has this margin left."""
+        i = dr.arange(UInt, self.width * self.height)
+        return i + (i // self.width) * (self.row - self.width) + (margin + channel * (self.height + REACH) * self.row)
+
+
+@cache
+def _even_weight(strip: Strip) -> Float:
+    """The weight that all unmasked targets of a size share."""
+    return _weight(strip, np.ones((strip.height, strip.width)))
+
+
+def _weight(strip: Strip, mask: np.ndarray) -> Float:
+    weight = np.broadcast_to((mask / (mask.sum() * strip.channels))[..., None], (*mask.shape, strip.channels))
+    return _inner(strip.fill(weight), strip.row)
 
 
 class Target:
@@ -37,31 +85,15 @@ class Target:
         image = np.asarray(image, np.float32)
         if image.ndim != 3:
             raise DataFormatError(f"target image has shape {image.shape}, expected (H, W, D)")
-        self.height, self.width, self.channels = image.shape
-        weight = np.ones(image.shape[:2]) if mask is None else np.asarray(mask, np.float64)
-        if weight.shape != image.shape[:2] or not weight.sum() > 0:
-            raise DataFormatError(f"target mask has shape {weight.shape} and sum {weight.sum():g}; expected {image.shape[:2]}, > 0")
-        weight = np.broadcast_to((weight / (weight.sum() * self.channels))[..., None], image.shape)
-        self.row = -(-(self.width + REACH) // ALIGN) * ALIGN
-        self.margin = 2 * (ALIGN + REACH * self.row)     # at both ends: a blur along rows and columns, and its adjoint
-        self.size = self.channels * (self.height + REACH) * self.row + 2 * self.margin
-        self.image = _row_neighbours(floats(self._strip(image)))
+        if mask is not None and (np.shape(mask) != image.shape[:2] or not np.sum(mask) > 0):
+            raise DataFormatError(f"target mask has shape {np.shape(mask)} and sum {np.sum(mask):g}; expected {image.shape[:2]}, > 0")
+        self.strip = Strip(*image.shape)
+        self.weight = _even_weight(self.strip) if mask is None else _weight(self.strip, np.asarray(mask, np.float64))
+        self.image = _row_neighbours(self.strip.fill(image))
         rows = [_blur(self.image), _blur_product(self.image, self.image)]
         dr.eval(rows)
-        self.mu, self.square = (_blur(_column_neighbours(v, self.row)) for v in rows)
-        self.weight = _inner(floats(self._strip(weight)), self.row)
+        self.mu, self.square = (_blur(_column_neighbours(v, self.strip.row)) for v in rows)
         dr.eval(self.mu, self.square)
-
-    def _strip(self, image: np.ndarray) -> np.ndarray:
-        strip = np.zeros(self.size, np.float32)
-        body = strip[self.margin:self.size - self.margin].reshape(self.channels, self.height + REACH, self.row)
-        body[:, :self.height, :self.width] = image.transpose(2, 0, 1)
-        return strip
-
-    def pixels(self, channel: int, margin: int) -> UInt:
-        """Places of a channel's pixels (H * W,) in a strip with this margin."""
-        i = dr.arange(UInt, self.width * self.height)
-        return i + (i // self.width) * (self.row - self.width) + (margin + channel * (self.height + REACH) * self.row)
 
 
 def l1_ssim(image: list[Float], target: Target | np.ndarray, ssim_weight: float = 0.2) -> Float:
@@ -78,25 +110,27 @@ def l1_ssim(image: list[Float], target: Target | np.ndarray, ssim_weight: float 
     """
     if not isinstance(target, Target):
         target = Target(target)
-    if len(image) != target.channels or any(len(c) != target.width * target.height for c in image):
-        raise DataFormatError(f"image has {len(image)} channels of {len(image[0])} pixels; target is "
-                              f"{target.width}x{target.height} with {target.channels} channels")
+    t = target.strip
+    if len(image) != t.channels or any(len(c) != t.width * t.height for c in image):
+        raise DataFormatError(f"image has {len(image)} channels of {len(image[0])} pixels; target is {t.width}x{t.height} "
+                              f"with {t.channels} channels")
     return dr.custom(_L1SSIM, list(image), target, dr.opaque(Float, ssim_weight))
 
 
 class _L1SSIM(dr.CustomOp):
     def eval(self, image, target, ssim_weight):
         self.target, self.ssim_weight = target, ssim_weight
-        strip = dr.zeros(Float, target.size)
+        layout = target.strip
+        strip = dr.zeros(Float, layout.size)
         for k, channel in enumerate(image):
-            dr.scatter(strip, Float(channel), target.pixels(k, target.margin), mode=dr.ReduceMode.NoConflicts)
+            dr.scatter(strip, Float(channel), layout.pixels(k, layout.margin), mode=dr.ReduceMode.NoConflicts)
         dr.eval(strip)
         x, y = _row_neighbours(strip), target.image
         rows = [_blur(x), _blur_product(x, x), _blur_product(x, y)]
         dr.eval(rows)
-        mu, square, product = (_blur(_column_neighbours(v, target.row)) for v in rows)
+        mu, square, product = (_blur(_column_neighbours(v, layout.row)) for v in rows)
         ssim, partials = _ssim(mu, square, product, target.mu, target.square)
-        self.x, self.y = _inner(strip, target.row), _inner(y[REACH], target.row, rows_blurred=True)
+        self.x, self.y = _inner(strip, layout.row), _inner(y[REACH], layout.row, rows_blurred=True)
         weight = target.weight * ssim_weight
         terms = weight * (1 - ssim) + (target.weight - weight) * dr.abs(self.x - self.y)
         self.partials = [-weight * p for p in partials]
@@ -108,12 +142,12 @@ class _L1SSIM(dr.CustomOp):
         dr.make_opaque(upstream)
         rows = [_blur(_row_neighbours(p)) for p in self.partials]
         dr.eval(rows)
-        d_mu, d_square, d_product = (_blur(_column_neighbours(v, target.row)) for v in rows)
-        x, y, weight = (_inner(v, target.row) for v in (self.x, self.y, target.weight))
+        d_mu, d_square, d_product = (_blur(_column_neighbours(v, target.strip.row)) for v in rows)
+        x, y, weight = (_inner(v, target.strip.row) for v in (self.x, self.y, target.weight))
         sign = dr.select(x > y, Float(1), dr.select(x < y, Float(-1), Float(0)))
         gradient = upstream * (d_mu + 2 * x * d_square + y * d_product + weight * (1 - self.ssim_weight) * sign)
         dr.eval(gradient)
-        out = [dr.gather(Float, gradient, target.pixels(k, 0)) for k in range(target.channels)]
+        out = [dr.gather(Float, gradient, target.strip.pixels(k, 0)) for k in range(target.strip.channels)]
         dr.eval(out)
         self.set_grad_in("image", out)
 
