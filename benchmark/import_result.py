@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -30,6 +31,10 @@ class ImportConfig:
     """Frame to render; default: the middle of the clip."""
     camera: str | None = None
     """Camera to render from; default: the middle one."""
+    mode: Literal["points", "ellipsoids"] = "points"
+    """How the cloud is drawn: round points (quick), or each Gaussian's own ellipsoid (about three times the render time)."""
+    samples: int = 16
+    """Cycles samples per pixel of the preview."""
     json: Path | None = None
     """Also write the files' names and the cost to this file."""
 
@@ -44,12 +49,16 @@ def main(argv: list[str]) -> int:
     camera = config.camera or dataset.cameras[len(dataset.cameras) // 2].name
     config.blend.parent.mkdir(parents=True, exist_ok=True)
     worker = [sys.executable, "-m", "blender_addon.import_result", "--result", config.result, "--dataset", config.dataset,
-              "--blend", config.blend, "--preview", preview, "--frame", frame, "--camera", camera]  # fmt: skip
-    cost = run_worker([str(part) for part in worker], "import into Blender", config.blend.with_suffix(".log"))
+              "--blend", config.blend, "--preview", preview, "--frame", frame, "--camera", camera,
+              "--mode", config.mode, "--samples", config.samples]  # fmt: skip
+    cost = run_worker([str(part) for part in worker], "import into Blender")
     names = [c.name for c in dataset.cameras]
     # Which truth the preview belongs to, for `gof report`.
     write_json(preview.with_suffix(".json"), {"image": preview.name, "camera": names.index(camera), "frame": frame})
     if config.json:
-        write_json(config.json, {"blend": str(config.blend), "preview": str(preview), "seconds": cost.seconds, "peak_mb": cost.peak_mb})
+        write_json(
+            config.json,
+            {"blend": str(config.blend), "preview": str(preview), "seconds": cost.seconds, "peak_mb": cost.peak_mb},
+        )
     print(f"{config.blend} and {preview} ({cost.seconds:.1f} s): open the .blend and press play")
     return 0

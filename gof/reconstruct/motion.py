@@ -116,13 +116,16 @@ def _frame_velocity(pictures: dict[int, np.ndarray], times: np.ndarray, k: int, 
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
-def estimate_motion(dataset: Dataset, max_error_px: float = 1.0, progress=lambda done, total: None) -> Motion:
+def estimate_motion(
+    dataset: Dataset, max_error_px: float = 1.0, picture=flow_picture, progress=lambda done, total: None
+) -> Motion:
     """Masks, intensity and flow of every training frame and camera.
 
     Args:
         dataset: opened dataset; its test frames are not read.
         max_error_px: forward-backward error above which a flow vector is dropped (plus a tenth of its length).
-        progress: called with (done, total) after every frame and camera.
+        picture: (image, static) -> (H, W) uint8, what the optical flow looks at.
+        progress: called with (done, total) after every frame.
 
     Raises:
         DataFormatError: no training frame, or no flame in any picture.
@@ -132,7 +135,7 @@ def estimate_motion(dataset: Dataset, max_error_px: float = 1.0, progress=lambda
         raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
     static = [dataset.static(c) for c in cameras]
     images = [{int(k): dataset.image(c, k) for k in frames} for c in cameras]
-    pictures = [{k: flow_picture(image, static[c]) for k, image in images[c].items()} for c in cameras]
+    pictures = [{k: picture(image, static[c]) for k, image in images[c].items()} for c in cameras]
     result = Motion(frames, [], static, [], [], [])
     for i, k in enumerate(frames):
         result.image.append(np.stack([images[c][k] for c in cameras]))
