@@ -72,6 +72,11 @@ class VelocityField:
         index = self.to_index(points)
         return ((index >= 0) & (index <= self.resolution)).all(-1)
 
+    def chunk(self, number: tuple[int, int, int]) -> np.ndarray | None:
+        """Cells [CHUNK i, CHUNK (i + 1)) per axis, (<=64, <=64, <=64, 3), clipped to the grid; None when all are zero."""
+        cells = self.velocity[tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)]
+        return cells if cells.any() else None
+
     def sample(self, points: np.ndarray) -> np.ndarray:
         """Tri-linear interpolation between cell centres.
 
@@ -192,6 +197,50 @@ class VelocitySequence:
     def __len__(self) -> int:
         return len(self.times_s)
 
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        return tuple(self._array.shape[1:4])
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self._array.dtype
+
+    def chunk(self, index: int, number: tuple[int, int, int]) -> np.ndarray | None:
+        """The part of stored field `index` that `VelocityField.chunk` names, without reading the rest; None when not stored.
+
+        Raises:
+            DataFormatError: the chunk is truncated, or holds NaN or Inf.
+        """
+        key = self._array.metadata.encode_chunk_key((index, *number, 0))
+        if self._array.chunks[1:4] == (CHUNK,) * 3 and not (self._path / key).exists():
+            return None
+        box = tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)
+        try:
+            cells = np.asarray(self._array[(index, *box)])
+        except (RuntimeError, ValueError, OSError) as e:
+            raise DataFormatError(f"{self._path}: frame {index}, chunk {number} cannot be decoded ({e}); it is truncated, make it again") from e
+        if not np.isfinite(cells).all():
+            raise DataFormatError(f"{self._path}: frame {index}, chunk {number} holds NaN or Inf; the store is damaged, make it again")
+        return cells
+
+    def bracket(self, time_s: float) -> list[tuple[int, float]]:
+        """(stored frame, weight) pairs of a time: one frame within 1 us, otherwise the two around it, linearly.
+
+        Raises:
+            DataFormatError: the time lies outside the stored clock.
+        """
+        nearest = int(np.abs(self.times_s - time_s).argmin())
+        if abs(self.times_s[nearest] - time_s) <= 1e-6:
+            return [(nearest, 1.0)]
+        if not self.times_s[0] < time_s < self.times_s[-1]:
+            raise DataFormatError(
+                f"{self._path}: time {time_s} s is outside the stored clock "
+                f"{self.times_s[0]}..{self.times_s[-1]} s; do both use the same clock and unit?"
+            )
+        after = int(np.searchsorted(self.times_s, time_s))
+        f = float((time_s - self.times_s[after - 1]) / (self.times_s[after] - self.times_s[after - 1]))
+        return [(after - 1, 1 - f), (after, f)]
+
     def frame(self, index: int) -> VelocityField:
         """The stored field number `index`."""
         if self._cached is None or self._cached[0] != index:
@@ -212,15 +261,8 @@ class VelocitySequence:
         Raises:
             DataFormatError: the time lies outside the stored clock.
         """
-        nearest = int(np.abs(self.times_s - time_s).argmin())
-        if abs(self.times_s[nearest] - time_s) <= 1e-6:
-            return self.frame(nearest)
-        if not self.times_s[0] < time_s < self.times_s[-1]:
-            raise DataFormatError(
-                f"{self._path}: time {time_s} s is outside the stored clock "
-                f"{self.times_s[0]}..{self.times_s[-1]} s; do both use the same clock and unit?"
-            )
-        after = int(np.searchsorted(self.times_s, time_s))
-        f = (time_s - self.times_s[after - 1]) / (self.times_s[after] - self.times_s[after - 1])
-        a, b = self.frame(after - 1).velocity.astype(np.float32), self.frame(after).velocity
-        return VelocityField((1 - f) * a + f * b, self.index_to_world, float(time_s))
+        parts = self.bracket(time_s)
+        if len(parts) == 1:
+            return self.frame(parts[0][0])
+        velocity = sum(np.float32(weight) * self.frame(index).velocity.astype(np.float32) for index, weight in parts)
+        return VelocityField(velocity, self.index_to_world, float(time_s))

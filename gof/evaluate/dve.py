@@ -19,7 +19,10 @@ from typing import Literal
 import numpy as np
 
 from gof.errors import GofError, NonFiniteError
+from gof.evaluate.bricks import StoredField
 from gof.evaluate.quadrature import VelocityLike, expected_velocity
+from gof.evaluate.wavelength import share_of_short_waves
+from gof.fields import VelocitySequence
 from gof.gaussians import TransientGaussians
 
 CULL_SHARE = 1e-9  # total share of weight, and of weighted squared speed, that may be skipped per frame
@@ -40,13 +43,14 @@ class Samples:
     inside: np.ndarray  # (M,) share of the Gaussian inside the domain, 0..1
     wide: np.ndarray  # (M,) bool, largest standard deviation above WIDE_VOXELS
     culled: int  # Gaussians skipped for negligible weight
+    short_waves: float = 0.0  # share of the weight in Gaussians wider than 1.5 rad of the local wavelength, 0..1
 
     def only_inside(self) -> Samples:
         """The Gaussians with at least half of their mass in the domain; truth is averaged over that part alone."""
         if (self.inside == 1).all():
             return self
         keep = self.inside >= 0.5
-        arrays = {f.name: getattr(self, f.name)[keep] for f in fields(self) if f.name not in ("time_s", "culled")}
+        arrays = {f.name: getattr(self, f.name)[keep] for f in fields(self) if f.name not in ("time_s", "culled", "short_waves")}
         arrays["truth"] = arrays["truth"] / arrays["inside"][:, None]
         return replace(self, **arrays)
 
@@ -67,6 +71,7 @@ class Sums:
     zero_truth: float = 0.0
     zero_velocity: float = 0.0
     wide: float = 0.0
+    short_waves: float = 0.0
     error2_axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __add__(self, other: Sums) -> Sums:
@@ -87,6 +92,7 @@ class DVEResult:
     weight_zero_truth: float  # share with no true direction; it adds 0 to CosSim's numerator
     weight_zero_velocity: float  # share with no estimated direction; likewise
     weight_undersampled: float  # share of Gaussians wider than 2 voxels, whose quadrature is doubtful
+    weight_short_waves: float  # share of Gaussians wider than 1.5 rad of the field's local wavelength (gof.evaluate.wavelength)
     speed_ratio: float | None  # least-squares gain sum w v.vbar / sum w |vbar|^2; 1: the speed is right
     l2_axis: tuple[float, float, float] | None  # error along world x, y, z over the norm of the whole truth
     undefined: str = ""
@@ -104,6 +110,7 @@ class DVEResult:
             n=s.n, n_culled=s.culled, weight=s.weight,
             weight_outside=share(s.outside), weight_zero_truth=share(s.zero_truth),
             weight_zero_velocity=share(s.zero_velocity), weight_undersampled=share(s.wide),
+            weight_short_waves=share(s.short_waves),
             speed_ratio=s.dot / s.truth2 if has_truth else None,
             l2_axis=tuple(float(np.sqrt(e / s.truth2)) for e in s.error2_axis) if has_truth else None,
             undefined=reason,
@@ -184,7 +191,8 @@ def probe(gaussians: TransientGaussians, field: VelocityLike, time_s: float, ord
         raise NonFiniteError(f"the true velocity field at {time_s:g} s is NaN or Inf near {position[bad][0].round(4).tolist()} m "
                              f"({int(bad.sum())} of {len(index)} Gaussians read such cells); repair the velocity store")
     return Samples(float(time_s), index, position, weight[index], velocity[index], *truth,
-                   scale.max(1, initial=0.0) > WIDE_VOXELS * field.voxel_size, living - len(index))
+                   scale.max(1, initial=0.0) > WIDE_VOXELS * field.voxel_size, living - len(index),
+                   share_of_short_waves(field, position, scale, gaussians.rotation[index], weight[index]))
 
 
 def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: np.ndarray | None = None) -> Sums:
@@ -199,7 +207,7 @@ def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: n
     return Sums(n=len(w), culled=samples.culled, weight=_sum(w), error2=sum(error2_axis), truth2=_sum(w * t2),
                 velocity2=_sum(w * v2), dot=_sum(w * dot), cosine=_sum(w * np.clip(cosine, -1, 1)),
                 outside=_sum(w * (1 - samples.inside)), zero_truth=_sum(w[t2 == 0]), zero_velocity=_sum(w[v2 == 0]),
-                wide=_sum(w[samples.wide]), error2_axis=tuple(error2_axis))
+                wide=_sum(w[samples.wide]), short_waves=samples.short_waves * _sum(w), error2_axis=tuple(error2_axis))
 
 
 def _row_dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -261,7 +269,10 @@ def dve_sequence(gaussians: TransientGaussians, sequence, times_s: Sequence[floa
     results: list[DVEResult] = []
     pooled, inside = Sums(), Sums()
     for k, time_s in enumerate(times):
-        samples = probe(gaussians, sequence.at(float(time_s)), float(time_s), order, opacity, include_static)
+        # of a store only the chunks that Gaussians touch are read
+        stored = isinstance(sequence, VelocitySequence)
+        field = StoredField(sequence, float(time_s)) if stored else sequence.at(float(time_s))
+        samples = probe(gaussians, field, float(time_s), order, opacity, include_static)
         if controls:
             frames.append(samples)
         own = weighted_sums(samples)
@@ -303,7 +314,7 @@ def sanity_warnings(score: DVESequence) -> list[str]:
     if p.speed_ratio is not None and not 0.02 < abs(p.speed_ratio) < 50 and p.weight_zero_velocity < 0.5:
         hints.append(f"estimated speeds are {p.speed_ratio:.3g} times the true ones: velocities per millisecond, per frame or in "
                      "cm/s?")
-    if p.weight_undersampled > 0.1:
-        hints.append(f"{p.weight_undersampled:.0%} of the weight is in Gaussians wider than {WIDE_VOXELS:g} voxels: compare "
-                     "order 3 with 5 or 7 before trusting the last digits")
+    if p.weight_short_waves > 0.1:
+        hints.append(f"{p.weight_short_waves:.0%} of the weight is in Gaussians wider than 1.5 rad of the flow's local wavelength, "
+                     "where three nodes per axis fail: compare order 3 with 5 or 7 before trusting the last digits")
     return hints

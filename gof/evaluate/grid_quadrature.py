@@ -5,39 +5,72 @@ Its plain twin is `quadrature.expected_velocity_plain`; both agree to float32 ro
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import drjit as dr
 import numpy as np
 
+from gof.evaluate import bricks
+from gof.evaluate.bricks import EDGE, FAR, Pool, StoredField, cell_ranges, pool_bytes, pool_of, touched_chunks
 from gof.evaluate.quadrature import Expectation, product_rule
-from gof.fields import VelocityField
-from gof.render.backend import Array3f, Float, Int, UInt, floats
+from gof.fields import CHUNK, VelocityField
+from gof.render.backend import Array4f, Float, Int, UInt, floats
 
-CHUNK = 1 << 20  # Gaussians per launch: bounds memory at about 150 MB, whatever their number
-FAR = 1e6  # cells, exact in float32; a centre farther out is put here, where no node of a sane Gaussian reaches the grid
+LAUNCH = 1 << 20  # Gaussians per launch: bounds memory at about 150 MB, whatever their number
 
 
-def expected_velocity_on_grid(field: VelocityField, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray,
-                              order: int) -> Expectation:
+def expected_velocity_on_grid(field: VelocityField | StoredField, position: np.ndarray, scale: np.ndarray,
+                              rotation: np.ndarray, order: int) -> Expectation:
     """Arguments and result as in `quadrature.expected_velocity`.
 
-    Positions enter as a whole cell number and a float32 rest, so precision does not fall with the size of the grid.
+    Positions enter as a whole cell number and a float32 rest, so precision does not fall with the size of the grid. Only
+    chunks that a node can reach are read; what needs more than POOL_BYTES of them is halved in space and done in parts.
     """
     nodes, weights = product_rule(order)
     table = [floats(column) for column in (*nodes.T, weights)]
     to_index = np.linalg.inv(field.index_to_world)[:3, :3]
-    grid = floats(field.velocity)
     result = Expectation(np.zeros((len(position), 3)), np.zeros((len(position), 3)), np.ones(len(position)))
-    for start in range(0, len(position), CHUNK):
-        rows = slice(start, start + CHUNK)
-        index = np.clip(field.to_index(position[rows]) - 0.5, -FAR, FAR)  # whole numbers are cell centres
-        cell = np.floor(index)
-        mean, centre, outside = _kernel(
-            grid, field.resolution, [Int(floats(c)) for c in cell.T], [floats(c) for c in (index - cell).T],
-            _axes(to_index, scale[rows], rotation[rows]), table)
-        dr.eval(mean, centre, outside)
-        result.mean[rows], result.centre[rows] = mean.numpy().T, centre.numpy().T
-        result.inside[rows] = np.maximum(1 - outside.numpy().astype(np.float64), 0)
+    if len(position) == 0:
+        return result
+    index = np.clip(field.to_index(position) - 0.5, -FAR, FAR)  # whole numbers are cell centres
+    cell = np.floor(index).astype(np.int32)
+    low, high = cell_ranges(field, position, scale, np.abs(nodes).max())
+    for part in _parts(field, low, high, np.arange(len(position))):
+        pool = pool_of(field, low[part], high[part])
+        cells = _to_device(pool.cells)
+        part = part[np.argsort(_brick_order(cell[part], field.resolution), kind="stable")]  # neighbours share the cache
+        for start in range(0, len(part), LAUNCH):
+            rows = part[start:start + LAUNCH]
+            mean, centre, outside = _kernel(
+                cells, pool, field.resolution, [Int(np.ascontiguousarray(c)) for c in cell[rows].T],
+                [floats(c) for c in (index[rows] - cell[rows]).T], _axes(to_index, scale[rows], rotation[rows]), table)
+            dr.eval(mean, centre, outside)
+            result.mean[rows], result.centre[rows] = mean.numpy()[:3].T, centre.numpy()[:3].T
+            result.inside[rows] = np.maximum(1 - outside.numpy().astype(np.float64), 0)
     return result
+
+
+def _parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterator[np.ndarray]:
+    """`rows`, halved along the longest side until the chunks of each part fit into the pool."""
+    chunks = int(touched_chunks(field, low[rows], high[rows]).sum())
+    middle = low[rows] + (high[rows] - low[rows]) // 2
+    spread = np.ptp(middle, axis=0)
+    if pool_bytes(field, chunks) <= bricks.POOL_BYTES or spread.max() < CHUNK:
+        yield rows
+        return
+    for half in np.array_split(rows[np.argsort(middle[:, spread.argmax()], kind="stable")], 2):
+        yield from _parts(field, low, high, half)
+
+
+def _brick_order(cell: np.ndarray, resolution) -> np.ndarray:
+    """A number per Gaussian that sorts by blocks of 16^3 cells."""
+    block = np.clip(cell, 0, np.array(resolution) - 1) >> 4
+    return np.ravel_multi_index(tuple(block.T), tuple((n >> 4) + 1 for n in resolution))
+
+
+def _to_device(cells: np.ndarray):
+    kind = Float if cells.dtype == np.float32 else dr.float16_array_t(Float)
+    return kind(cells.reshape(-1))  # on the CPU the same memory, which `bricks` aligns so that kernels stay the same
 
 
 def _axes(to_index: np.ndarray, scale: np.ndarray, rotation: np.ndarray) -> list[list[Float]]:
@@ -53,13 +86,16 @@ def _axes(to_index: np.ndarray, scale: np.ndarray, rotation: np.ndarray) -> list
     return [[(m[i][0] * R[0][k] + m[i][1] * R[1][k] + m[i][2] * R[2][k]) * s[k] for k in range(3)] for i in range(3)]
 
 
-def _kernel(grid: Float, resolution, cell: list[Int], rest: list[Float], axes: list[list[Float]],
-            table: list[Float]) -> tuple[Array3f, Array3f, Float]:
+def _kernel(cells, pool: Pool, resolution, cell: list[Int], rest: list[Float], axes: list[list[Float]],
+            table: list[Float]) -> tuple[Array4f, Array4f, Float]:
     sizes = [dr.opaque(Int, n) for n in resolution]  # opaque: another grid is other data, not another kernel
+    slots = UInt(pool.table.ravel())
+    bricks_y, bricks_z = (dr.opaque(UInt, n) for n in pool.table.shape[1:])
+    record = Array4f if pool.cells.dtype == np.float32 else dr.float16_array_t(Array4f)
 
-    def velocity(offset: list[Float]) -> tuple[Array3f, Float]:
+    def velocity(offset: list[Float]) -> tuple[Array4f, Float]:
         """Tri-linear sample `offset` cells away from `cell`'s centre, and 0 inside the domain, 1 outside."""
-        inside, low, high, blend = True, [], [], []
+        inside, low, step, blend = True, [], [], []
         for c, x, n in zip(cell, offset, sizes, strict=True):
             whole = dr.floor(x)
             fraction = x - whole
@@ -67,15 +103,19 @@ def _kernel(grid: Float, resolution, cell: list[Int], rest: list[Float], axes: l
             # the domain reaches half a cell beyond the first and the last centre; there the nearest centre's value holds
             inside &= (number > -1) | ((number == -1) & (fraction >= 0.5))
             inside &= (number < n - 1) | ((number == n - 1) & (fraction <= 0.5))
-            blend.append(dr.select((number < 0) | (number >= n - 1), 0.0, fraction))
-            low.append(dr.clip(number, 0, n - 1))
-            high.append(dr.minimum(low[-1] + 1, n - 1))
-        total = Array3f(0)
-        for i, wx in ((low[0], 1 - blend[0]), (high[0], blend[0])):
-            for j, wy in ((low[1], 1 - blend[1]), (high[1], blend[1])):
-                for k, wz in ((low[2], 1 - blend[2]), (high[2], blend[2])):
-                    at = UInt((i * sizes[1] + j) * sizes[2] + k)
-                    total += (wx * wy * wz) * dr.gather(Array3f, grid, at, active=inside)
+            between = (number >= 0) & (number < n - 1)
+            blend.append(dr.select(between, fraction, 0.0))
+            step.append(dr.select(between, UInt(1), UInt(0)))
+            low.append(UInt(dr.clip(number, 0, n - 1)))
+        bx, by, bz = (k >> 6 for k in low)
+        lx, ly, lz = (k & (CHUNK - 1) for k in low)
+        slot = dr.gather(UInt, slots, (bx * bricks_y + by) * bricks_z + bz, active=inside)
+        first = ((slot * EDGE + lx) * EDGE + ly) * EDGE + lz
+        total = Array4f(0)
+        for i, wx in ((0, 1 - blend[0]), (step[0] * (EDGE * EDGE), blend[0])):
+            for j, wy in ((0, 1 - blend[1]), (step[1] * EDGE, blend[1])):
+                for k, wz in ((0, 1 - blend[2]), (step[2], blend[2])):
+                    total += (wx * wy * wz) * Array4f(dr.gather(record, cells, first + i + j + k, active=inside))
         return dr.select(inside, total, 0), dr.select(inside, Float(0), Float(1))
 
     count = dr.opaque(UInt, len(table[0]))
@@ -86,6 +126,6 @@ def _kernel(grid: Float, resolution, cell: list[Int], rest: list[Float], axes: l
         v, outside = velocity(offset)
         return node + 1, mean + xi[3] * v, share + xi[3] * outside  # not inside: exactly 0 where nothing is outside
 
-    state = (dr.zeros(UInt, len(rest[0])), dr.zeros(Array3f, len(rest[0])), dr.zeros(Float, len(rest[0])))
+    state = (dr.zeros(UInt, len(rest[0])), dr.zeros(Array4f, len(rest[0])), dr.zeros(Float, len(rest[0])))
     _, mean, share = dr.while_loop(state, lambda node, mean, share: node < count, body, labels=("node", "mean", "share"))
     return mean, velocity(rest)[0], share

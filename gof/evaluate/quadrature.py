@@ -8,6 +8,7 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
 from gof.errors import GofError
+from gof.evaluate.bricks import StoredField, cell_ranges, pool_of
 from gof.fields import VelocityField
 
 ORDERS = (1, 3, 5, 7)
@@ -67,16 +68,18 @@ def expected_velocity(field: VelocityLike, position: np.ndarray, scale: np.ndarr
     """E[V(x)] for x ~ N(position, R diag(scale^2) R^T), one Gaussian per row.
 
     Args:
-        field: velocity in m/s at world points; on a `VelocityField` many Gaussians take a compiled kernel (float32 inside).
+        field: velocity in m/s at world points; on a `VelocityField` or `StoredField` many Gaussians take a compiled kernel (float32 inside).
         position: (M, 3) m.   scale: (M, 3) standard deviations, m.   rotation: (M, 4) unit quaternions wxyz.
         order: nodes per axis, 1, 3, 5 or 7; cost grows with order^3.
     Returns:
         Expectation in float64. NaN in the field is passed on (the caller reports it with its frame).
     """
-    if isinstance(field, VelocityField) and len(position) * order**3 >= COMPILED_FROM:
+    if isinstance(field, (VelocityField, StoredField)) and len(position) * order**3 >= COMPILED_FROM:
         from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 
         return expected_velocity_on_grid(field, position, scale, rotation, order)
+    if isinstance(field, StoredField):
+        pool_of(field, *cell_ranges(field, position, scale, np.abs(product_rule(order)[0]).max()))  # read once, not in pieces
     return expected_velocity_plain(field, position, scale, rotation, order)
 
 

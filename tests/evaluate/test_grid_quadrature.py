@@ -95,6 +95,6 @@ def test_many_gaussians_on_a_grid_take_the_compiled_path(monkeypatch):
 def test_launches_do_not_change_the_answer(monkeypatch):
     g = make_gaussians(1000)
     whole = expected_velocity_on_grid(field(), *shape_of(g), 3)
-    monkeypatch.setattr("gof.evaluate.grid_quadrature.CHUNK", 300)
+    monkeypatch.setattr("gof.evaluate.grid_quadrature.LAUNCH", 300)
     for a, b in zip(whole, expected_velocity_on_grid(field(), *shape_of(g), 3), strict=True):
         np.testing.assert_array_equal(a, b)

@@ -1,0 +1,159 @@
+"""Time and memory of DVE's expected velocities against the number of Gaussians and the size of the field, in one run.
+
+    python -m benchmark.dve_speed --json dve_speed.json
+
+The fields are a closed-form swirling plume in a sparse chunked store (float16, as the generator writes it) in a temporary
+folder. Every case is a process of its own, so its peak memory is its own. "gof" reads the store, chunk by chunk, and
+evaluates 27 nodes per Gaussian; "scipy" is the straightforward version: the whole field in memory as float32, three calls of
+`map_coordinates(order=1)` on all nodes (in pieces that fit into memory). Both times include reading the store; "eval" is
+without it (a second evaluation of the same frame), and without the compiler's start.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from gof.fields import CHUNK, VelocityField, VelocitySequence
+from gof.io.files import write_json
+
+SIZE_M = 2.0
+
+
+@dataclass
+class DveSpeedConfig:
+    """Table of seconds and peak memory, N Gaussians by field size."""
+
+    counts: tuple[int, ...] = (10_000, 100_000, 1_000_000, 10_000_000)
+    """Numbers of Gaussians."""
+    sizes: tuple[int, ...] = (64, 128, 256, 640)
+    """Cells along each side of the field."""
+    scipy_up_to: int = 1_000_000
+    """Largest number of Gaussians for the scipy version, which is slow."""
+    json: Path | None = None
+    """File to write the figures to."""
+
+
+def plume(points: np.ndarray) -> np.ndarray:
+    """Swirling, rising, turbulent-looking flow (M, 3) m/s in a column of 0.3 m radius; exactly zero outside it."""
+    x, y, z = points.T
+    r2 = (x**2 + y**2) / 0.3**2
+    shape = np.clip(1 - r2, 0, 1)[:, None]
+    waves = sum(np.sin(k * points[:, [1, 2, 0]] + k) / k**0.33 for k in (7.0, 19.0, 47.0, 113.0))
+    return shape * (np.stack([-3 * y, 3 * x, 1.5 + 0 * z], 1) + 0.4 * waves)
+
+
+def make_store(path: Path, n: int) -> float:
+    """Write the plume on n^3 cells chunk by chunk; returns the share of chunks that hold flow."""
+    import zarr
+
+    empty = VelocityField.from_array(np.broadcast_to(np.float16(0), (n, n, n, 3)), (-SIZE_M / 2, -SIZE_M / 2, 0), SIZE_M / n)
+    VelocitySequence.create(path, [empty], "float16")
+    array, full, chunks = zarr.open_array(str(path), mode="r+"), 0, -(-n // CHUNK)
+    for number in np.ndindex(chunks, chunks, chunks):
+        box = [slice(CHUNK * i, min(CHUNK * (i + 1), n)) for i in number]
+        axes = [(np.arange(b.start, b.stop) + 0.5) * SIZE_M / n + o for b, o in zip(box, (-SIZE_M / 2, -SIZE_M / 2, 0), strict=True)]
+        if np.hypot(*(np.abs(a).min() for a in axes[:2])) > 0.3:
+            continue
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+        array[(0, *box)] = plume(points.reshape(-1, 3)).reshape(points.shape).astype(np.float16)
+        full += 1
+    return full / chunks**3
+
+
+def gaussians(count: int, n: int):
+    rng = np.random.default_rng(0)
+    radius, angle = 0.28 * np.sqrt(rng.random(count)), 2 * np.pi * rng.random(count)
+    position = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(0.05, 1.95, count)], 1)
+    return position, rng.uniform(0.2, 2, (count, 3)) * SIZE_M / n, rng.normal(size=(count, 4)).astype(np.float32)
+
+
+def with_scipy(sequence: VelocitySequence, position, scale, rotation) -> np.ndarray:
+    from scipy.ndimage import map_coordinates
+
+    from gof.evaluate.quadrature import product_rule, rotation_matrices
+
+    velocity = np.ascontiguousarray(np.moveaxis(sequence.frame(0).velocity.astype(np.float32), -1, 0))
+    nodes, weights = product_rule(3)
+    to_index = np.linalg.inv(sequence.index_to_world)
+    out = np.empty_like(position)
+    for start in range(0, len(position), 100_000):
+        rows = slice(start, start + 100_000)
+        axes = rotation_matrices(rotation[rows]) * scale[rows, None, :]
+        points = position[rows, None, :] + np.einsum("nik,pk->npi", axes, nodes)
+        index = (points.reshape(-1, 3) @ to_index[:3, :3].T + to_index[:3, 3] - 0.5).T
+        for k in range(3):
+            out[rows, k] = map_coordinates(velocity[k], index, order=1, mode="nearest").reshape(-1, 27) @ weights
+    return out
+
+
+def run_case(store: str, method: str, count: int, n: int) -> dict:
+    from gof.evaluate.bricks import StoredField
+    from gof.evaluate.quadrature import expected_velocity
+
+    shape, sequence = gaussians(count, n), VelocitySequence.open(store)
+    if method == "gof":  # start the compiler on a few Gaussians
+        small = gaussians(5000, n)
+        expected_velocity(StoredField(sequence, 0.0), *small)
+    before = resource.getrusage(resource.RUSAGE_SELF)
+    start = time.perf_counter()
+    out = {}
+    if method == "gof":
+        field = StoredField(sequence, 0.0)
+        mean = expected_velocity(field, *shape).mean
+        out["seconds"] = time.perf_counter() - start
+        start = time.perf_counter()
+        expected_velocity(field, *shape)
+        out["eval"] = time.perf_counter() - start
+    else:
+        mean = with_scipy(sequence, *shape)
+        out["seconds"] = time.perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    exact = plume(shape[0][:20000])
+    return out | {"cpu": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, "peak_mb": after.ru_maxrss / 1024,
+                  "mean": mean[:200].tolist(), "off": float(np.abs(mean[:20000] - exact).mean())}
+
+
+def main(argv: list[str] | None = None) -> int:
+    config = tyro.cli(DveSpeedConfig, prog="python -m benchmark.dve_speed", args=argv)
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="dve_speed_") as folder:
+        print(f"{'field':>7} {'N':>9} | {'gof s':>8} {'eval s':>8} {'MB':>6} | {'scipy s':>8} {'MB':>6} | {'ratio':>6} {'differ':>8}")
+        for n in config.sizes:
+            store = Path(folder) / f"{n}.zarr"
+            share = make_store(store, n)
+            for count in config.counts:
+                row = {"cells": n, "gaussians": count, "chunks_full": share}
+                for method in ("gof", "scipy") if count <= config.scipy_up_to else ("gof",):
+                    done = subprocess.run([sys.executable, "-m", "benchmark.dve_speed", "--case", str(store), method, str(count), str(n)],
+                                          capture_output=True, text=True)
+                    if done.returncode:
+                        raise SystemExit(done.stderr)
+                    row[method] = json.loads(done.stdout.splitlines()[-1])
+                means = [np.array(row[m].pop("mean")) for m in ("gof", "scipy") if m in row]
+                gof, scipy = row["gof"], row.get("scipy")
+                line = f"{n:>5}^3 {count:>9} | {gof['seconds']:8.2f} {gof['eval']:8.2f} {gof['peak_mb']:6.0f} | "
+                if scipy:
+                    row["ratio"], row["differ"] = scipy["seconds"] / gof["seconds"], float(np.abs(means[0] - means[1]).max())
+                    line += f"{scipy['seconds']:8.2f} {scipy['peak_mb']:6.0f} | {row['ratio']:6.1f} {row['differ']:8.1e}"
+                print(line, flush=True)
+                rows.append(row)
+    if config.json:
+        write_json(config.json, {"schema": "gof-dve-speed", "version": 1, "rows": rows})
+    return 0
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--case"]:
+        print(json.dumps(run_case(sys.argv[2], sys.argv[3], int(sys.argv[4]), int(sys.argv[5]))))
+    else:
+        sys.exit(main())
