@@ -23,6 +23,7 @@ from gof.render.project import LOG2_E, Projected
 BLOCK = 4                       # pixels along one side of a block
 LOG2_255 = 7.994353436858858    # alpha >= 1/255 is drawn
 MARGIN = 1e-3                   # in log2 units and pixels: the test keeps pairs that rounding might move
+GROUP = 2048                    # blocks that are drawn one after another by length, before the next such group
 PAIR_BUDGET = 1 << 24           # pairs binned at a time; a pair takes about 40 bytes while binning
 
 
@@ -51,7 +52,7 @@ class Lists:
     gaussian: UInt      # (M,) index of the Gaussian, by block, front to back; one unused entry when there is no pair
     start: UInt         # (B,) first pair of block b
     end: UInt           # (B,)
-    order: UInt         # (B,) blocks from longest to shortest list: neighbouring lanes do equal work
+    order: UInt         # (B,) blocks from longest to shortest list within groups: neighbouring lanes do equal work
     first_row: UInt     # (1,) of the band
 
 
@@ -189,8 +190,10 @@ def _sort(block: UInt, pairs: UInt, segment: UInt, segment_end: UInt, f: Footpri
     dr.scatter(start, i, block, begins, mode=dr.ReduceMode.NoConflicts)
     dr.scatter(end, i, previous, begins & (i > 0), mode=dr.ReduceMode.NoConflicts)
     dr.scatter(end, i + 1, block, i == last, mode=dr.ReduceMode.NoConflicts)
-    shortness = 2047 - dr.minimum(end - start, 2047)
-    order = dr.detail.block_mkperm(shortness, n_blocks, 2048)
+    # Lanes of equal work side by side, within groups of rows that share Gaussians in the cache.
+    group = dr.arange(UInt, n_blocks) // GROUP
+    key = group * 256 + (255 - dr.minimum((end - start) >> 2, 255))
+    order = dr.detail.block_mkperm(key, n_blocks, 1 << (256 * -(-n_blocks // GROUP) - 1).bit_length())
     dr.eval(start, end)
     return Bins(n, Lists(gaussian, start, end, order, dr.opaque(UInt, first_row)), slot, segment, segment_end)
 
