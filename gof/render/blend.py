@@ -92,7 +92,8 @@ class _Blend(dr.CustomOp):
 
 
 def stride(n_columns: int) -> int:
-    return -(-n_columns // 4) * 4
+    """Floats per record: 8, or a cache line, so that a record of 9 to 16 values never lies across two lines."""
+    return 8 if n_columns <= 8 else 16
 
 
 def _capacity(n: int) -> int:
@@ -104,7 +105,8 @@ def _capacity(n: int) -> int:
 
 def _fetch(records: Float, gaussian: UInt, n_columns: int) -> list[Float]:
     quads = stride(n_columns) // 4
-    return [v for q in range(quads) for v in dr.gather(Array4f, records, gaussian * quads + q)][:n_columns]
+    used = range(-(-n_columns // 4))
+    return [v for q in used for v in dr.gather(Array4f, records, gaussian * quads + q)][:n_columns]
 
 
 def _as_plane(gradient: Float, size: int) -> Float:
@@ -244,8 +246,8 @@ def _backward(records: Float, lists: Lists, planes: list[Float], grads: list[Flo
             T_out.append(rest)
             S_out.append(s)
         gradient = _geometry_gradient(record, dx, dy, d_log2) + d_channel
-        gradient += [Float(0)] * (4 * quads - len(gradient))
-        for q in range(quads):
+        gradient += [Float(0)] * (-len(gradient) % 4)
+        for q in range(len(gradient) // 4):
             value = Array4f(*gradient[4 * q:4 * q + 4])
             if slot is not None:
                 dr.scatter(out, value, dr.gather(UInt, slot, i) * quads + q, mode=dr.ReduceMode.NoConflicts)

@@ -23,7 +23,8 @@ RENDER_MODES = {"RGB": (True, None), "D": (False, "sum"), "ED": (False, "mean"),
 def rasterize(means, quats, scales, opacities, colors, viewmats, Ks, width: int, height: int, *, near_plane: float = 0.01,
               far_plane: float = 1e10, radius_clip: float = 0.0, eps2d: float = 0.3, sh_degree: int | None = None,
               backgrounds=None, render_mode: str = "RGB", rasterize_mode: str = "classic", deterministic: bool = False,
-              check_finite: bool = True):
+              check_finite: bool = True, packed: bool = True, tile_size: int = 16, channel_chunk: int = 32, sparse_grad: bool = False,
+              absgrad: bool = False):
     """Draw Gaussians with gsplat's argument names, shapes and camera convention; differentiable.
 
     Args:
@@ -38,6 +39,8 @@ def rasterize(means, quats, scales, opacities, colors, viewmats, Ks, width: int,
         rasterize_mode: "classic" or "antialiased".
         deterministic: gradients repeat bit for bit.
         check_finite: look for NaN and Inf in the Gaussians first (one reduction per parameter).
+        packed, tile_size, channel_chunk: accepted, no effect: they choose how gsplat works, not what it returns.
+        sparse_grad, absgrad: must be False.
     Returns:
         colors (C, H, W, X), alphas (C, H, W, 1), and a dict with width, height, n_cameras and per camera and Gaussian:
         "means2d" (C, N, 2) px, whose `.grad` is filled by the backward pass, "radii" (C, N) px (0 = not drawn).
@@ -49,6 +52,8 @@ def rasterize(means, quats, scales, opacities, colors, viewmats, Ks, width: int,
     if render_mode not in RENDER_MODES or rasterize_mode not in ("classic", "antialiased"):
         raise DataFormatError(f"render_mode '{render_mode}' is not one of {list(RENDER_MODES)}, or rasterize_mode '{rasterize_mode}' "
                               "is neither 'classic' nor 'antialiased'")
+    if sparse_grad or absgrad:
+        raise DataFormatError("rasterize has dense gradients and no absolute 2D gradients; call it with sparse_grad=False, absgrad=False")
     n, c = len(means), len(viewmats)
     _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree)
     per_camera = colors.ndim == (3 if sh_degree is None else 4)

@@ -132,6 +132,8 @@ def test_errors_name_the_argument():
         call(g | {"rotation": np.ones((6, 3))}, cams)
     with pytest.raises(DataFormatError, match="render_mode 'rgb'"):
         call(g, cams, render_mode="rgb")
+    with pytest.raises(DataFormatError, match="absgrad"):
+        call(g, cams, absgrad=True, packed=False)
     with pytest.raises(DataFormatError, match="sh_degree 2"):
         call(g | {"color": np.ones((6, 4, 3))}, cams, sh_degree=2)
     bad = g["opacity"].copy()
