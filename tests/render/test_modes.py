@@ -220,3 +220,18 @@ def test_dynamic_alpha_counts_only_flagged_gaussians():
     frame = render_splats(splats(g), cam, dynamic=Float([1.0, 0.0] * 5))
     none = render_splats(splats(g), cam, dynamic=Float([0.0] * 10))
     assert 0 < frame.dynamic_alpha.numpy().max() <= frame.alpha.numpy().max() and not none.dynamic_alpha.numpy().any()
+
+
+def test_memory_of_a_crowded_image_is_bounded_by_the_budget():
+    """1500 Gaussians over the whole image are 2.9 million pairs; with a budget a tenth of that, peak memory falls accordingly."""
+    cam, g = camera(176, 176), gaussians(1500, 1, 3.0)
+    g["opacity"][:] = 0.02
+    peaks = []
+    for budget in (1 << 24, 1 << 18):
+        dr.flush_malloc_cache()
+        dr.detail.malloc_clear_statistics()
+        frame, _, grads = draw(g, cam, pair_budget=budget)
+        peaks.append(dr.detail.malloc_watermark(dr.backend_v(Float)))
+        assert all(np.isfinite(v).all() for v in grads.values())
+        assert frame.intersections > 2.5e6
+    assert peaks[1] < 0.35 * peaks[0], peaks
