@@ -15,6 +15,7 @@ COMMANDS = {
     "reconstruct": ("gof.reconstruct.run", "three videos -> transient flame Gaussians with velocities"),
     "evaluate": ("gof.evaluate.run", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with"),
     "import": ("benchmark.import_result", "result -> animated point cloud in a .blend, and a rendered preview"),
+    "capture": ("gof.capture.run", "LED board control, sub-frame times from footage, camera calibration"),
     "report": ("gof.report", "pictures, animation, scores and costs on one self-contained HTML page"),
     "doctor": ("gof.doctor", "check this machine: Blender, Mantaflow, Dr.Jit, CUDA, OpenEXR, disk, weights"),
 }

@@ -1,0 +1,129 @@
+"""`gof capture board ...`: find, set, start, stop, test and monitor an LED board."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from gof.capture.controller import Board, BoardError, candidate_ports, find_boards
+from gof.capture.protocol import State, Status
+from gof.io.files import write_json
+
+
+@dataclass(frozen=True)
+class BoardConfig:
+    """Talk to the LED board over USB.
+
+    find: list boards.  set: write --tick-us and --count.  start, stop: the clock (stop goes dark).  monitor: watch counter
+    and jitter until Ctrl-C.  test: light --pattern.  self-test: name stuck and bridged outputs.
+    """
+
+    action: tyro.conf.Positional[Literal["find", "set", "start", "stop", "monitor", "test", "self-test"]]
+    port: str | None = None
+    """Serial port; found by itself when one board is plugged in."""
+    tick_us: int | None = None
+    """set: length of a tick in microseconds (a period is 10 ticks; 400 suits 400 fps)."""
+    count: int | None = None
+    """set: where the counter starts."""
+    pattern: Literal["all_off", "all_on", "one"] = "all_on"
+    """test: which outputs to light."""
+    output: int = 0
+    """test --pattern one: logical output, strips 0-4, Gray bits 5-19, disambiguation LED 20."""
+    seconds: float | None = None
+    """monitor: stop after this long instead of at Ctrl-C."""
+    json: Path | None = None
+    """Also write the outcome to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """Run one board action. Raises BoardError or ProtocolError with what to do."""
+    config = tyro.cli(BoardConfig, prog="gof capture board", args=argv)
+    outcome = _find() if config.action == "find" and config.port is None else _act(config)
+    if config.json:
+        write_json(config.json, outcome)
+    return 0
+
+
+def _find() -> dict:
+    boards = find_boards()
+    for port, identity in boards:
+        print(f"{port}  {identity.name}  {len(identity.outputs)} outputs, {identity.gray_bits} Gray bits")
+    if not boards:
+        ports = candidate_ports()
+        looked = f"asked {', '.join(ports)}: none answers as a board" if ports else "no USB serial port is present"
+        raise BoardError(
+            f"no LED board found ({looked}). Use a USB cable that carries data, flash the firmware (docs/capture.md), "
+            "or name the port with --port"
+        )
+    return {"boards": [{"port": port, **asdict(identity)} for port, identity in boards]}
+
+
+def _act(config: BoardConfig) -> dict:
+    port = config.port or _only_board()
+    with Board(port) as board:
+        outcome: dict = {"port": port, **asdict(board.identity)}
+        match config.action:
+            case "find":
+                print(f"{port}  {board.identity.name}  {len(board.identity.outputs)} outputs")
+            case "set":
+                if config.tick_us is None and config.count is None:
+                    raise BoardError("set: give --tick-us, --count or both")
+                if config.tick_us is not None:
+                    board.set_tick(config.tick_us)
+                if config.count is not None:
+                    board.arm(config.count)
+            case "start":
+                board.start()
+            case "stop":
+                board.stop()
+            case "test":
+                board.show_test(config.pattern, config.output)
+            case "self-test":
+                outcome["bad_outputs"] = bad = board.self_test()
+                print("all outputs follow" if not bad else "these outputs do not follow: " + ", ".join(bad))
+            case "monitor":
+                _monitor(board, config.seconds)
+        status = board.status()
+        outcome["status"] = asdict(status) | {"state": status.state.name}
+        if config.action not in ("find", "monitor", "self-test"):
+            print(describe(status))
+    return outcome
+
+
+def _only_board() -> str:
+    boards = find_boards()
+    if len(boards) != 1:
+        names = ", ".join(port for port, _ in boards)
+        raise BoardError(f"{len(boards)} boards are plugged in ({names}); choose with --port" if boards else
+                         "no LED board found; plug it in, or name its port with --port")
+    return boards[0][0]
+
+
+def describe(status: Status) -> str:
+    """One line: state, counter, clock, jitter."""
+    period_ms = status.tick_us / 100
+    line = f"{status.state.name.lower():<8} count {status.count:5d}.{status.phase}  period {period_ms:g} ms"
+    if status.ticks:
+        line += (f"  ticks {status.ticks}  jitter {status.earliest_ns / 1000:+.2f}..{status.latest_ns / 1000:+.2f} us,"
+                 f" mean {status.mean_abs_ns / 1000:.2f} us")
+    return line + (f"  damaged frames {status.bad_frames}" if status.bad_frames else "")
+
+
+def _monitor(board: Board, seconds: float | None) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    end = time.monotonic() + seconds if seconds is not None else float("inf")
+    with Live(console=Console(), refresh_per_second=8) as live:
+        while time.monotonic() < end:
+            status = board.status()
+            gray = status.count ^ status.count >> 1
+            leds = "".join("#" if gray >> i & 1 else "." for i in range(board.identity.gray_bits))
+            strips = "".join("#" if status.state == State.RUNNING and status.phase // board.identity.ticks_per_slot == i
+                             else "." for i in range(board.identity.strips))
+            live.update(f"{board.port}  strips {strips}  Gray {leds}\n{describe(status)}")
+            time.sleep(0.125)

@@ -1,0 +1,206 @@
+"""Talks to an LED board over a serial port: one request, one reply, bounded waits, errors that say what to do."""
+
+from __future__ import annotations
+
+import errno
+import struct
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from gof.capture.protocol import (
+    VERSION,
+    FrameReader,
+    Identity,
+    ProtocolError,
+    Reply,
+    ReplyStatus,
+    Request,
+    Status,
+    decode_reply,
+    encode_request,
+)
+from gof.errors import GofError, MissingDependencyError
+
+BAUD = 115200
+# Boards with USB of their own, then the USB-serial chips of common ESP32 boards: Espressif, CP210x, CH34x, FTDI.
+KNOWN_USB_VENDORS = (0x303A, 0x10C4, 0x1A86, 0x0403)
+OUTPUT_NAMES = (*(f"strip {i}" for i in range(5)), *(f"Gray bit {i}" for i in range(15)), "disambiguation LED")
+
+
+class BoardError(GofError):
+    """The board cannot be reached or does not answer."""
+
+
+class Board:
+    """An open LED board. Use as a context manager; every method raises BoardError or ProtocolError.
+
+    Args:
+        port: serial port ("/dev/ttyACM0", "COM3") or a pyserial URL.
+        timeout_s: longest wait for one reply.
+        attempts: how often a request is sent before giving up; every request may be repeated harmlessly but START,
+            whose repetition is recognised.
+    """
+
+    def __init__(self, port: str, timeout_s: float = 0.5, attempts: int = 3):
+        serial = _pyserial()
+        self.port, self.timeout_s, self.attempts = port, timeout_s, attempts
+        self._reader, self._sequence = FrameReader(), 0
+        try:
+            self._line = serial.serial_for_url(port, BAUD, timeout=0.02, write_timeout=timeout_s)
+        except (serial.SerialException, OSError, ValueError) as e:
+            raise BoardError(_explain_open(port, e)) from e
+        try:
+            self.identity = self.identify()
+        except BaseException:
+            self._line.close()
+            raise
+
+    def __enter__(self) -> Board:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the port; the board keeps doing what it does."""
+        self._line.close()
+
+    def identify(self) -> Identity:
+        """Ask the board what it is."""
+        return Identity.decode(self._ask(Request.IDENTIFY).body)
+
+    def status(self) -> Status:
+        """Counter, state and jitter now."""
+        return Status.decode(self._ask(Request.STATUS).body)
+
+    def set_tick(self, tick_us: int) -> None:
+        """Length of a tick in microseconds, 50..100000; refused while running."""
+        if not 50 <= tick_us <= 100_000:
+            raise BoardError(f"a tick of {tick_us} us is outside 50..100000 us")
+        self._ask(Request.SET_TICK, struct.pack("<I", tick_us))
+
+    def arm(self, count: int = 0) -> None:
+        """Preset the counter and show its first pattern; `start` then runs from there."""
+        if not 0 <= count < 1 << self.identity.gray_bits:
+            raise BoardError(f"count {count} does not fit in {self.identity.gray_bits} Gray bits")
+        self._ask(Request.ARM, struct.pack("<I", count))
+
+    def start(self) -> None:
+        """Start the clock. A START whose reply was lost counts as done when the board runs."""
+        try:
+            self._ask(Request.START)
+        except ProtocolError:
+            if self._repeated and self.status().state.name == "RUNNING":
+                return
+            raise
+
+    def stop(self) -> None:
+        """Stop and go dark."""
+        self._ask(Request.STOP)
+
+    def show_test(self, pattern: str, output: int = 0) -> None:
+        """Light "all_off", "all_on", or "one" logical output (0..20) until the next command."""
+        self._ask(Request.SHOW_TEST, bytes([("all_off", "all_on", "one").index(pattern), output]))
+
+    def self_test(self) -> list[str]:
+        """Names of outputs that read back wrong: stuck, or bridged to another. Stops the board."""
+        bad = struct.unpack("<I", self._ask(Request.SELF_TEST).body.ljust(4, b"\0")[:4])[0]
+        return [name for i, name in enumerate(OUTPUT_NAMES) if bad >> i & 1]
+
+    def _ask(self, request: Request, body: bytes = b"") -> Reply:
+        self._sequence = (self._sequence + 1) & 0xFF
+        self._repeated = False
+        for attempt in range(self.attempts):
+            self._repeated = attempt > 0
+            self._write(encode_request(request, self._sequence, body))
+            for reply in self._replies(time.monotonic() + self.timeout_s):
+                if reply.version != VERSION or reply.status == ReplyStatus.WRONG_VERSION:
+                    raise ProtocolError(
+                        f"{self.port}: the board speaks protocol {reply.version}, this gof speaks {VERSION}; "
+                        "flash the firmware of this version (docs/capture.md)"
+                    )
+                if reply.sequence != self._sequence or reply.request != request:
+                    continue  # the late answer to an earlier attempt
+                if reply.status == ReplyStatus.OK:
+                    return reply
+                raise ProtocolError(f"{self.port}: the board refused {request.name}: {_explain_refusal(reply.status)}")
+        raise BoardError(
+            f"{self.port}: no LED board answers {request.name} ({self._reader.bad_frames} damaged frames received). "
+            "Is this the right port, and is the gof firmware flashed (docs/capture.md)?"
+        )
+
+    def _write(self, frame: bytes) -> None:
+        serial = _pyserial()
+        try:
+            self._line.write(frame)
+        except serial.SerialTimeoutException:
+            pass  # nobody reads: the missing reply says so
+        except (serial.SerialException, OSError) as e:
+            raise self._unplugged(e) from e
+
+    def _replies(self, deadline: float) -> Iterator[Reply]:
+        serial = _pyserial()
+        while time.monotonic() < deadline:
+            try:
+                data = self._line.read(max(1, min(self._line.in_waiting, 4096)))
+            except (serial.SerialException, OSError, TypeError) as e:  # TypeError: pyserial on a port closed under it
+                raise self._unplugged(e) from e
+            for payload in self._reader.push(data):
+                reply = decode_reply(payload)
+                if reply:
+                    yield reply
+
+    def _unplugged(self, cause: Exception) -> BoardError:
+        return BoardError(f"{self.port}: the board went away in the middle ({cause}); check the USB cable and its power")
+
+
+def find_boards(timeout_s: float = 0.3) -> list[tuple[str, Identity]]:
+    """Ask every USB serial port of a known vendor; (port, identity) of those that answer as a board."""
+    found = []
+    for port in candidate_ports():
+        try:
+            with Board(port, timeout_s, attempts=2) as board:
+                found.append((port, board.identity))
+        except GofError:
+            continue
+    return found
+
+
+def candidate_ports() -> list[str]:
+    """USB serial ports that could be a board."""
+    _pyserial()
+    from serial.tools import list_ports
+
+    return sorted(p.device for p in list_ports.comports() if p.vid in KNOWN_USB_VENDORS)
+
+
+def _pyserial():
+    try:
+        import serial
+    except ImportError as e:
+        raise MissingDependencyError("the board's serial port needs pyserial: pip install pyserial") from e
+    return serial
+
+
+def _explain_open(port: str, error: Exception) -> str:
+    code = getattr(error, "errno", None)
+    if code == errno.EACCES or "Permission" in str(error) or "Access is denied" in str(error):
+        return (
+            f"{port}: no permission to open it. On Linux: sudo usermod -aG dialout $USER, then log in again; "
+            "on Windows another program (a serial monitor) holds the port"
+        )
+    if code == errno.EBUSY or "exclusively lock" in str(error):
+        return f"{port}: another program holds it (a serial monitor?); close that one"
+    if code == errno.ENOENT or "could not find" in str(error).lower() or "FileNotFound" in str(error):
+        ports = ", ".join(candidate_ports()) or "none"
+        return f"{port}: no such port. Plug the board in with a data cable; USB serial ports here: {ports}"
+    return f"{port}: cannot be opened as a serial port ({error})"
+
+
+def _explain_refusal(status: int) -> str:
+    return {
+        ReplyStatus.UNKNOWN: "it does not know this command; flash the firmware of this version (docs/capture.md)",
+        ReplyStatus.BAD_ARGUMENT: "a value is outside its range",
+        ReplyStatus.WRONG_STATE: "not possible in its present state; 'gof capture board stop' first",
+    }.get(status, f"status {status}")

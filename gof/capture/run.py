@@ -1,0 +1,39 @@
+"""`gof capture`: names its parts and loads only the one that is asked for."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+PARTS = {
+    "board": ("gof.capture.board_command", "find, set, start, stop, test and monitor the LED board"),
+    "sync": ("gof.capture.sync", "footage of the board -> the time of every row of every frame (times.json, plots)"),
+    "draw": ("gof.capture.template", "board template -> printable SVG"),
+    "calibrate": ("gof.capture.calibration", "ChArUco footage -> intrinsics; undistort, turn to portrait, row delays"),
+}
+
+HELP = """\
+gof capture - the camera rig: LED board, sub-frame times from footage, calibration.
+
+usage: gof capture PART [OPTIONS]        gof capture PART --help explains one part
+
+{parts}
+
+a session:
+  gof capture board find
+  gof capture board start                                     the board runs; film it with every camera
+  gof capture sync cam_0.mp4 cam_1.mp4 cam_2.mp4 --out sync   sync/times.json, sync/residuals_cam_0.png ...
+
+Every part writes its figures with --json FILE.
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Run one part of `gof capture`."""
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(HELP.format(parts="\n".join(f"  {name:<10} {text}" for name, (_, text) in PARTS.items())))
+        return 0
+    if argv[0] not in PARTS:
+        print(f"gof capture: no part '{argv[0]}'; parts: {', '.join(PARTS)}", file=sys.stderr)
+        return 2
+    return importlib.import_module(PARTS[argv[0]][0]).main(argv[1:]) or 0

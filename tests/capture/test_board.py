@@ -1,0 +1,185 @@
+"""The controller against the firmware's own core (emulator on a pseudo-terminal), and against hostile ports."""
+
+import json
+import os
+import threading
+import time
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gof.capture import board_command, controller
+from gof.capture.controller import Board, BoardError
+from gof.capture.protocol import Identity, ProtocolError, State, encode_frame
+from gof.cli import main as gof
+
+
+def test_a_session_with_the_emulator(start_emulator):
+    _, port = start_emulator()
+    with Board(port) as board:
+        assert board.identity.name == "gof-board 0.1.0 host" and board.identity.outputs == tuple(range(21))
+        assert board.status().state is State.STOPPED
+        board.set_tick(1000)
+        board.arm(32767)
+        assert board.status().count == 32767 and board.status().state is State.ARMED
+        board.start()
+        time.sleep(0.1)
+        status = board.status()
+        assert status.state is State.RUNNING and status.tick_us == 1000 and 60 <= status.ticks <= 400
+        # One count per ten ticks, through the wrap 32767 -> 0.
+        assert status.count == (32767 + status.ticks // 10) % 32768 and status.phase == status.ticks % 10
+        assert status.earliest_ns <= status.latest_ns and status.mean_abs_ns >= 0
+        with pytest.raises(ProtocolError, match="refused SET_TICK.*stop"):
+            board.set_tick(400)
+        board.stop()
+        assert board.status().state is State.STOPPED
+        board.show_test("all_on")
+        assert board.status().state is State.TEST
+        assert board.self_test() == []
+        with pytest.raises(BoardError, match="outside 50"):
+            board.set_tick(10)
+        with pytest.raises(BoardError, match="15 Gray bits"):
+            board.arm(1 << 15)
+
+
+def test_bridged_strips_are_named(start_emulator):
+    _, port = start_emulator("--bridge", 1, 2)
+    with Board(port) as board:
+        assert board.self_test() == ["strip 1", "strip 2"]
+
+
+def test_command_line_session(start_emulator, tmp_path, capsys):
+    _, port = start_emulator()
+    for action in (["find"], ["set", "--tick-us", "500", "--count", "7"], ["start"], ["monitor", "--seconds", "0.3"], ["stop"]):
+        assert gof(["capture", "board", *action, "--port", port, "--json", str(tmp_path / "out.json")]) == 0
+    text = capsys.readouterr().out
+    assert "gof-board" in text and "armed    count     7.0  period 5 ms" in text and "jitter" in text and "Gray" in text
+    assert json.loads((tmp_path / "out.json").read_text())["status"]["state"] == "STOPPED"
+
+
+def test_line_noise_between_requests_is_survived(start_emulator):
+    _, port = start_emulator()
+    with Board(port) as board:
+        for noise in (b"\xff" * 500, b"\0\1\2\0\0", os.urandom(300)):
+            board._line.write(noise)
+            assert board.status().state is State.STOPPED
+        assert board.status().bad_frames > 0
+
+
+def test_a_board_pulled_out_in_the_middle(start_emulator):
+    process, port = start_emulator()
+    with Board(port, timeout_s=0.3) as board:
+        process.kill()
+        process.wait()
+        with pytest.raises(BoardError, match="went away in the middle|no LED board answers"):
+            for _ in range(3):
+                board.status()
+
+
+def test_no_board_no_port_no_permission(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(controller, "candidate_ports", lambda: [])
+    monkeypatch.setattr(board_command, "candidate_ports", lambda: [])
+    assert gof(["capture", "board", "find"]) == 1
+    assert "no LED board found (no USB serial port is present)" in capsys.readouterr().err
+    assert gof(["capture", "board", "start"]) == 1
+    assert "no LED board found" in capsys.readouterr().err
+    with pytest.raises(BoardError, match="no such port"):
+        Board(str(tmp_path / "ttyACM7"))
+    with pytest.raises(BoardError, match="cannot be opened"):
+        (tmp_path / "file").write_text("")
+        Board(str(tmp_path / "file"))
+
+    import serial
+
+    def denied(*_, **__):
+        raise serial.SerialException(13, "could not open port /dev/ttyACM0: Permission denied")
+
+    monkeypatch.setattr(serial, "serial_for_url", denied)
+    with pytest.raises(BoardError, match="dialout"):
+        Board("/dev/ttyACM0")
+
+
+class Peer:
+    """The other end of a pseudo-terminal: answers each request with whatever it is told to."""
+
+    def __init__(self, answer):
+        import tty
+
+        self.master, client = os.openpty()
+        tty.setraw(client)
+        self.port, self._client, self.answer = os.ttyname(client), client, answer
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self):
+        try:
+            while request := os.read(self.master, 256):
+                os.write(self.master, self.answer(request))
+        except OSError:
+            pass
+
+    def close(self):
+        os.close(self.master)
+        os.close(self._client)
+
+
+@pytest.fixture
+def peer():
+    opened = []
+
+    def open_peer(answer):
+        opened.append(Peer(answer))
+        return opened[-1].port
+
+    yield open_peer
+    for p in opened:
+        p.close()
+
+
+def test_wrong_firmware_is_named(peer):
+    with pytest.raises(ProtocolError, match="protocol 9, this gof speaks 1"):
+        Board(peer(lambda _: encode_frame(bytes([9, 1, 0x81, 4]))))
+    with pytest.raises(BoardError, match="no LED board answers IDENTIFY"):
+        Board(peer(lambda _: b"ets Jul 29 2019 rst:0x1 (POWERON_RESET)\r\n"), timeout_s=0.1)
+    with pytest.raises(ProtocolError, match="not as a gof LED board"):
+        Board(peer(lambda _: encode_frame(bytes([1, 1, 0x81, 0]) + b"something else")))
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.binary(max_size=120), min_size=1, max_size=8))
+def test_random_answers_never_hang_or_crash_the_controller(peer, answers):
+    turn = iter(range(10**6))
+    start = time.monotonic()
+    with pytest.raises((BoardError, ProtocolError)):
+        Board(peer(lambda _: answers[next(turn) % len(answers)] + b"\0"), timeout_s=0.04, attempts=2)
+    assert time.monotonic() - start < 2
+
+
+@given(st.binary(max_size=64))
+def test_any_identity_is_decoded_or_refused(body):
+    try:
+        assert Identity.decode(body).name.startswith("gof-board")
+    except ProtocolError:
+        pass
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(drop=st.lists(st.booleans(), min_size=1, max_size=6), cut=st.integers(1, 30))
+def test_dropped_and_split_replies(peer, drop, cut):
+    """Replies are lost or arrive in two pieces; the board is reached if one of three attempts gets through."""
+    turn = iter(range(10**6))
+    identity = bytes([5, 15, 2, 10]) + (2**21 - 1).to_bytes(4, "little") + b"gof-board test"
+
+    def answer(request):
+        if drop[next(turn) % len(drop)]:
+            return b""
+        sequence = request[3] if request[0] == 0 else 1
+        frame = encode_frame(bytes([1, sequence, 0x81, 0]) + identity)
+        return b"\0" + frame[:cut] + frame[cut:]
+
+    reached = not all(drop[i % len(drop)] for i in range(3))
+    try:
+        Board(peer(answer), timeout_s=0.08).close()
+        assert reached
+    except BoardError:
+        assert not reached
