@@ -157,6 +157,22 @@ def vector_rate(repeats: int) -> float:
     return lanes * rounds * 16 * 12 / (best(run, repeats)[1] * 1e6)
 
 
+def one_thread(training: Training, repeats: int) -> dict:
+    """CPU time without idle threads waiting in it, and what the core gave meanwhile."""
+    import drjit as dr
+
+    threads = dr.thread_count()
+    dr.set_thread_count(1)
+    try:
+        rate, step, both = 0.0, math.inf, math.inf
+        for _ in range(repeats):
+            step, both = min(step, best(training.step, 1)[1]), min(both, best(training.draw_and_differentiate, 1)[1])
+            rate = max(rate, vector_rate(1))
+        return {"step_ms": step, "both_ms": both, "fma_per_ns": rate}
+    finally:
+        dr.set_thread_count(threads)
+
+
 def mitsuba_peer(n: int, width: int, height: int, ours: bool) -> dict:
     """Times of `volprim_rf_basic` on the same scene, in this process."""
     import drjit as dr
@@ -275,6 +291,7 @@ def measure(quick: bool) -> dict:
         training.draw_and_differentiate()
     result["step"] = best(training.step, repeats)
     result["forward"], result["both"] = best(training.draw, repeats), best(training.draw_and_differentiate, repeats)
+    result["one_thread"] = one_thread(training, repeats)
     result["mean"] = float(np.mean([c.numpy().mean() for c in training.draw().color]))
     result["pairs"] = training.frame.intersections
     result["phases"] = training.phases(repeats)
@@ -308,6 +325,9 @@ def report(r: dict) -> str:
     row("full training step with Adam", r["step"])
     row("forward", r["forward"])
     row("forward + backward", r["both"])
+    one = r["one_thread"]
+    lines.append(f"one thread: step {one['step_ms']:.1f} CPU ms, forward + backward {one['both_ms']:.1f} CPU ms, while the core gave "
+                 f"{one['fma_per_ns']:.0f} fused multiply-adds per ns")
     for name, peer in r["mitsuba"].items():
         row(f"Mitsuba volprim_rf_basic forward ({name})", peer["forward"])
         row(f"Mitsuba forward + backward ({name})", peer["both"])

@@ -40,7 +40,7 @@ def test_report_prints_every_goal():
     kernel = {"ns_per_pair": 1.0, "limit_ns": 0.5, "ops": 26}
     text = render_speed.report({
         "scene": [1, 2, 3], "pairs": 4, "machine": {"cpu": "x", "threads": 2}, "phases": {"project": t}, "step": t, "forward": t,
-        "both": t, "mean": 0.1, "fma_per_ns": 80.0, "kernels": {"forward": kernel, "backward": kernel},
+        "both": t, "one_thread": {"step_ms": 1.0, "both_ms": 1.0, "fma_per_ns": 80.0}, "mean": 0.1, "fma_per_ns": 80.0, "kernels": {"forward": kernel, "backward": kernel},
         "mitsuba": {"its own settings": {"forward": (80.0, 80.0), "both": (80.0, 80.0), "mean": 0.1}},
         "torch": {"scene": [1, 2, 3], "peer": {"forward": t, "both": (300.0, 300.0)}, "ours_both": t}, "growth": [row], "exponents": {"cpu ~ N^": 0.5}})
     assert "80x" in text and "150x" in text and "50%" in text and "N^0.50" in text
