@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gof.evaluate.dve import DVEResult, DVESequence, Samples, Sums, score_sequence, weighted_sums
+from gof.evaluate.dve import DVEResult, DVESequence, Samples, Sums, score_sequence, state_at, weighted_sums
 from gof.gaussians import TransientGaussians
+from gof.io.importers import Trajectory
 
 HEIGHT_BINS = 32
 MIN_PER_BIN = 64  # fewer Gaussians in a layer and the layer's mean would follow single Gaussians
@@ -27,7 +28,7 @@ CONTROLS = {
 }
 
 
-def score_controls(gaussians: TransientGaussians, frames: Sequence[Samples], seed: int = 0) -> dict[str, DVESequence]:
+def score_controls(gaussians: TransientGaussians | Trajectory, frames: Sequence[Samples], seed: int = 0) -> dict[str, DVESequence]:
     """Score every control on the samples of `dve.probe`.
 
     `random` and `shuffled` draw once per Gaussian, so a Gaussian keeps its drawn velocity through all frames; `constant`
@@ -37,13 +38,15 @@ def score_controls(gaussians: TransientGaussians, frames: Sequence[Samples], see
         name (as in CONTROLS) -> DVESequence.
     """
     rng = np.random.default_rng(seed)
-    own = np.where(gaussians.dynamic[:, None], gaussians.velocity, 0.0).astype(np.float64)
-    direction = rng.standard_normal(own.shape)
+    direction = rng.standard_normal((len(gaussians), 3))
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
-    random = direction * np.linalg.norm(own, axis=1, keepdims=True)
     scored = np.unique(np.concatenate([f.index for f in frames]))
-    shuffled = own.copy()
-    shuffled[scored] = own[rng.permutation(scored)]
+    donor = np.arange(len(gaussians))
+    donor[scored] = rng.permutation(scored)
+
+    def own(frame: Samples) -> np.ndarray:
+        state = state_at(gaussians, frame.time_s)
+        return np.where(state.dynamic[:, None], state.velocity, 0.0).astype(np.float64)
 
     weight = np.concatenate([f.weight for f in frames])
     truth = np.concatenate([f.truth for f in frames])
@@ -51,8 +54,8 @@ def score_controls(gaussians: TransientGaussians, frames: Sequence[Samples], see
     height = _height_means(frames, truth, weight)
     velocities = {
         "zero": [np.zeros_like(f.truth) for f in frames],
-        "random": [random[f.index] for f in frames],
-        "shuffled": [shuffled[f.index] for f in frames],
+        "random": [direction[f.index] * np.linalg.norm(f.velocity, axis=1, keepdims=True) for f in frames],
+        "shuffled": [own(f)[donor[f.index]] for f in frames],
         "constant": [np.broadcast_to(constant, f.truth.shape) for f in frames],
         "height_mean": _split(height, frames),
         "true_centre": [f.truth_centre for f in frames],

@@ -24,6 +24,7 @@ from gof.evaluate.quadrature import VelocityLike, expected_velocity
 from gof.evaluate.wavelength import share_of_short_waves
 from gof.fields import VelocitySequence
 from gof.gaussians import TransientGaussians
+from gof.io.importers import Trajectory, life
 
 CULL_SHARE = 1e-9  # total share of weight, and of weighted squared speed, that may be skipped per frame
 WIDE_VOXELS = 2.0  # beyond this standard deviation three nodes per axis no longer see the field between them
@@ -160,7 +161,12 @@ class DVESequence:
         return out
 
 
-def probe(gaussians: TransientGaussians, field: VelocityLike, time_s: float, order: int = 3,
+def state_at(gaussians: TransientGaussians | Trajectory, time_s: float) -> TransientGaussians:
+    """What can be scored or drawn at `time_s`: transient Gaussians as they are, a trajectory's state at that time."""
+    return gaussians.state(time_s) if isinstance(gaussians, Trajectory) else gaussians
+
+
+def probe(gaussians: TransientGaussians | Trajectory, field: VelocityLike, time_s: float, order: int = 3,
           opacity: Literal["temporal", "base"] = "temporal", include_static: bool = False) -> Samples:
     """Weights, estimated and expected true velocities of the Gaussians that live at `time_s`.
 
@@ -174,6 +180,7 @@ def probe(gaussians: TransientGaussians, field: VelocityLike, time_s: float, ord
     """
     if opacity not in ("temporal", "base"):
         raise GofError(f"opacity must be 'temporal' or 'base', got '{opacity}'")
+    gaussians = state_at(gaussians, time_s)
     position, alpha = gaussians.at(time_s)
     if opacity == "base":
         alpha = gaussians.opacity
@@ -218,7 +225,7 @@ def _sum(values: np.ndarray) -> float:
     return float(np.sum(values))  # pairwise on contiguous memory: relative error ~ eps log2(M)
 
 
-def dve(gaussians: TransientGaussians, field: VelocityLike, time_s: float, order: int = 3,
+def dve(gaussians: TransientGaussians | Trajectory, field: VelocityLike, time_s: float, order: int = 3,
         opacity: Literal["temporal", "base"] = "temporal", include_static: bool = False) -> DVEResult:
     """DVE of one frame.
 
@@ -244,7 +251,7 @@ def score_sequence(frames: Sequence[Samples], velocities: Iterable[np.ndarray]) 
                        times_s=[f.time_s for f in frames])
 
 
-def dve_sequence(gaussians: TransientGaussians, sequence, times_s: Sequence[float] | None = None, order: int = 3,
+def dve_sequence(gaussians: TransientGaussians | Trajectory, sequence, times_s: Sequence[float] | None = None, order: int = 3,
                  opacity: Literal["temporal", "base"] = "temporal", include_static: bool = False, controls: bool = True,
                  seed: int = 0, progress: Callable[[int, int], None] | None = None) -> DVESequence:
     """DVE over the frames of a sequence, with the controls that tell a good score from an easy one.
@@ -265,6 +272,10 @@ def dve_sequence(gaussians: TransientGaussians, sequence, times_s: Sequence[floa
     """
     times = np.asarray(sequence.times_s if times_s is None else times_s, np.float64)
     _require_common_clock(gaussians, times, include_static)
+    if isinstance(gaussians, Trajectory):  # frames that the method did not export cannot be scored
+        times = times[(times >= gaussians.time_s[0] - 1e-6) & (times <= gaussians.time_s[-1] + 1e-6)]
+        if len(times) == 0:
+            raise GofError(f"no scored time lies within the trajectory's {gaussians.time_s[0]:g}..{gaussians.time_s[-1]:g} s")
     frames: list[Samples] = []
     results: list[DVEResult] = []
     pooled, inside = Sums(), Sums()
@@ -290,7 +301,7 @@ def dve_sequence(gaussians: TransientGaussians, sequence, times_s: Sequence[floa
     return replace(scored, controls=score_controls(gaussians, frames, seed), fluctuation=fluctuation(frames))
 
 
-def _require_common_clock(gaussians: TransientGaussians, times: np.ndarray, include_static: bool) -> None:
+def _require_common_clock(gaussians: TransientGaussians | Trajectory, times: np.ndarray, include_static: bool) -> None:
     if len(times) == 0:
         raise GofError("no frame to score: the list of times is empty")
     scored = gaussians.dynamic | include_static
@@ -298,8 +309,7 @@ def _require_common_clock(gaussians: TransientGaussians, times: np.ndarray, incl
         raise GofError("the result has no dynamic Gaussian, so there is no velocity to score")
     if include_static and not gaussians.dynamic.all():
         return
-    t_mu, reach = gaussians.t_mu[gaussians.dynamic], 3 * gaussians.t_sigma[gaussians.dynamic].astype(np.float64)
-    born, dead = float((t_mu - reach).min()), float((t_mu + reach).max())
+    born, dead = life(gaussians)
     if born > times.max() or dead < times.min():
         raise GofError(f"clocks do not overlap: the Gaussians live in {born:g}..{dead:g} s, the true velocity covers "
                        f"{times.min():g}..{times.max():g} s; convert the result to seconds on the dataset clock")

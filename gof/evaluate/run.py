@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,17 +15,20 @@ import tyro
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.evaluate import controls as control_module
-from gof.evaluate.dve import dve_sequence, sanity_warnings
+from gof.evaluate.dve import dve_sequence, sanity_warnings, state_at
 from gof.evaluate.image import psnr, ssim
 from gof.gaussians import TransientGaussians
+from gof.io.convert import ForeignOptions
 from gof.io.files import write_json
+from gof.io.importers import ImportOptions, Trajectory, read_result
+from gof.io.importers.similarity import align_cameras, read_cameras, transformed
 
 Progress = Callable[..., None]  # progress(done, total, stage=...)
 
 
-def evaluate(result: Path | TransientGaussians, dataset: Dataset, order: int = 3,
-             opacity: Literal["temporal", "base"] = "temporal", images: bool = True,
-             progress: Progress | None = None) -> dict[str, Any]:
+def evaluate(result: Path | TransientGaussians | Trajectory, dataset: Dataset, order: int = 3,
+             opacity: Literal["temporal", "base"] = "temporal", images: bool = True, progress: Progress | None = None,
+             foreign: ImportOptions | None = None, align: Path | None = None) -> dict[str, Any]:
     """All scores of a result.
 
     Pictures: every held-out frame of every camera, rendered over the fire-free plate (over black when the result brings
@@ -33,13 +36,16 @@ def evaluate(result: Path | TransientGaussians, dataset: Dataset, order: int = 3
     the clip that has a true velocity field.
 
     Args:
-        result: file of `TransientGaussians.save`, or the Gaussians.
+        result: file or folder of any known method (gof.io.importers), or the Gaussians.
         dataset: what it was made from.
         order, opacity: of `dve`.
         images: also render and score pictures.
         progress: progress(done, total, stage=name).
+        foreign: what a foreign result does not say; its frame time is the dataset's unless given.
+        align: cameras of the method's own world (see `read_cameras`); the result is moved by the similarity that maps them onto
+            the dataset's.
     Returns:
-        JSON-ready dict: "dve" (see DVESequence.to_dict), "controls" {name: {"l2", "cos_sim", "skill", ...}}, "psnr",
+        JSON-ready dict: "import" {"method", "notes", "alignment"}, "dve" (see DVESequence.to_dict), "controls" {name: {"l2", "cos_sim", "skill", ...}}, "psnr",
         "psnr_flame", "psnr_plate", "psnr_flame_plate", "ssim", "ssim_flame", "ssim_plate", "ssim_flame_plate" (means over
         pictures; None where undefined), "images" (spread and every picture), "costs" {part: seconds}, "warnings".
     Raises:
@@ -48,8 +54,8 @@ def evaluate(result: Path | TransientGaussians, dataset: Dataset, order: int = 3
     costs: dict[str, float] = {}
     progress = progress or (lambda *a, **k: None)
     with _timed(costs, "load"):
-        gaussians = result if isinstance(result, TransientGaussians) else TransientGaussians.load(result)
-    scores: dict[str, Any] = {"gaussians": len(gaussians), "dynamic_gaussians": int(gaussians.dynamic.sum()), "warnings": []}
+        gaussians, origin = _load(result, dataset, foreign or ImportOptions(), align)
+    scores: dict[str, Any] = {"gaussians": len(gaussians), "dynamic_gaussians": int(gaussians.dynamic.sum()), "import": origin, "warnings": []}
     if dataset.meta.get("velocity"):
         with _timed(costs, "dve"):
             scores |= _velocity_scores(gaussians, dataset, order, opacity, progress)
@@ -61,6 +67,23 @@ def evaluate(result: Path | TransientGaussians, dataset: Dataset, order: int = 3
     return scores | {"costs": {name: round(seconds, 3) for name, seconds in costs.items()}}
 
 
+def _load(result, dataset: Dataset, foreign: ImportOptions, align: Path | None) -> tuple[TransientGaussians | Trajectory, dict[str, Any]]:
+    if isinstance(result, (TransientGaussians, Trajectory)):
+        gaussians, origin = result, {"method": "memory", "notes": []}
+    else:
+        imported = read_result(result, replace(foreign, frame_time_s=foreign.frame_time_s or dataset.frame_time_s or None))
+        gaussians, origin = imported.gaussians, {"method": imported.method, "notes": imported.notes}
+    if align is None:
+        return gaussians, origin
+    found = align_cameras(read_cameras(align), {c.name: c.world_to_camera for c in dataset.cameras})
+    origin["alignment"] = {"matrix": found.matrix.tolist(), "scale": found.scale, "position_rms_m": found.position_rms_m,
+                           "rotation_max_deg": found.rotation_max_deg}
+    origin["notes"] = [*origin["notes"], f"moved by the similarity of {align}: scale {found.scale:.4g}; cameras then {found.position_rms_m * 1000:.2g} mm "
+                       f"(rms) and at most {found.rotation_max_deg:.2g} degrees off"]
+    moved = gaussians.transformed(found.matrix) if isinstance(gaussians, Trajectory) else transformed(gaussians, found.matrix)
+    return moved, origin
+
+
 @contextmanager
 def _timed(costs: dict[str, float], name: str):
     start = time.perf_counter()
@@ -68,7 +91,7 @@ def _timed(costs: dict[str, float], name: str):
     costs[name] = costs.get(name, 0.0) + time.perf_counter() - start
 
 
-def _velocity_scores(gaussians: TransientGaussians, dataset: Dataset, order: int, opacity: str,
+def _velocity_scores(gaussians: TransientGaussians | Trajectory, dataset: Dataset, order: int, opacity: str,
                      progress: Progress) -> dict[str, Any]:
     truth = dataset.velocity
     slack = dataset.frame_time_s / 2
@@ -87,7 +110,7 @@ def _velocity_scores(gaussians: TransientGaussians, dataset: Dataset, order: int
     return {"dve": dve, "controls": controls, "warnings": sanity_warnings(score)}
 
 
-def _image_scores(gaussians: TransientGaussians, dataset: Dataset, costs: dict[str, float], progress: Progress) -> dict[str, Any]:
+def _image_scores(gaussians: TransientGaussians | Trajectory, dataset: Dataset, costs: dict[str, float], progress: Progress) -> dict[str, Any]:
     from gof.render import render
 
     own_background = not gaussians.dynamic.all()
@@ -97,8 +120,9 @@ def _image_scores(gaussians: TransientGaussians, dataset: Dataset, costs: dict[s
         plate = dataset.static(number)
         for frame in dataset.test_frames:
             with _timed(costs, "render"):
+                time_s = float(dataset.times_s[frame])
                 background = (0, 0, 0) if own_background else plate
-                image = render(gaussians, camera, float(dataset.times_s[frame]), background=background)["color"]
+                image = render(state_at(gaussians, time_s), camera, time_s, background=background)["color"]
             with _timed(costs, "images"):
                 truth, mask = dataset.image(number, frame), dataset.mask(number, frame)
                 row = {"camera": camera.name, "frame": frame, "flame_share": None if mask is None else float(mask.mean())}
@@ -153,9 +177,12 @@ class EvaluateConfig:
     """Score a reconstruction against a dataset: DVE (L2, CosSim) with controls, PSNR and SSIM on held-out frames."""
 
     result: tyro.conf.Positional[Path]
-    """Result of a reconstruction (.npz or .ply)."""
+    """Result of a reconstruction: ours, or any method's that docs/importers.md lists."""
     truth: Path
     """Dataset folder with the true pictures and velocities."""
+    foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    align: Path | None = None
+    """Cameras of the method's own world (COLMAP folder, dataset.json, or JSON name -> 4x4 world_to_camera), to move it into ours."""
     out: Path | None = None
     """Folder to write scores.json to; an older scores.json there is replaced."""
     json: Path | None = None
@@ -177,12 +204,13 @@ def main(argv: list[str]) -> int:
     config = tyro.cli(EvaluateConfig, prog="gof evaluate", args=argv)
     dataset = Dataset.open(config.truth)
     with progress_bar("evaluate") as progress:
-        scores = evaluate(config.result, dataset, config.order, config.opacity, config.images, progress)
+        scores = evaluate(config.result, dataset, config.order, config.opacity, config.images, progress,
+                          config.foreign.options(), config.align)
     console = Console()
     for t in table(scores):
         if t.row_count:
             console.print(t)
-    for warning in scores["warnings"]:
+    for warning in scores["import"]["notes"] + scores["warnings"]:
         console.print(f"[yellow]note:[/] {warning}")
     console.print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in scores["costs"].items()))
     for path in {config.out and config.out / "scores.json", config.json} - {None}:

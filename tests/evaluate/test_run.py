@@ -79,3 +79,47 @@ def test_without_velocity_truth_or_masks(tmp_path):
     scores = evaluate(truth, Dataset.open(tmp_path / "real"))
     assert scores["dve"] is None and scores["controls"] == {} and "no true velocity" in scores["warnings"][0]
     assert scores["psnr"] > 45 and scores["psnr_flame"] is None and scores["psnr_flame_plate"] is None
+
+
+def test_other_methods_through_the_whole_path(flame, tmp_path):
+    """FTGS-PLY, a trajectory at half steps, and a result in another world with its cameras: all score as the original."""
+    from gof.io.importers import ImportOptions, Trajectory
+    from gof.io.importers.freetime import save
+    from gof.io.importers.similarity import transformed
+
+    _, dataset, truth = flame
+    original = evaluate(truth, dataset)
+    times = dataset.times_s
+    ftgs = evaluate(save(truth, tmp_path / "a.ftgs.ply", times[0], times[-1], len(times)), dataset)
+    assert ftgs["import"]["method"] == "freetime" and ftgs["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-4)
+    assert ftgs["psnr"] == pytest.approx(original["psnr"], abs=0.2)
+
+    steps = np.arange(times[0], times[-1] + 1e-9, (times[1] - times[0]) / 2)
+    states = [truth.at(t) for t in steps]
+    Trajectory(steps, np.stack([p for p, _ in states]), np.stack([o for _, o in states]), truth.scale, truth.rotation, color=truth.color).save(
+        tmp_path / "t.npz")
+    sampled = evaluate(tmp_path / "t.npz", dataset)
+    assert sampled["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=2e-3) and sampled["psnr"] == pytest.approx(original["psnr"], abs=0.1)
+    assert set(sampled["controls"]) == set(original["controls"])
+    for name in ("zero", "constant", "height_mean", "true_centre", "shuffled"):
+        assert sampled["controls"][name]["l2"] == pytest.approx(original["controls"][name]["l2"], abs=2e-2)
+
+    own_world = np.eye(4)
+    own_world[:3, :3] = 0.4 * np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0.0]])
+    own_world[:3, 3] = 5
+    inverse = np.linalg.inv(own_world)
+    cameras = {}
+    for c in dataset.cameras:
+        pose = own_world @ np.linalg.inv(c.world_to_camera)
+        pose[:3, :3] /= 0.4
+        cameras[c.name] = np.linalg.inv(pose).tolist()
+    (tmp_path / "cameras.json").write_text(json.dumps(cameras))
+    transformed(truth, own_world).save(tmp_path / "elsewhere.npz")
+    lost = evaluate(tmp_path / "elsewhere.npz", dataset, images=False)
+    assert lost["dve"]["weight_outside"] == pytest.approx(1) and "world" in lost["warnings"][0]
+    aligned = evaluate(tmp_path / "elsewhere.npz", dataset, align=tmp_path / "cameras.json")
+    np.testing.assert_allclose(aligned["import"]["alignment"]["matrix"], inverse, atol=1e-6)
+    assert aligned["import"]["alignment"]["position_rms_m"] < 1e-6
+    assert aligned["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-3) and aligned["psnr"] == pytest.approx(original["psnr"], abs=0.1)
+    with pytest.raises(DataFormatError, match="--time-unit"):
+        evaluate(tmp_path / "a.ftgs.ply", Dataset(dataset.path, dataset.meta, dataset.cameras, dataset.times_s[:1]), foreign=ImportOptions())

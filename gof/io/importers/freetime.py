@@ -1,0 +1,139 @@
+"""FreeTimeGS (FreeTimeGsVanilla): `ckpt_{step}.pt`, `canonical_4d.npz` and `.ftgs.ply`.
+
+Its time runs from 0 to 1 over the sequence and its world is normalised from the COLMAP model, by a transform it does not
+store; both are undone here. Spec of the PLY: FTGS PLY version 1.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gof.errors import DataFormatError
+from gof.gaussians import TransientGaussians
+from gof.io.files import atomic_path
+from gof.io.importers.similarity import transformed, world_from_training
+from gof.io.importers.source import Imported, ImportOptions, Source, array, exp, quaternions, sigmoid
+
+SPLATS = {"means", "scales", "quats", "opacities", "sh0", "shN", "times", "durations", "velocities"}
+MIN_DURATION = 0.02  # of the sequence; its renderer never uses a shorter one
+SH_C0 = 0.28209479177387814
+
+
+def matches(source: Source) -> bool:
+    if source.is_checkpoint:
+        return isinstance(source.checkpoint, dict) and "splats" in source.checkpoint
+    if source.path.suffix == ".npz":
+        return "schema" not in source.npz and {"means", "durations", "velocities"} <= set(source.npz)
+    return source.path.is_file() and source.path.suffix == ".ply" and any(c.startswith("ftgs_version") for c in source.ply.comments)
+
+
+def read(source: Source, options: ImportOptions) -> Imported:
+    notes: list[str] = []
+    if source.path.suffix == ".ply":
+        values, meta = _from_ply(source)
+    else:
+        values, meta = _from_splats(source)
+    unit = _sequence_seconds(source.path, meta, options)
+    notes.append(f"its time 0..1 taken as {unit:g} s from {options.time_zero_s:g} s on")
+    if not meta.get("use_velocity", True):
+        values["velocity"] = np.zeros_like(values["velocity"])
+        notes.append("trained without velocities")
+    notes.append(f"opacities without its floor of 1e-4, which would let every dead Gaussian count; life times at least {MIN_DURATION} of the sequence")
+    gaussians = TransientGaussians(
+        position=values["position"], velocity=values["velocity"].astype(np.float64) / unit,
+        t_mu=values["time"].astype(np.float64) * unit + options.time_zero_s,
+        t_sigma=np.maximum(exp(values["log_duration"]), meta.get("min_duration", MIN_DURATION)) * unit, scale=values["scale"],
+        rotation=values["rotation"], opacity=values["opacity"], color=values["color"], dynamic=np.ones(len(values["time"]), bool))
+    if options.world is None:
+        notes.append("its world taken as the dataset's; its trainer normalises the scene, so give the COLMAP model (--world) unless that was undone")
+    else:
+        gaussians = transformed(gaussians, world_from_training(options.world))
+        notes.append(f"scene normalisation undone with {options.world}")
+    return Imported(gaussians, "freetime", source.path, notes)
+
+
+def _from_splats(source: Source) -> tuple[dict, dict]:
+    path = source.path
+    if source.is_checkpoint:
+        content = source.checkpoint
+        splats, meta = content["splats"], {k: content[k] for k in ("n_frames", "use_velocity") if k in content}
+        if not isinstance(splats, dict) or set(splats) != SPLATS:
+            found = sorted(splats) if isinstance(splats, dict) else type(splats).__name__
+            raise DataFormatError(f"{path}: splats hold {found}, not the nine of FreeTimeGS vanilla {sorted(SPLATS)}; variants with gates or "
+                                  "sigmoid durations mean other things by the same names")
+        get = lambda name, *shape: array(splats[name], name, shape, path)  # noqa: E731
+    else:
+        content = source.npz
+        missing = SPLATS - set(content)
+        if missing:
+            raise DataFormatError(f"{path}: fields {sorted(missing)} are missing")
+        meta = {k: content[k].item() for k in ("n_frames", "use_velocity") if k in content}
+
+        def get(name, *shape):
+            value = content[name]
+            if value.ndim != len(shape) or any(b is not None and a != b for a, b in zip(value.shape, shape, strict=True)):
+                raise DataFormatError(f"{path}: '{name}' has shape {value.shape}, expected {shape}")
+            return value.astype(np.float32)
+    means = get("means", None, 3)
+    n = len(means)
+    return {"position": means, "velocity": get("velocities", n, 3), "time": get("times", n, 1)[:, 0], "log_duration": get("durations", n, 1)[:, 0],
+            "scale": exp(get("scales", n, 3)), "rotation": quaternions(get("quats", n, 4), path), "opacity": sigmoid(get("opacities", n)),
+            "color": np.concatenate([get("sh0", n, 1, 3), get("shN", n, None, 3)], 1)}, meta
+
+
+def _from_ply(source: Source) -> tuple[dict, dict]:
+    ply = source.ply
+    words = dict(c.split(maxsplit=1) for c in ply.comments if " " in c)
+    if words.get("ftgs_version") != "1" or words.get("time_units") != "normalized":
+        raise DataFormatError(f"{source.path}: ftgs_version {words.get('ftgs_version')}, time_units {words.get('time_units')}; expected 1, normalized")
+    try:
+        meta = {"use_velocity": words["use_velocity"] == "1", "min_duration": float(words["min_duration"])}
+        if "n_frames" in words:
+            meta["n_frames"] = int(words["n_frames"])
+    except (KeyError, ValueError) as e:
+        raise DataFormatError(f"{source.path}: header comment {e} is missing or not a number") from e
+    return ply.splats() | {"velocity": ply.columns("velocity_0", "velocity_1", "velocity_2"), "time": ply.columns("time")[:, 0],
+                           "log_duration": ply.columns("log_duration")[:, 0]}, meta
+
+
+def _sequence_seconds(path: Path, meta: dict, options: ImportOptions) -> float:
+    if options.time_unit_s:
+        return options.time_unit_s
+    frames = meta.get("n_frames")
+    if frames and frames > 1 and options.frame_time_s:
+        return (frames - 1) * options.frame_time_s
+    raise DataFormatError(f"{path}: its time runs from 0 to 1 and the file does not say how many seconds that is: give --time-unit "
+                          "(seconds of the whole sequence, first to last frame)")
+
+
+def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float, frames: int | None = None) -> Path:
+    """Write `.ftgs.ply` version 1; time start_s..end_s becomes 0..1. Static Gaussians become ones that do not move or fade.
+
+    Raises:
+        DataFormatError: start_s >= end_s, no Gaussian, or a path not ending in .ply.
+    """
+    from plyfile import PlyData, PlyElement
+
+    if not end_s > start_s or len(gaussians) == 0 or path.suffix != ".ply":
+        raise DataFormatError(f"{path}: FTGS-PLY needs a name ending in .ftgs.ply, at least one Gaussian, and a clip longer than 0 s")
+    g, unit, n = gaussians, end_s - start_s, len(gaussians)
+    sh = (g.color[:, None] - 0.5) / SH_C0 if g.color.ndim == 2 else g.color
+    opacity = np.clip(g.opacity.astype(np.float64), 2.0**-24, 1 - 2.0**-24)
+    forever = ~g.dynamic | np.isinf(g.t_sigma)
+    duration = np.where(forever, 1e6, np.clip(g.t_sigma / unit, MIN_DURATION, 1e6))
+    names = {"x": g.position[:, 0], "y": g.position[:, 1], "z": g.position[:, 2], **{f"n{a}": np.zeros(n) for a in "xyz"},
+             **{f"f_dc_{c}": sh[:, 0, c] for c in range(3)},
+             **{f"f_rest_{i}": row for i, row in enumerate(sh[:, 1:].transpose(2, 1, 0).reshape(3 * (sh.shape[1] - 1), n))},
+             "opacity": np.log(opacity) - np.log1p(-opacity), **{f"scale_{i}": np.log(g.scale[:, i]) for i in range(3)},
+             **{f"rot_{i}": g.rotation[:, i] for i in range(4)}, "time": np.where(g.dynamic, (g.t_mu - start_s) / unit, 0.5),
+             "log_duration": np.log(duration), **{f"velocity_{i}": np.where(g.dynamic, g.velocity[:, i] * unit, 0) for i in range(3)}}
+    vertex = np.empty(n, [(name, "<f4") for name in names])
+    for name, values in names.items():
+        vertex[name] = values
+    comments = ["ftgs_version 1", "time_units normalized", f"sh_degree {int(np.sqrt(sh.shape[1])) - 1}", "use_velocity 1",
+                f"min_duration {MIN_DURATION}", "opacity_floor 0.0001"] + ([f"n_frames {frames}"] if frames else [])
+    with atomic_path(path) as temporary:
+        PlyData([PlyElement.describe(vertex, "vertex")], byte_order="<", comments=comments).write(str(temporary))
+    return path

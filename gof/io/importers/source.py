@@ -1,0 +1,166 @@
+"""A foreign file or folder, opened as far as needed to tell what it is. Nothing in it is ever executed."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gof.errors import DataFormatError, MissingDependencyError
+from gof.gaussians import TransientGaussians
+from gof.io.importers.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What a foreign file does not say about itself.
+
+    Attributes:
+        time_unit_s: seconds per unit of the method's time; None = the importer's documented default, or an error.
+        time_zero_s: dataset time at the method's time 0.
+        frame_time_s: seconds between two frames of the clip (dataset clock); FreeTimeGS and PLY sequences need it.
+        world: what the method's world was made from: a COLMAP model folder, or a JSON file with a 4x4 "training_to_world".
+    """
+
+    time_unit_s: float | None = None
+    time_zero_s: float = 0.0
+    frame_time_s: float | None = None
+    world: Path | None = None
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A result in our units, and what had to be assumed to get there."""
+
+    gaussians: TransientGaussians | Trajectory
+    method: str
+    path: Path
+    notes: list[str] = field(default_factory=list)
+
+
+class Source:
+    """A path with its content read once, on demand."""
+
+    def __init__(self, path: str | Path):
+        self.path = Path(path)
+        if not self.path.exists():
+            raise DataFormatError(f"{self.path}: no such file or folder")
+
+    @property
+    def is_checkpoint(self) -> bool:
+        return self.path.is_file() and self.path.suffix in (".pth", ".pt", ".ckpt")
+
+    @cached_property
+    def checkpoint(self) -> Any:
+        """Content of a torch file: tensors, tuples, dicts, numbers.
+
+        Raises:
+            MissingDependencyError: torch is not installed.
+            DataFormatError: not a torch file, or it holds objects that only executing it could make.
+        """
+        try:
+            import torch
+        except ImportError as e:
+            raise MissingDependencyError(f"{self.path}: reading a checkpoint needs PyTorch; pip install 'gaussians-on-fire[torch]'") from e
+        scalar = np.core.multiarray.scalar
+        dtypes = [type(np.dtype(kind)) for kind in ("f2", "f4", "f8", "i4", "i8", "bool")]
+        # a numpy number (3DGS saves spatial_lr_scale as one) under its names of numpy 1 and 2
+        allowed = [(scalar, "numpy.core.multiarray.scalar"), (scalar, "numpy._core.multiarray.scalar"), np.dtype, *dtypes]
+        try:
+            with torch.serialization.safe_globals(allowed):
+                return torch.load(self.path, map_location="cpu", weights_only=True)
+        except Exception as e:
+            if "weights_only" in str(e) or "Unsupported" in str(e) or "GLOBAL" in str(e):
+                raise DataFormatError(f"{self.path}: holds objects besides tensors and numbers, and reading those would execute code from "
+                                      f"the file, which gof never does ({str(e).splitlines()[0][:200]}); export tensors only") from e
+            raise DataFormatError(f"{self.path}: not a readable PyTorch file ({type(e).__name__}: {str(e)[:120]})") from e
+
+    @cached_property
+    def npz(self) -> dict[str, np.ndarray]:
+        """All arrays of an npz; pickled ones are refused."""
+        try:
+            with np.load(self.path, allow_pickle=False) as data:
+                return {name: data[name] for name in data.files}
+        except (zipfile.BadZipFile, EOFError, ValueError, OSError) as e:
+            raise DataFormatError(f"{self.path}: not a readable npz without pickles ({e})") from e
+
+    @cached_property
+    def ply(self) -> Ply:
+        return Ply.read(self.path)
+
+
+@dataclass(frozen=True)
+class Ply:
+    """The vertices of a PLY by property name, and its header comments."""
+
+    path: Path
+    vertex: np.ndarray
+    comments: list[str]
+
+    @classmethod
+    def read(cls, path: Path) -> Ply:
+        from plyfile import PlyData, PlyParseError
+
+        from gof.io.results import _check_ply_size
+
+        _check_ply_size(path)
+        try:
+            ply = PlyData.read(str(path))
+            return cls(path, ply["vertex"].data, [str(c) for c in ply.comments])
+        except (PlyParseError, KeyError, ValueError, UnicodeDecodeError, EOFError) as e:
+            raise DataFormatError(f"{path}: not a readable PLY with a 'vertex' element ({e}); truncated?") from e
+
+    def has(self, *names: str) -> bool:
+        return all(name in self.vertex.dtype.names for name in names)
+
+    def columns(self, *names: str) -> np.ndarray:
+        """(N, len(names)) float32."""
+        missing = [name for name in names if not self.has(name)]
+        if missing:
+            raise DataFormatError(f"{self.path}: PLY properties {missing} are missing")
+        return np.stack([self.vertex[name] for name in names], -1).astype(np.float32)
+
+    def splats(self) -> dict[str, np.ndarray]:
+        """The 3DGS properties, activated: position, scale, rotation, opacity, color."""
+        rest = sorted((n for n in self.vertex.dtype.names if n.startswith("f_rest_")), key=lambda n: int(n[7:]))
+        dc = self.columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
+        if len(rest) % 3:
+            raise DataFormatError(f"{self.path}: {len(rest)} f_rest properties are not a multiple of 3")
+        higher = self.columns(*rest).reshape(len(dc), 3, -1).transpose(0, 2, 1) if rest else dc[:, :0]
+        return {"position": self.columns("x", "y", "z"), "scale": exp(self.columns("scale_0", "scale_1", "scale_2")),
+                "rotation": quaternions(self.columns("rot_0", "rot_1", "rot_2", "rot_3"), self.path),
+                "opacity": sigmoid(self.columns("opacity")[:, 0]), "color": np.concatenate([dc, higher], 1)}
+
+
+def sigmoid(x: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(-np.clip(np.asarray(x, np.float64), -80, 80)))
+
+
+def exp(x: np.ndarray) -> np.ndarray:
+    """exp in float64, clipped so that the result and its cube stay finite and above zero in float32."""
+    return np.exp(np.clip(np.asarray(x, np.float64), -80, 80))
+
+
+def quaternions(q: np.ndarray, path: Path) -> np.ndarray:
+    """Foreign files store them un-normalised; a zero one has no meaning."""
+    bad = np.flatnonzero(np.linalg.norm(q, axis=-1) <= 1e-12)
+    if len(bad):
+        raise DataFormatError(f"{path}: quaternions of rows {bad[:5].tolist()} are zero")
+    return q
+
+
+def array(value: Any, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
+    """A tensor of a checkpoint as numpy, with its shape checked; None matches any length."""
+    if not hasattr(value, "detach"):
+        raise DataFormatError(f"{path}: '{name}' is a {type(value).__name__}, expected a tensor; another version of the method?")
+    value = value.detach().cpu()
+    out = value.float().numpy() if value.is_floating_point() else value.numpy()
+    if out.ndim != len(shape) or any(b is not None and a != b for a, b in zip(out.shape, shape, strict=True)):
+        raise DataFormatError(f"{path}: '{name}' has shape {out.shape}, expected {tuple('N' if s is None else s for s in shape)}")
+    if not np.isfinite(out).all():
+        raise DataFormatError(f"{path}: '{name}' holds NaN or Inf; did the training diverge?")
+    return out

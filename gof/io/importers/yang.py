@@ -1,0 +1,84 @@
+"""4DGS of Yang et al. (fudan-zvg): Gaussians in space-time. Conditioning on time gives everything in closed form.
+
+With the 4D covariance S (index 3 is time): velocity S[:3, 3] / S[3, 3]; spatial covariance S[:3, :3] - S[:3, 3] S[:3, 3]^T / S[3, 3],
+the same at all times; temporal variance S[3, 3].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gof.errors import DataFormatError
+from gof.gaussians import TransientGaussians
+from gof.io.importers.authors import is_capture
+from gof.io.importers.source import Imported, ImportOptions, Source, array, exp, quaternions, sigmoid
+
+LENGTH, LENGTH_3D = 19, 12
+MARGINAL_CUT = 0.05  # its renderer skips a Gaussian while its temporal window is below this
+
+
+def matches(source: Source) -> bool:
+    return source.is_checkpoint and is_capture(source.checkpoint, LENGTH)
+
+
+def read(source: Source, options: ImportOptions) -> Imported:
+    (state, iteration), path = source.checkpoint, source.path
+    if state[16] is not True:
+        raise DataFormatError(f"{path}: trained with rot_4d={state[16]}, whose Gaussians do not move (space and time are independent); "
+                              "there is no velocity to score")
+    xyz = array(state[1], "xyz", (None, 3), path)
+    n = len(xyz)
+    scale = np.concatenate([array(state[4], "scaling", (n, 3), path), array(state[14], "scaling_t", (n, 1), path)], 1)
+    left = quaternions(array(state[5], "rotation", (n, 4), path), path)
+    right = quaternions(array(state[15], "rotation_r", (n, 4), path), path)
+    covariance = covariance_4d(exp(scale), left, right)
+    velocity, spatial, variance_t = condition_on_time(covariance)
+    std, rotation = principal_axes(spatial)
+    unit = options.time_unit_s or 1.0
+    color, colour_note = _peak_color(np.concatenate([array(state[2], "f_dc", (n, 1, 3), path), array(state[3], "f_rest", (n, None, 3), path)], 1))
+    gaussians = TransientGaussians(
+        position=xyz, velocity=velocity / unit, t_mu=array(state[13], "t", (n, 1), path)[:, 0].astype(np.float64) * unit + options.time_zero_s,
+        t_sigma=np.sqrt(variance_t) * unit, scale=std, rotation=rotation,
+        opacity=sigmoid(array(state[6], "opacity", (n, 1), path)[:, 0]), color=color, dynamic=np.ones(n, bool))
+    return Imported(gaussians, "yang", path, [
+        f"iteration {iteration}; one unit of its time taken as {unit:g} s",
+        f"its renderer drops Gaussians while their window is below {MARGINAL_CUT}; here they keep their (small) weight", *colour_note])
+
+
+def covariance_4d(scale: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(N, 4, 4) covariance of standard deviations (N, 4) turned by the pair of quaternions (N, 4), (N, 4).
+
+    The rotation of 4-space x -> l x r, in the component order x, y, z, t.
+    """
+    a, b, c, d = (left / np.linalg.norm(left, axis=1, keepdims=True)).astype(np.float64).T
+    p, q, r, s = (right / np.linalg.norm(right, axis=1, keepdims=True)).astype(np.float64).T
+    L = np.stack([a, -b, -c, -d, b, a, -d, c, c, d, a, -b, d, -c, b, a], -1).reshape(-1, 4, 4)
+    R = np.stack([p, q, r, s, -q, p, -s, r, -r, s, p, -q, -s, -r, q, p], -1).reshape(-1, 4, 4)
+    axes = (L @ R)[:, ::-1, ::-1] * scale[:, None, :]
+    return axes @ axes.transpose(0, 2, 1)
+
+
+def condition_on_time(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """velocity (N, 3), spatial covariance (N, 3, 3), temporal variance (N,) of (N, 4, 4)."""
+    cross, variance = covariance[:, :3, 3], covariance[:, 3, 3]
+    velocity = cross / variance[:, None]
+    return velocity, covariance[:, :3, :3] - velocity[:, :, None] * cross[:, None, :], variance
+
+
+def principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations (N, 3) and quaternions (N, 4) wxyz of covariances (N, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    values, axes = np.linalg.eigh(covariance)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    floor = 1e-12 * np.maximum(values.max(1, keepdims=True), 1e-30)  # rounding may leave a flat one below zero
+    return np.sqrt(np.maximum(values, floor)), Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+
+
+def _peak_color(sh: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Its colours swing as cos(2 pi k dt / duration), k = 0, 1, 2, in blocks of 16; at its peak (dt = 0) a Gaussian shows their sum."""
+    if sh.shape[1] in (1, 4, 9, 16):
+        return sh, []
+    if sh.shape[1] in (32, 48):
+        return sh.reshape(len(sh), -1, 16, 3).sum(1), ["colours that change over time are those at each Gaussian's peak"]
+    return 0.5 + 0.28209479177387814 * sh[:, 0], [f"{sh.shape[1]} colour coefficients are unknown to this importer: plain colours only"]

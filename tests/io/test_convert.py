@@ -1,0 +1,44 @@
+"""`gof convert` on every input kind it can write."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gof.errors import DataFormatError
+from gof.io.convert import main
+from gof.io.importers import ImportOptions, Trajectory, read_result
+
+lookalikes = pytest.importorskip("tests.io.lookalikes", reason="PyTorch writes the look-alikes")
+
+
+def test_a_foreign_checkpoint_to_every_format(tmp_path, capsys):
+    path, _ = lookalikes.authors(tmp_path / "model")
+    original = read_result(path).gaussians
+    for name, extra in (("a.npz", []), ("a.ply", []), ("a.ftgs.ply", ["--start", "0", "--end", "0.08", "--frame-time", "0.01"])):
+        assert main([str(path), str(tmp_path / name), "--json", str(tmp_path / "j.json"), *extra]) == 0
+        back = read_result(tmp_path / name, ImportOptions(frame_time_s=0.01)).gaussians
+        d = original.dynamic
+        for t in (0.0, 0.04):
+            np.testing.assert_allclose(back.at(t)[0][d], original.at(t)[0][d], atol=1e-5)
+            np.testing.assert_allclose(back.at(t)[1], original.at(t)[1], atol=1e-4)
+        assert json.loads((tmp_path / "j.json").read_text())["method"] == "authors"
+    assert "note:" in capsys.readouterr().out
+    with pytest.raises(DataFormatError, match="exists already"):
+        main([str(path), str(tmp_path / "a.npz")])
+    with pytest.raises(DataFormatError, match="suffix"):
+        main([str(path), str(tmp_path / "a.xyz")])
+
+
+def test_trajectories_stay_trajectories(tmp_path):
+    Trajectory(np.arange(3) * 0.1, np.zeros((3, 2, 3)), np.ones((3, 2)), np.ones((2, 3)), np.ones((2, 4))).save(tmp_path / "t.npz")
+    assert main([str(tmp_path / "t.npz"), str(tmp_path / "u.npz")]) == 0
+    assert read_result(tmp_path / "u.npz").method == "trajectory"
+    with pytest.raises(DataFormatError, match="closed form"):
+        main([str(tmp_path / "t.npz"), str(tmp_path / "u.ply")])
+
+
+def test_clip_of_an_ftgs_ply(tmp_path, gaussians):
+    gaussians.save(tmp_path / "g.npz")  # some are always on
+    with pytest.raises(DataFormatError, match="--start and --end"):
+        main([str(tmp_path / "g.npz"), str(tmp_path / "g.ftgs.ply")])

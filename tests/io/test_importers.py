@@ -1,0 +1,422 @@
+"""Every foreign layout against truths that are computed another way than the importer does."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+torch = pytest.importorskip("torch")
+
+from gof.errors import DataFormatError, GofError  # noqa: E402
+from gof.gaussians import TransientGaussians  # noqa: E402
+from gof.io.importers import ImportOptions, Source, Trajectory, detect, read_result  # noqa: E402
+from gof.io.importers.freetime import save as save_ftgs  # noqa: E402
+from gof.io.importers.similarity import align_cameras, normalisation, read_colmap, transformed  # noqa: E402
+from tests.conftest import arc, random_gaussians  # noqa: E402
+from tests.io import lookalikes  # noqa: E402
+
+
+def logistic(x):
+    return 1 / (1 + np.exp(-x.astype(np.float64)))
+
+
+# ---------------------------------------------------------------- the paper's code
+
+
+def test_authors_checkpoint(tmp_path):
+    path, raw = lookalikes.authors(tmp_path / "model")
+    got = read_result(path)
+    g, d = got.gaussians, raw["dynamic"]
+    assert got.method == "authors" and len(g) == 30 and (g.dynamic == d).all()
+    np.testing.assert_allclose(g.velocity, raw["velocity"] * 1000, rtol=1e-6)  # per millisecond -> per second
+    np.testing.assert_allclose(g.t_mu, raw["t_mu"][:, 0] / 1000, rtol=1e-6)
+    np.testing.assert_allclose(g.scale[d], 0.001 + 0.029 * logistic(raw["scaling"][d]), rtol=1e-5)
+    np.testing.assert_allclose(g.scale[~d], np.exp(raw["scaling"][~d]), rtol=1e-5)
+    for t_ms in (0.0, 33.0, 80.0):  # position and opacity of its renderer, in its units
+        dt = t_ms - raw["t_mu"]
+        position, opacity = g.at(t_ms / 1000)
+        np.testing.assert_allclose(position[d], (raw["xyz"] + dt * raw["velocity"])[d], atol=1e-5)
+        np.testing.assert_allclose(opacity[d], (logistic(raw["opacity"]) * np.exp(-(dt**2) / (2 * raw["t_sigma"] ** 2)))[d, 0], atol=1e-5)
+    assert read_result(tmp_path / "model").path == path  # the folder finds its newest checkpoint
+
+
+def test_authors_without_bounds_or_with_wrong_ones(tmp_path):
+    path, _ = lookalikes.authors(tmp_path / "model")
+    bounds = tmp_path / "model/point_cloud/iteration_7000/scale_bounds.json"
+    bounds.write_text(json.dumps({"dynamic_scale_min": 0.1}))
+    with pytest.raises(DataFormatError, match="dynamic_scale_max"):
+        read_result(path)
+    bounds.unlink()
+    with pytest.raises(DataFormatError, match=r"scale_bounds\.json is missing"):
+        read_result(path)
+
+
+def test_authors_ply_has_no_velocity(tmp_path):
+    raw = {k: v.detach().numpy() for k, v in lookalikes.capture(np.random.default_rng(0), 4).items()}
+    lookalikes.splat_ply(tmp_path / "point_cloud.ply", raw, {k: np.ones(4) for k in ("t_mu", "t_sigma", "is_dynamic")})
+    with pytest.raises(DataFormatError, match="no velocities"):
+        read_result(tmp_path / "point_cloud.ply")
+
+
+# ---------------------------------------------------------------- Yang
+
+
+def yang_covariance(raw):
+    """The method's covariance, one Gaussian at a time, written out from its definition."""
+    out = []
+    for i in range(len(raw["xyz"])):
+        a, b, c, d = raw["rotation"][i].astype(float) / np.linalg.norm(raw["rotation"][i])
+        p, q, r, s = raw["rotation_r"][i].astype(float) / np.linalg.norm(raw["rotation_r"][i])
+        left = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
+        right = np.array([[p, q, r, s], [-q, p, -s, r], [-r, s, p, -q], [-s, -r, q, p]])
+        turn = np.flip(left @ right, (0, 1))
+        half = turn @ np.diag(np.exp([*raw["scaling"][i].astype(float), float(raw["scaling_t"][i, 0])]))
+        out.append(half @ half.T)
+    return np.array(out)
+
+
+def test_yang_against_the_density_in_space_time(tmp_path):
+    """Velocity by finite differences of the most likely place at each time; shape and window from the 4D density itself."""
+    raw = lookalikes.yang(tmp_path / "chkpnt30000.pth")
+    got = read_result(tmp_path / "chkpnt30000.pth")
+    g, S = got.gaussians, yang_covariance(raw)
+    assert got.method == "yang" and any("colours" in n for n in got.notes)
+    for i in range(len(g)):
+        precision = np.linalg.inv(S[i])
+
+        def likeliest(t, precision=precision, i=i):  # the maximum over x of the density at time t
+            return raw["xyz"][i] - np.linalg.solve(precision[:3, :3], precision[:3, 3]) * (t - raw["t"][i, 0])
+
+        difference = (likeliest(0.7 + 1e-3) - likeliest(0.7 - 1e-3)) / 2e-3
+        np.testing.assert_allclose(g.velocity[i], difference, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(g[i:i + 1].at(0.7)[0][0], likeliest(0.7), atol=1e-4)
+        R = Rotation.from_quat(g.rotation[i, [1, 2, 3, 0]]).as_matrix()
+        conditional = R @ np.diag(g.scale[i].astype(float) ** 2) @ R.T
+        np.testing.assert_allclose(conditional, np.linalg.inv(precision[:3, :3]), rtol=1e-3, atol=1e-3 * np.trace(conditional))
+        # integrating the density over space leaves exp(-dt^2 / (2 S_tt))
+        ratio = g[i:i + 1].at(0.4)[1][0] / logistic(raw["opacity"][i, 0])
+        assert ratio == pytest.approx(np.exp(-((0.4 - raw["t"][i, 0]) ** 2) / (2 * S[i][3, 3])), rel=1e-3, abs=1e-6)
+    det = np.exp(raw["scaling"].astype(float).sum(1) + raw["scaling_t"][:, 0]) / np.sqrt(S[:, 3, 3])
+    np.testing.assert_allclose(g.scale.astype(float).prod(1), det, rtol=1e-4)  # the DVE weight's volume
+
+
+def test_yang_time_unit_and_the_3d_variant(tmp_path):
+    raw = lookalikes.yang(tmp_path / "a.pth")
+    a, b = read_result(tmp_path / "a.pth").gaussians, read_result(tmp_path / "a.pth", ImportOptions(time_unit_s=0.5, time_zero_s=2)).gaussians
+    np.testing.assert_allclose(b.velocity, 2 * a.velocity, rtol=1e-5)
+    np.testing.assert_allclose(b.t_mu, 2 + 0.5 * raw["t"][:, 0], rtol=1e-5)
+    lookalikes.yang(tmp_path / "b.pth", rot_4d=False)
+    with pytest.raises(DataFormatError, match="rot_4d=False"):
+        read_result(tmp_path / "b.pth")
+
+
+# ---------------------------------------------------------------- FreeTimeGS
+
+
+def test_freetime_checkpoint_and_canonical_npz(tmp_path):
+    raw = lookalikes.freetime(tmp_path / "results/ckpts/ckpt_29999.pt")
+    np.savez(tmp_path / "canonical_4d.npz", **raw, n_frames=61, start_frame=0, end_frame=61, use_velocity=True)
+    options = ImportOptions(frame_time_s=0.02)  # 61 frames: the sequence lasts 1.2 s
+    for path in (tmp_path / "results", tmp_path / "canonical_4d.npz"):
+        got = read_result(path, options)
+        g = got.gaussians
+        assert got.method == "freetime" and any("normalises" in n for n in got.notes)
+        for tau in (0.0, 0.25, 0.9):
+            dt = tau - raw["times"]
+            position, opacity = g.at(1.2 * tau)
+            np.testing.assert_allclose(position, raw["means"] + dt * raw["velocities"], atol=1e-5)
+            window = np.exp(-0.5 * (dt[:, 0] / np.maximum(np.exp(raw["durations"][:, 0].astype(float)), 0.02)) ** 2)
+            np.testing.assert_allclose(opacity, logistic(raw["opacities"]) * window, atol=2e-5)
+    with pytest.raises(DataFormatError, match="--time-unit"):
+        read_result(tmp_path / "canonical_4d.npz")
+
+
+def test_freetime_variants_are_refused(tmp_path):
+    lookalikes.freetime(tmp_path / "a.pt", drop=("velocities",))
+    with pytest.raises(DataFormatError, match="nine of FreeTimeGS"):
+        read_result(tmp_path / "a.pt")
+
+
+def test_ftgs_ply_there_and_back(tmp_path):
+    for sh in (0, 4, 16):
+        g = random_gaussians(25, sh_coefficients=sh)
+        path = save_ftgs(g, tmp_path / f"{sh}.ftgs.ply", start_s=-0.5, end_s=1.5, frames=51)
+        back = read_result(path, ImportOptions(frame_time_s=0.04, time_zero_s=-0.5)).gaussians
+        for t in (0.0, 0.3, 1.0):
+            for a, b in zip(g.at(t), back.at(t), strict=True):
+                np.testing.assert_allclose(a, b, atol=2e-4 if a.ndim == 2 else 2e-3 if np.abs(a - b).max() < 2e-3 else 0)
+        np.testing.assert_allclose(back.velocity, np.where(g.dynamic[:, None], g.velocity, 0), atol=1e-5)
+        np.testing.assert_allclose(back.scale, g.scale, rtol=1e-4)
+    header = (tmp_path / "0.ftgs.ply").read_bytes().split(b"end_header")[0].decode()
+    assert "comment ftgs_version 1\ncomment time_units normalized\ncomment sh_degree 0\ncomment use_velocity 1" in header
+    assert "property float velocity_2" in header and "format binary_little_endian 1.0" in header
+
+
+def test_ftgs_ply_of_another_version(tmp_path):
+    path = save_ftgs(random_gaussians(3), tmp_path / "a.ftgs.ply", 0, 1, 10)
+    path.write_bytes(path.read_bytes().replace(b"ftgs_version 1", b"ftgs_version 2"))
+    with pytest.raises(DataFormatError, match="ftgs_version 2"):
+        read_result(path)
+
+
+@pytest.fixture(scope="module")
+def colmap_scene():
+    rng = np.random.default_rng(5)
+    poses = {f"cam{i}.png": c.world_to_camera for i, c in enumerate(arc(5, radius=4.0, target=(2.0, -1.0, 3.0)))}
+    return poses, rng.normal(size=(400, 3)) * [3, 1, 0.4] @ Rotation.from_euler("xyz", [20, 50, 10], degrees=True).as_matrix() + [2, -1, 3]
+
+
+@pytest.mark.parametrize("write", [lookalikes.colmap_binary, lookalikes.colmap_text])
+def test_colmap_models_are_read(tmp_path, colmap_scene, write):
+    poses, points = colmap_scene
+    write(tmp_path / "sparse/0", poses, points)
+    got, cloud = read_colmap(tmp_path)
+    assert set(got) == set(poses)
+    for name in poses:
+        np.testing.assert_allclose(got[name], poses[name], atol=1e-12)
+    np.testing.assert_allclose(cloud, points, atol=1e-12)
+
+
+def test_cut_off_colmap_model(tmp_path, colmap_scene):
+    lookalikes.colmap_binary(tmp_path, *colmap_scene)
+    data = (tmp_path / "images.bin").read_bytes()
+    (tmp_path / "images.bin").write_bytes(data[:200])
+    with pytest.raises(DataFormatError, match="cut off"):
+        read_colmap(tmp_path)
+    with pytest.raises(DataFormatError, match="no COLMAP"):
+        read_colmap(tmp_path / "nothing")
+
+
+def test_normalisation_has_the_properties_it_promises(colmap_scene):
+    poses, points = colmap_scene
+    T = normalisation(poses, points)
+    s = np.cbrt(np.linalg.det(T[:3, :3]))
+    moved = points @ T[:3, :3].T + T[:3, 3]
+    np.testing.assert_allclose(np.median(points @ T[:3, :3].T + T[:3, 3], 0), np.median(moved, 0))
+    covariance = np.cov(moved, rowvar=False)
+    np.testing.assert_allclose(covariance, np.diag(np.diag(covariance)), atol=1e-10)
+    assert (np.diff(np.diag(covariance)) < 0).all() and s > 0
+    # another similarity of the same scene is normalised to the same points, up to the signs of the axes
+    other = np.eye(4)
+    other[:3, :3] = 2.5 * np.eye(3)  # (a turned world changes what "closest to the origin" means, as in the trainer)
+    again = normalisation({k: np.linalg.inv(_moved(other, np.linalg.inv(p))) for k, p in poses.items()}, 2.5 * points)
+    np.testing.assert_allclose(np.abs((2.5 * points) @ again[:3, :3].T + again[:3, 3]), np.abs(moved), atol=1e-9)
+
+
+def _moved(similarity, camera_to_world):
+    out = similarity @ camera_to_world
+    out[:3, :3] /= np.cbrt(np.linalg.det(out[:3, :3]))
+    return out
+
+
+def test_freetime_normalisation_is_undone(tmp_path, colmap_scene):
+    """Gaussians in metres, moved into the training world by hand, come back."""
+    poses, points = colmap_scene
+    lookalikes.colmap_binary(tmp_path / "sparse/0", poses, points)
+    T = normalisation(poses, points)
+    g = random_gaussians(20)
+    g = TransientGaussians(**{n: getattr(g, n) for n in g.__dataclass_fields__} | {"dynamic": np.ones(20, bool), "t_sigma": np.full(20, 0.3)})
+    s, R = np.cbrt(np.linalg.det(T[:3, :3])), T[:3, :3] / np.cbrt(np.linalg.det(T[:3, :3]))
+    trained = TransientGaussians(
+        position=g.position @ T[:3, :3].T + T[:3, 3], velocity=g.velocity @ T[:3, :3].T, t_mu=g.t_mu, t_sigma=g.t_sigma, scale=s * g.scale,
+        rotation=(Rotation.from_matrix(R) * Rotation.from_quat(g.rotation[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]], opacity=g.opacity,
+        color=g.color, dynamic=g.dynamic)
+    save_ftgs(trained, tmp_path / "a.ftgs.ply", 0.0, 2.0, 11)
+    (tmp_path / "n.json").write_text(json.dumps({"training_to_world": np.linalg.inv(T).tolist()}))
+    for world in (tmp_path, tmp_path / "n.json"):
+        back = read_result(tmp_path / "a.ftgs.ply", ImportOptions(time_unit_s=2.0, world=world)).gaussians
+        np.testing.assert_allclose(back.position, g.position, atol=1e-4)
+        np.testing.assert_allclose(back.velocity, g.velocity, atol=1e-4)
+        np.testing.assert_allclose(back.scale, g.scale, rtol=1e-4)
+        dot = np.abs((back.rotation * g.rotation).sum(1))
+        np.testing.assert_allclose(dot, 1, atol=1e-5)
+
+
+# ---------------------------------------------------------------- trajectories
+
+
+def swirl(t, start, rate=9.0):
+    c, s = np.cos(rate * t), np.sin(rate * t)
+    return np.stack([c * start[:, 0] - s * start[:, 1], s * start[:, 0] + c * start[:, 1], start[:, 2] + 0.5 * t], -1)
+
+
+def make_trajectory(times, n=40, rate=9.0):
+    start = np.random.default_rng(2).normal(size=(n, 3))
+    position = np.stack([swirl(t, start, rate) for t in times])
+    return Trajectory(times, position, np.full((len(times), n), 0.5), np.full((n, 3), 0.02), np.tile([1.0, 0, 0, 0], (n, 1))), start
+
+
+def test_half_steps_and_ends_of_a_swirl():
+    """True velocity is known: half steps at a 1.5 Hz swirl and 25 frames per second are right to 0.6 %, whole steps to 2.4 %."""
+    rate = 2 * np.pi * 1.5
+    errors = {}
+    for name, times in (("whole", np.arange(0, 1.001, 0.04)), ("half", np.arange(0, 1.001, 0.02))):
+        trajectory, start = make_trajectory(times, rate=rate)
+        h = 1e-6
+        for label, t in (("inside", 0.4), ("end", 1.0)):
+            truth = (swirl(t + h, start, rate) - swirl(t - h, start, rate)) / (2 * h)
+            v = trajectory.state(t).velocity
+            errors[name, label] = np.linalg.norm(v - truth) / np.linalg.norm(truth)
+    assert errors["half", "inside"] < 0.006 and 0.02 < errors["whole", "inside"] < 0.027
+    assert errors["half", "end"] < 0.02 and errors["half", "end"] < errors["whole", "end"] / 3
+    # changing by 3x its own error when the step doubles (differences of second order)
+    assert make_trajectory(np.arange(0, 1.001, 0.04), rate=rate)[0].difference_error() == pytest.approx(3 * errors["whole", "inside"], rel=0.3)
+
+
+def test_quadratic_motion_is_exact_on_uneven_times_and_linear_between_samples():
+    times = np.array([0.0, 0.1, 0.25, 0.3, 0.7])
+    x0 = np.random.default_rng(0).normal(size=(6, 3)) + 1000  # far from the origin
+    position = np.stack([x0 + 2 * t + 3 * t**2 * np.array([1, 0, -1]) for t in times])
+    trajectory = Trajectory(times, position, np.ones((5, 6)) * times[:, None], np.full((6, 3), 0.1), np.tile([1.0, 0, 0, 0], (6, 1)))
+    for t in times:
+        np.testing.assert_allclose(trajectory.state(t).velocity, np.broadcast_to(2 + 6 * t * np.array([1, 0, -1]), (6, 3)), atol=5e-3)
+    between = trajectory.state(0.2)
+    np.testing.assert_allclose(between.opacity, 0.2, atol=1e-6)
+    np.testing.assert_allclose(between.velocity[0], [2 + 3 * 0.35, 2, 2 - 3 * 0.35], atol=5e-3)
+    with pytest.raises(DataFormatError, match="outside"):
+        trajectory.state(0.8)
+
+
+def test_trajectory_file(tmp_path):
+    trajectory, _ = make_trajectory(np.arange(5) * 0.1)
+    got = read_result(trajectory.save(tmp_path / "t.npz", "by hand"))
+    assert got.method == "trajectory" and isinstance(got.gaussians, Trajectory) and "differences" in got.notes[0]
+    np.testing.assert_array_equal(got.gaussians.position, trajectory.position)
+    np.savez(tmp_path / "bad.npz", schema="gof-trajectory/1", time_s=np.arange(3))
+    with pytest.raises(DataFormatError, match="position"):
+        read_result(tmp_path / "bad.npz")
+    np.savez(tmp_path / "worse.npz", schema="gof-trajectory/1", time_s=np.array([0, 0.2, 0.1]), position=np.zeros((3, 2, 3)),
+             opacity=np.zeros((3, 2)), scale=np.ones((2, 3)), rotation=np.ones((2, 4)))
+    with pytest.raises(DataFormatError, match="increasing"):
+        read_result(tmp_path / "worse.npz")
+
+
+def test_ply_sequence(tmp_path):
+    rng = np.random.default_rng(1)
+    raw = {k: v.detach().numpy() for k, v in lookalikes.capture(rng, 12).items()}
+    start = raw["xyz"].astype(float)
+    for k in range(6):
+        raw["xyz"] = swirl(0.02 * k, start, 5.0).astype(np.float32)
+        lookalikes.splat_ply(tmp_path / "seq" / f"time_{k:05d}.ply", raw)
+    got = read_result(tmp_path / "seq", ImportOptions(time_unit_s=0.02, time_zero_s=1.0))
+    assert got.method == "ply-sequence" and len(got.gaussians.time_s) == 6
+    v = got.gaussians.state(1.06).velocity
+    truth = (swirl(0.06 + 1e-6, start, 5.0) - swirl(0.06 - 1e-6, start, 5.0)) / 2e-6
+    assert np.linalg.norm(v - truth) / np.linalg.norm(truth) < 0.005
+    np.testing.assert_allclose(got.gaussians.opacity[0], logistic(raw["opacity"][:, 0]), rtol=1e-5)
+    with pytest.raises(DataFormatError, match="--time-unit"):
+        read_result(tmp_path / "seq")
+    lookalikes.splat_ply(tmp_path / "seq/time_00006.ply", {k: v[:5] for k, v in raw.items()})
+    with pytest.raises(DataFormatError, match="same Gaussians"):
+        read_result(tmp_path / "seq", ImportOptions(time_unit_s=0.02))
+
+
+# ---------------------------------------------------------------- recognised, refused, dangerous
+
+
+def test_methods_without_velocities_are_explained(tmp_path):
+    lookalikes.wu(tmp_path / "chkpnt_fine_14000.pth")
+    torch.save((torch.nn.Linear(2, 2).state_dict(), torch.nn.Linear(2, 3).state_dict()), tmp_path / "deform.pth")
+    (tmp_path / "grid4d/deform").mkdir(parents=True)
+    raw = {k: v.detach().numpy() for k, v in lookalikes.capture(np.random.default_rng(0), 4).items()}
+    lookalikes.splat_ply(tmp_path / "static.ply", raw)
+    for name, reason in (("chkpnt_fine_14000.pth", "Wu"), ("deform.pth", "Grid4D"), ("grid4d", "Grid4D"), ("static.ply", "neither time nor velocity")):
+        with pytest.raises(DataFormatError, match=reason):
+            read_result(tmp_path / name)
+
+
+class Bomb:
+    def __reduce__(self):
+        return (exec, ("import pathlib; pathlib.Path('exploded').touch()",))
+
+
+@pytest.mark.parametrize("kind", ["zip", "legacy", "plain", "npz"])
+def test_no_pickle_is_executed(tmp_path, kind, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / ("x.npz" if kind == "npz" else "x.pth")
+    if kind == "plain":
+        path.write_bytes(pickle.dumps(((1, Bomb()), 2)))
+    elif kind == "npz":
+        np.savez(path, schema=np.array("gof-linear/1"), x0=np.array([Bomb()], object))
+    else:
+        torch.save((Bomb(), 3), path, _use_new_zipfile_serialization=kind == "zip")
+    with pytest.raises(DataFormatError, match=r"x\.(pth|npz)"):
+        read_result(path)
+    assert not (tmp_path / "exploded").exists()
+
+
+def test_wrong_layouts_are_named(tmp_path):
+    cases = {"shape": lambda s: (*s[:1], torch.zeros(30, 4), *s[2:]), "nan": lambda s: (*s[:1], s[1] * np.nan, *s[2:]),
+             "type": lambda s: (*s[:2], [1, 2], *s[3:])}
+    for name, change in cases.items():
+        path, _ = lookalikes.authors(tmp_path / name)
+        state, iteration = torch.load(path, weights_only=False)
+        torch.save((change(state), iteration), path)
+        with pytest.raises(DataFormatError, match=r"'(xyz|velocity)'"):
+            read_result(path)
+    torch.save({"a": torch.zeros(3)}, tmp_path / "other.pth")
+    with pytest.raises(DataFormatError, match="no layout gof knows"):
+        read_result(tmp_path / "other.pth")
+    (tmp_path / "cut.pth").write_bytes(path.read_bytes()[:500])
+    with pytest.raises(DataFormatError, match="readable PyTorch"):
+        read_result(tmp_path / "cut.pth")
+    with pytest.raises(DataFormatError, match="no such"):
+        read_result(tmp_path / "nothing.pth")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataFormatError, match="no format"):
+        read_result(tmp_path / "empty")
+
+
+def test_own_files(tmp_path, gaussians):
+    for name in ("a.npz", "a.ply"):
+        gaussians.save(tmp_path / name)
+        assert detect(Source(tmp_path / name)) == "gof"
+        np.testing.assert_allclose(read_result(tmp_path / name).gaussians.velocity, gaussians.velocity)
+
+
+# ---------------------------------------------------------------- worlds
+
+
+def similarity(scale=2.5, seed=0):
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * Rotation.random(random_state=seed).as_matrix()
+    matrix[:3, 3] = [1, -2, 3]
+    return matrix
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_cameras_give_the_similarity_back(count):
+    target = {c.name: c.world_to_camera for c in arc(count)}
+    T = similarity()
+    source = {k: np.linalg.inv(_moved(np.linalg.inv(T), np.linalg.inv(p))) for k, p in target.items()}
+    got = align_cameras(source, target)
+    np.testing.assert_allclose(got.matrix, T, atol=1e-9)
+    assert got.position_rms_m < 1e-9 and got.rotation_max_deg < 1e-5 and got.scale == pytest.approx(2.5)
+    noisy = {k: p + np.pad(np.random.default_rng(0).normal(0, 0.02, (3, 1)), ((0, 1), (3, 0))) for k, p in source.items()}
+    noisy[next(iter(noisy))] = source[next(iter(source))]
+    assert align_cameras(noisy, target).position_rms_m > 1e-3
+    with pytest.raises(GofError, match="two cameras"):
+        align_cameras({"cam_0": np.eye(4)}, target)
+
+
+def test_turned_gaussians_look_the_same_from_turned_cameras():
+    """Colours included: rendering the moved Gaussians from moved cameras gives the same picture."""
+    from gof.cameras import Camera
+    from gof.render import render
+
+    T = similarity(scale=1.7)
+    g = random_gaussians(40, sh_coefficients=16)
+    g.color *= 0.3
+    camera = arc(1, width=40, height=40)[0]
+    moved = Camera(camera.name, 40, 40, camera.K, np.linalg.inv(_moved(T, np.linalg.inv(camera.world_to_camera))))
+    a = render(g, camera, 0.4, background=(0, 0, 0))["color"]
+    b = render(transformed(g, T), moved, 0.4, background=(0, 0, 0))["color"]
+    assert a.max() > 0.1
+    np.testing.assert_allclose(a, b, atol=2e-4)
+    np.testing.assert_allclose(transformed(g, T).velocity, g.velocity @ T[:3, :3].T, atol=1e-5)
+    mirrored = T.copy()
+    mirrored[:3, 0] *= -1
+    with pytest.raises(GofError, match="similarity"):
+        transformed(g, mirrored)
