@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import drjit as dr
 
 from gof.cameras import Camera
+from gof.errors import DataFormatError
 from gof.render.backend import Array3f, Array4f, Bool, Float, opaque
 
 LOG2_E = 1.4426950408889634
@@ -24,10 +25,13 @@ class Lens:
     """How Gaussians become image Gaussians.
 
     Args:
-        near, far: m; centres at or outside these depths are not drawn and get gradient 0.
+        near, far: m, near > 0; centres at or outside these depths are not drawn and get gradient 0.
         dilation: px^2, > 0, added to the 2D covariance: with 0.3 no Gaussian is thinner than about half a pixel.
         antialias: scale opacity by sqrt(det before / det after dilation), so that small Gaussians keep their energy.
         min_radius: px; Gaussians whose 3 standard deviations are shorter are not drawn.
+
+    Raises:
+        DataFormatError: near or dilation is not positive.
     """
 
     near: float = 0.01
@@ -35,6 +39,11 @@ class Lens:
     dilation: float = 0.3
     antialias: bool = False
     min_radius: float = 0.0
+
+    def __post_init__(self):
+        for name in ("near", "dilation"):
+            if not getattr(self, name) > 0:
+                raise DataFormatError(f"'{name}' is {getattr(self, name)}; it must be > 0")
 
 
 @dataclass

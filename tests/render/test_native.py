@@ -220,6 +220,9 @@ def test_wrong_shapes_are_named():
         splats(g | {"color": np.zeros((3, 3))})
     with pytest.raises(DataFormatError, match="background"):
         render_splats(splats(g), camera(), [0.0])
+    for name in ("near", "dilation"):
+        with pytest.raises(DataFormatError, match=f"'{name}' is 0"):
+            render_splats(splats(g), camera(), **{name: 0})
 
 
 def test_no_kernel_is_compiled_after_the_first_steps():
