@@ -73,7 +73,7 @@ def make_store(path: Path, n: int) -> float:
 def gaussians(count: int, n: int):
     rng = np.random.default_rng(0)
     radius, angle = 0.28 * np.sqrt(rng.random(count)), 2 * np.pi * rng.random(count)
-    position = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(0.05, 1.95, count)], 1)
+    position = np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(0.2, 1.8, count)], 1)
     return position, rng.uniform(0.2, 2, (count, 3)) * SIZE_M / n, rng.normal(size=(count, 4)).astype(np.float32)
 
 

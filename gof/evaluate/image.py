@@ -72,3 +72,23 @@ def _pair(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     require_finite("image", image)
     require_finite("truth", truth)
     return image, truth
+
+
+def temporal_l2(images: tuple[np.ndarray, np.ndarray], truths: tuple[np.ndarray, np.ndarray],
+                mask: np.ndarray | None = None) -> float | None:
+    """Relative error of the change between two neighbouring frames: |dI - dT| / |dT|, over pixels (weighted) and channels.
+
+    A score of motion and flicker that needs no network and no optical flow: 0 means every pixel brightens and darkens as in
+    the truth; a frozen picture scores exactly 1, however good it looks; flicker scores above 1. PSNR and SSIM of single
+    frames see neither.
+
+    Args:
+        images, truths: two neighbouring frames each, (H, W, C) display values.
+        mask: (H, W) weights, e.g. 1 where flame is visible in either frame.
+    Returns:
+        >= 0; None when the truth does not change inside the mask.
+    """
+    (a, ta), (b, tb) = _pair(images[0], truths[0]), _pair(images[1], truths[1])
+    error = _mean((((b - a) - (tb - ta)) ** 2).mean(-1), mask)
+    power = _mean(((tb - ta) ** 2).mean(-1), mask)
+    return None if not power else float(np.sqrt(error / power))
