@@ -76,8 +76,11 @@ def report_progress(stage: str, done: int, total: int, **figures) -> None:
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[Callable[..., None]]:
+def progress_bar(title: str, ticking: bool = False) -> Iterator[Callable[..., None]]:
     """A progress line with elapsed time and time left; yields update(done, total, note="").
+
+    `ticking` redraws between updates, on a thread of its own. That must not be where Dr.Jit works: a garbage collection
+    on that thread would free Dr.Jit arrays under Python's lock while the main thread holds Dr.Jit's, a deadlock.
 
     In a child of `run_worker` it prints progress lines instead, and the parent draws the bar.
     """
@@ -104,13 +107,17 @@ def progress_bar(title: str) -> Iterator[Callable[..., None]]:
         TextColumn("{task.fields[note]}"),
     )
     console = Console(stderr=True)
-    with Progress(*columns, console=console, refresh_per_second=4, speed_estimate_period=60) as progress:
+    with Progress(
+        *columns, console=console, auto_refresh=ticking, refresh_per_second=4, speed_estimate_period=60
+    ) as progress:
         task = progress.add_task(title, total=None, note="")
         last = 0.0
 
         def update(done: int, total: int, note: str = "", stage: str = "", **_):
             nonlocal last
             progress.update(task, completed=done, total=total, note=note, description=stage or title)
+            if not ticking:
+                progress.refresh()
             if not console.is_terminal and (done == total or time.monotonic() - last > 15):
                 last = time.monotonic()
                 print(f"{stage or title}: {done}/{total} {note}".rstrip(), file=sys.stderr, flush=True)
@@ -141,11 +148,11 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
         errors="replace",
         start_new_session=True,
         env=os.environ | {WORKER_VARIABLE: "1"},
-        preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+        preexec_fn=die_with_parent if sys.platform == "linux" else None,
     )
     peak = _PeakMemory(child.pid)
     try:
-        with progress_bar(title) as update:
+        with progress_bar(title, ticking=True) as update:
             for line in child.stdout:
                 try:
                     message = json.loads(line)["progress"] if line.startswith('{"progress"') else None
@@ -174,7 +181,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
     return StageCost(title, time.perf_counter() - start, peak.mb, figures)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """In a child: be killed when the parent is, so that a killed run leaves nobody writing into its folder."""
     PR_SET_PDEATHSIG = 1
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -112,9 +112,30 @@ def pack_words(a: UInt, b: UInt) -> UInt:
     return out
 
 
+_released: list[Float] = []     # owners of borrowed memory, to be let go of by the thread that calls us
+
+
+class _Borrowed:
+    """Part of a Dr.Jit array's memory as something numpy can wrap.
+
+    Dr.Jit lets go of memory that it shares with numpy on a thread of its own, which holds Python's lock while it does. If
+    that release reached a Dr.Jit array, the thread would wait for Dr.Jit's lock, which the main thread may hold while it
+    waits for Python's: a deadlock, met once in some thousand training steps. So the owner is only put aside here.
+    """
+
+    def __init__(self, owner: Float, start: int, n: int):
+        self.owner = owner
+        address = owner.numpy().__array_interface__["data"][0] + 4 * start
+        self.__array_interface__ = {"version": 3, "data": (address, False), "shape": (n,), "typestr": "<f4"}
+
+    def __del__(self):
+        _released.append(self.owner)
+
+
 def shifted(array: Float, start: int, n: int) -> Float:
     """Entries [start, start + n) of an array in memory. On the CPU nothing is copied or gathered: kernels read the same
     memory from another address, with contiguous loads. Neither array may be written to afterwards."""
     if BACKEND == "cuda":
         return dr.gather(Float, array, dr.arange(UInt, n) + start)
-    return Float(array.numpy()[start:start + n])
+    _released.clear()
+    return Float(np.asarray(_Borrowed(array, start, n)))
