@@ -1,21 +1,20 @@
-"""`gof generate`: from a scene spec to a dataset folder, one Blender process a stage, resumable."""
+"""`gof generate`: from a scene spec to a dataset folder, resumable, on this machine or on a dask cluster."""
 
 from __future__ import annotations
 
-import sys
+import dataclasses
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from blender_addon import spec as scene_spec
-from blender_addon.generate import STAGES
 from blender_addon.layout import Layout
 from blender_addon.spec import SceneSpec, SpecError
 from gof.errors import GofError
 from gof.io.files import write_json
-from gof.stages import StageLog, run_worker
+from gof.stages import StageLog
 
 SCENES = Path(__file__).parent / "scenes"
 
@@ -32,7 +31,15 @@ class GenerateConfig:
     out: Path
     """Dataset folder to make or to finish."""
     preset: str | None = None
-    """Cost preset instead of the scene's own settings: toy, preview or demo."""
+    """Cost preset instead of the scene's own settings: toy, preview, draft, standard or paper."""
+    views: tuple[Literal["nerfstudio", "dnerf", "colmap", "dynerf"], ...] = ()
+    """Also write the dataset in the layouts that other people's code reads."""
+    workers: int = 2
+    """Blender processes at a time on this machine."""
+    scheduler: str | None = None
+    """Address of a running dask scheduler whose workers share this file system; default: this machine."""
+    estimate: bool = False
+    """Only predict time, memory and disk for this machine."""
     json: Path | None = None
     """Also write what each stage cost to this file."""
 
@@ -41,11 +48,29 @@ def main(argv: list[str]) -> int:
     """`gof generate SPEC_OR_SCENE --out DIR`; see --help."""
     config = tyro.cli(GenerateConfig, prog="gof generate", args=argv)
     spec, layout = load_scene(config.scene, config.preset), Layout(config.out)
+    if config.estimate:
+        from benchmark import costs
+
+        prediction = costs.predict(spec, costs.machine())
+        print(prediction)
+        if config.json:
+            write_json(config.json, asdict(prediction))
+        return 0
     claim(layout, spec)
     log = StageLog(layout.costs)
-    for stage in STAGES:
-        if stage == "finish" or not layout.description.exists():
-            run_stage(stage, spec, layout, log)
+    if not layout.description.exists():
+        from benchmark import costs, graph
+
+        if not layout.bake_marker.exists():
+            costs.refuse_if_too_large(spec, layout.root)
+        with graph.cluster(config.scheduler, config.workers) as client:
+            graph.Generation(spec, layout, client, log, settings_of).run()
+    if config.views:
+        from benchmark import views
+
+        with log.measure("views", views=list(config.views)):
+            for name in config.views:
+                views.write(name, layout.root)
     if config.json:
         write_json(config.json, {"dataset": str(layout.root), "stages": [asdict(cost) for cost in log.stages()]})
     print(f"dataset: {layout.root}")
@@ -64,6 +89,9 @@ def load_scene(scene: str, preset: str | None = None) -> SceneSpec:
         raise GofError(f"'{scene}' is neither a spec file nor a built-in scene ({', '.join(built_in)})")
     try:
         spec = scene_spec.load(path)
+        if spec.blend_file:  # relative to the spec that names it
+            file = dataclasses.replace(spec.blend_file, path=str((path.parent / spec.blend_file.path).resolve()))
+            spec = dataclasses.replace(spec, blend_file=file)
         return spec.with_preset(preset) if preset else spec
     except SpecError as error:
         raise GofError(str(error)) from error
@@ -92,32 +120,15 @@ def claim(layout: Layout, spec: SceneSpec) -> None:
         scene_spec.save(spec, layout.spec)
 
 
-def run_stage(stage: str, spec: SceneSpec, layout: Layout, log: StageLog) -> None:
-    """Run one stage in its own Blender process and record its cost; a resumed stage adds to its earlier cost."""
-    layout.hidden.mkdir(exist_ok=True)
-    command = [
-        sys.executable,
-        "-m",
-        "blender_addon.generate",
-        "--spec",
-        layout.spec,
-        "--out",
-        layout.root,
-        "--stage",
-        stage,
-    ]
-    cost = run_worker(list(map(str, command)), stage, layout.log(stage).with_suffix(".err"))
-    log.record(stage, cost.seconds, cost.peak_mb, settings_of(stage, spec), resumed=True)
-
-
 def settings_of(stage: str, spec: SceneSpec) -> dict:
     """The settings that explain a stage's cost."""
-    frames, cameras = spec.clip.frames, spec.cameras.count
+    frames, cameras = spec.clip.frames, len(spec.cameras.names)
     return {
-        "bake": {"resolution": spec.domain.resolution, "steps": spec.clip.last_frame, "effects": spec.effect_names},
+        "bake": {"resolution": spec.domain.resolution, "steps": spec.last_frame, "effects": spec.effect_names},
         "render": {"images": frames * cameras, "percentage": spec.render.percentage, "samples": spec.render.samples,
                    "effects": spec.effect_names},
         "ground-truth": {"frames": frames, "resolution": spec.domain.resolution},
+        "video": {"cameras": cameras},
         "finish": {},
     }[stage]  # fmt: skip
 

@@ -1,10 +1,15 @@
 """Worker that generates one stage of a dataset in its own Blender process.
 
-    python -m blender_addon.generate --spec spec.json --out DATASET --stage bake|render|ground-truth|finish
+    python -m blender_addon.generate --spec spec.json --out DATASET --stage bake|render|serve|video|ground-truth|finish
 
-Stages: ``bake`` builds scene.blend and simulates the fire; ``render`` makes plates and frames; ``ground-truth`` exports
-the velocity; ``finish`` writes dataset.json. Each resumes: what is finished is not made again. One process per stage,
-because a second bake in the same process is unreliable and the wheel cannot exit normally after a bake.
+Stages: ``bake`` builds scene.blend and simulates the fire; ``render`` makes plates and frames, ``serve`` likewise but
+only what it is asked for, and during the bake; ``video`` passes pictures through a codec; ``ground-truth`` exports
+velocity and what else the spec lists; ``finish`` writes dataset.json. Each resumes: what is finished is not made again.
+One process per stage, because a second bake in the same process is unreliable and the wheel cannot exit normally after
+a bake.
+
+``serve`` reads lines ``{"frame": 3, "camera": 0}`` from standard input and answers each with a line
+``{"rendered": {"frame": 3, "camera": 0, "seconds": 0.7, "peak_mb": 410.0}}``; it ends with its input.
 
 Progress goes to standard output as lines ``{"progress": {"stage": "render", "done": 3, "total": 108}}``;
 what Blender itself prints goes to DATASET/.cache/<stage>.log.
@@ -18,15 +23,17 @@ import os
 import shutil
 import sys
 import threading
+import time
 import traceback
 from pathlib import Path
 
 from . import spec as scene_spec
 from .layout import Layout
+from .scene import effects
 from .spec import SceneSpec
 
 GENERATOR_VERSION = "0.1.0"
-STAGES = ("bake", "render", "ground-truth", "finish")
+STAGES = ("bake", "render", "serve", "video", "ground-truth", "finish")
 TEST_EVERY, TEST_FIRST = 8, 4  # frames k with k % 8 == 4 are held out
 
 
@@ -45,12 +52,15 @@ class Reporter:
             os.dup2(file.fileno(), 1)
 
     def __call__(self, done: int, total: int) -> None:
-        print(json.dumps({"progress": {"stage": self.stage, "done": done, "total": total}}), file=self._out, flush=True)
+        self.line(progress={"stage": self.stage, "done": done, "total": total})
+
+    def line(self, **message) -> None:
+        print(json.dumps(message), file=self._out, flush=True)
 
 
 def bake(spec: SceneSpec, layout: Layout, progress) -> None:
     """Build scene.blend and simulate the fire; an unfinished simulation starts over."""
-    total = spec.clip.last_frame
+    total = spec.last_frame
     if layout.bake_marker.is_file():
         progress(total, total)
         return
@@ -66,7 +76,7 @@ def bake(spec: SceneSpec, layout: Layout, progress) -> None:
         lambda: sum(fire.velocity_file(settings, frame).is_file() for frame in range(1, total + 1)), total, progress
     ):
         fire.bake(scene_objects.domain)
-    bpy.context.scene.frame_set(spec.clip.first_frame)
+    bpy.context.scene.frame_set(spec.first_frame)
     _save_blend(layout)
     _write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string})
 
@@ -75,17 +85,46 @@ def render(spec: SceneSpec, layout: Layout, progress) -> None:
     _open_blend(layout)
     from .scene import render as cycles
 
-    progress(0, spec.clip.frames * spec.cameras.count)
+    progress(0, spec.clip.frames * len(spec.cameras.names))
     cycles.plates(spec, layout)
     cycles.frames(spec, layout, progress)
+
+
+def serve(spec: SceneSpec, layout: Layout, progress) -> None:
+    """Render what standard input asks for, until it ends."""
+    _open_blend(layout, during_bake=True)
+    from .scene import render as cycles
+
+    cycles.plates(spec, layout)
+    renderer = cycles.FrameRenderer(spec, layout)
+    progress.line(ready=True)
+    for line in sys.stdin:
+        order, start = json.loads(line), time.perf_counter()
+        renderer(order["frame"], order["camera"])
+        cost = {"seconds": time.perf_counter() - start, "peak_mb": _peak_mb()}
+        progress.line(rendered=order | cost)
+
+
+def video(spec: SceneSpec, layout: Layout, progress) -> None:
+    """Pass the display pictures through a codec, if an effect asks for one."""
+    settings = next(filter(effects.encodes, spec.effects), None)
+    if settings is None:
+        return
+    from .scene import video as codec
+
+    for index, name in enumerate(spec.cameras.names):
+        codec.through_codec(spec, layout, name, settings)
+        progress(index + 1, len(spec.cameras.names))
 
 
 def ground_truth(spec: SceneSpec, layout: Layout, progress) -> None:
     _open_blend(layout)
     from .scene import fire, velocity
 
-    frames = list(range(spec.clip.first_frame, spec.clip.last_frame + 1))
-    velocity.export_velocity(fire.find_domain(), frames, spec.clip.fps, spec.clip.time_scale, layout.velocity, progress)
+    frames = [spec.blender_frame(frame) for frame in range(spec.clip.frames)]
+    velocity.export_velocity(
+        fire.find_domain(), frames, spec.steps_per_second, spec.clip.time_scale, layout.velocity, progress
+    )
 
 
 def finish(spec: SceneSpec, layout: Layout, progress) -> None:
@@ -153,9 +192,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         spec = scene_spec.load(args.spec)
         progress = Reporter(args.stage, layout.log(args.stage))
-        {"bake": bake, "render": render, "ground-truth": ground_truth, "finish": finish}[args.stage](
-            spec, layout, progress
-        )
+        run = {"bake": bake, "render": render, "serve": serve, "video": video, "ground-truth": ground_truth}
+        (run | {"finish": finish})[args.stage](spec, layout, progress)
     except scene_spec.SpecError as error:
         print(error, file=sys.stderr)
         return 2
@@ -193,8 +231,8 @@ def _save_blend(layout: Layout) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=str(layout.blend), check_existing=False)
 
 
-def _open_blend(layout: Layout) -> None:
-    if not layout.bake_marker.is_file():
+def _open_blend(layout: Layout, during_bake: bool = False) -> None:
+    if not (layout.bake_marker.is_file() or (during_bake and layout.blend.is_file())):
         raise FileNotFoundError(f"{layout.root} holds no finished bake; run --stage bake first")
     import bpy
 
@@ -202,6 +240,14 @@ def _open_blend(layout: Layout) -> None:
 
     mantaflow.enable()
     bpy.ops.wm.open_mainfile(filepath=str(layout.blend))
+
+
+def _peak_mb() -> float | None:
+    try:
+        import resource
+    except ModuleNotFoundError:  # Windows
+        return None
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def _write_json(path: Path, data: dict) -> None:

@@ -54,7 +54,7 @@ def import_into_scene(cloud: gaussians_file.GaussianCloud, spec: SceneSpec, mode
     build.scene(spec)
     for thing in list(bpy.data.collections["Fire"].objects):
         bpy.data.objects.remove(thing)
-    return point_cloud.add_point_cloud(cloud, spec.clip.first_frame, mode)
+    return point_cloud.add_point_cloud(cloud, spec.first_frame, mode)
 
 
 def save_blend(path: Path) -> None:
@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> None:
     import bpy
 
     thing = import_into_scene(cloud, spec, args.mode)
-    bpy.context.scene.frame_set(spec.clip.first_frame + args.frame)
+    bpy.context.scene.frame_set(spec.blender_frame(args.frame))
     progress(1, total)
     save_blend(args.blend)
     progress(2, total)

@@ -61,6 +61,14 @@ class Layout:
     def bake_marker(self) -> Path:
         return self.hidden / "bake-finished.json"
 
+    def cached_velocity(self, blender_frame: int) -> Path:
+        """Cache file that the solver writes last in a step."""
+        return self.bake / "data" / f"vel_{blender_frame:04d}.uni"
+
+    def is_baked(self, blender_frame: int) -> bool:
+        """Whether a frame's cache is complete, also while the bake goes on: the next step is then there too."""
+        return self.bake_marker.is_file() or self.cached_velocity(blender_frame + 1).is_file()
+
     def log(self, stage: str) -> Path:
         return self.hidden / f"{stage}.log"
 
@@ -68,6 +76,13 @@ class Layout:
         return FrameFiles(
             **{kind: self.root / pattern.format(camera=camera, frame=frame) for kind, pattern in self.PATTERNS.items()}
         )
+
+    def uncompressed(self, camera: str, frame: int) -> Path:
+        """The display picture before a codec, where the spec asks for one."""
+        return self.hidden / "uncompressed" / camera / f"{frame:06d}.png"
+
+    def video(self, camera: str) -> Path:
+        return self.root / "cameras" / camera / "video.mp4"
 
     def static(self, camera: str) -> Path:
         return self.root / self.STATIC.format(camera=camera)

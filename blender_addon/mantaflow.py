@@ -6,6 +6,7 @@ import ctypes
 import importlib.abc
 import importlib.machinery
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -58,4 +59,5 @@ def leave(status: int = 0) -> None:
     """
     sys.stdout.flush()
     sys.stderr.flush()
+    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # Blender's own exit would have removed it
     os._exit(status)

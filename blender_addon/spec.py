@@ -10,11 +10,15 @@ import dataclasses
 import json
 import math
 import os
-import typing
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from . import records, shutter
+from .fuels import FUELS, Fuel
+from .presets import PRESETS
+from .records import SpecError, require
 from .scene import effects as effect_modules
 
 SCHEMA = "gof-scene"
@@ -23,49 +27,27 @@ VERSION = 1
 Vector = tuple[float, float, float]
 
 
-class SpecError(ValueError):
-    """A scene spec that cannot be built; the message names the field and what it should be."""
-
-
-def require(condition: bool, name: str, rule: str, value: Any) -> None:
-    """Raise SpecError("<name> must be <rule>, got <value>") unless the condition holds."""
-    if not condition:
-        raise SpecError(f"{name} must be {rule}, got {value!r}")
-
-
 @dataclass(frozen=True)
 class Clip:
-    """When the frames are taken. Dataset frame k is at k / fps seconds and is Blender frame ``first_frame + k``."""
+    """When the frames are taken: dataset frame k is at k / fps seconds."""
 
     frames: int = 36
     """Number of rendered instants."""
     fps: float = 100.0
-    """Frames per second of the dataset clock; the solver makes exactly one step per frame."""
+    """Frames per second of the dataset clock."""
     warm_up_frames: int = 90
     """Frames simulated before the first rendered one, so that the flame is developed."""
     time_scale: float = 1.0
     """Simulated seconds per second of the dataset clock, below 1 for slow motion; velocities follow the clock."""
+    steps_per_frame: int = 1
+    """Solver steps from one frame to the next. An effect that looks between the frames may ask for more."""
 
     def __post_init__(self):
         require(self.frames >= 1, "clip.frames", "at least 1", self.frames)
         require(1.0 <= self.fps <= 32767.0, "clip.fps", "between 1 and 32767", self.fps)
+        require(1 <= self.steps_per_frame <= 64, "clip.steps_per_frame", "between 1 and 64", self.steps_per_frame)
         require(self.warm_up_frames >= 0, "clip.warm_up_frames", "0 or more", self.warm_up_frames)
         require(0.0 < self.time_scale <= 100.0, "clip.time_scale", "in (0, 100]", self.time_scale)
-
-    @property
-    def first_frame(self) -> int:
-        """Blender frame number of dataset frame 0."""
-        return 1 + self.warm_up_frames
-
-    @property
-    def last_frame(self) -> int:
-        """Blender frame number of the last dataset frame."""
-        return self.warm_up_frames + self.frames
-
-    @property
-    def step_s(self) -> float:
-        """Simulated seconds per solver step."""
-        return self.time_scale / self.fps
 
 
 @dataclass(frozen=True)
@@ -89,45 +71,19 @@ class Domain:
 
 
 @dataclass(frozen=True)
-class Fuel:
-    """How a fuel burns and what its flame looks like."""
-
-    burning_rate: float
-    """Speed of the reaction: higher is a shorter flame (Mantaflow's burning rate)."""
-    buoyancy: float
-    """Lift per unit of heat (Mantaflow's beta): higher is a faster flame."""
-    max_temperature: float
-    """Heat at the hottest place of the reaction (Mantaflow's flame temperature)."""
-    amount: float
-    """Fuel released by the emitter, per cell."""
-    colour_low_k: float
-    """Black-body temperature of the coolest visible flame, kelvin."""
-    colour_high_k: float
-    """Black-body temperature of the hottest flame, kelvin."""
-    radiance: float
-    """Emission per metre of full flame, linear scene units."""
-
-
-FUELS = {
-    "propane_high": Fuel(0.75, 1.5, 3.0, 1.0, 1200.0, 2250.0, 15.0),
-    "propane_low": Fuel(1.1, 1.0, 2.5, 0.8, 1200.0, 2200.0, 14.0),
-    "wood": Fuel(0.6, 1.0, 2.2, 0.9, 1150.0, 2000.0, 12.0),
-}
-"""Presets. Turbulence comes from the effect ``vorticity``, soot from ``smoke``."""
-
-
-@dataclass(frozen=True)
 class Fire:
     """The emitter of fuel and what it burns."""
 
     fuel: str = "propane_high"
     """Name of a preset in FUELS."""
-    shape: Literal["disc", "sphere"] = "disc"
-    """disc: a flat round burner of 1/3 radius height; sphere: a ball."""
+    shape: Literal["disc", "sphere", "logs"] = "disc"
+    """disc: a flat round burner of 1/3 radius height; sphere: a ball; logs: three crossed logs."""
     position: Vector = (0.0, 0.0, 0.12)
     """Centre of the emitter, world metres."""
     radius: float = 0.13
     """Metres."""
+    jet_speed: float = 0.0
+    """Upward speed at which the fuel leaves the burner, m/s."""
 
     def __post_init__(self):
         require(self.fuel in FUELS, "fire.fuel", f"one of {sorted(FUELS)}", self.fuel)
@@ -136,7 +92,8 @@ class Fire:
     @property
     def half_size(self) -> Vector:
         """Half extents of the emitter's bounding box, metres."""
-        return (self.radius, self.radius, self.radius / 6 if self.shape == "disc" else self.radius)
+        thickness = {"disc": self.radius / 6, "sphere": self.radius, "logs": self.radius / 2}
+        return (self.radius, self.radius, thickness[self.shape])
 
 
 @dataclass(frozen=True)
@@ -145,6 +102,8 @@ class Rig:
 
     count: int = 3
     """Number of cameras, evenly spaced on the arc."""
+    eval_count: int = 0
+    """Additional cameras that no method may train on (role "eval"), between and above the others."""
     arc_deg: float = 70.0
     """Angle between the first and the last camera."""
     azimuth_deg: float = -90.0
@@ -165,6 +124,7 @@ class Rig:
 
     def __post_init__(self):
         require(self.count >= 1, "cameras.count", "at least 1", self.count)
+        require(self.eval_count >= 0, "cameras.eval_count", "0 or more", self.eval_count)
         require(0.0 <= self.arc_deg < 360.0, "cameras.arc_deg", "in [0, 360)", self.arc_deg)
         require(self.radius > 0, "cameras.radius", "positive", self.radius)
         require(self.focal_mm > 0, "cameras.focal_mm", "positive", self.focal_mm)
@@ -176,7 +136,8 @@ class Rig:
 
     @property
     def names(self) -> list[str]:
-        return [f"cam_{index}" for index in range(self.count)]
+        """All cameras, those for evaluation last."""
+        return [f"cam_{index}" for index in range(self.count)] + [f"eval_{index}" for index in range(self.eval_count)]
 
 
 @dataclass(frozen=True)
@@ -217,6 +178,19 @@ class Display:
 
 
 @dataclass(frozen=True)
+class BlendFile:
+    """A .blend as the surroundings. Its scene is moved so that an empty of it becomes the origin of our world."""
+
+    path: str
+    """The file; relative to the folder of the spec, or absolute."""
+    empty: str = "Fire"
+    """Name of the empty that marks where the fire burns: its place and its turn about Z; its scale is ignored."""
+
+
+GROUND_TRUTH = ("grids", "flow", "vdb")
+
+
+@dataclass(frozen=True)
 class SceneSpec:
     """Everything that defines a dataset. Only the effects listed here are simulated, rendered and paid for."""
 
@@ -227,12 +201,20 @@ class SceneSpec:
     fire: Fire = field(default_factory=Fire)
     cameras: Rig = field(default_factory=Rig)
     render: Render = field(default_factory=Render)
-    background: Literal["studio", "workshop"] = "workshop"
+    background: Literal["studio", "workshop", "classroom", "cloister", "blend_file"] = "workshop"
+    blend_file: BlendFile | None = None
+    """The user's scene, for the background "blend_file"."""
     effects: tuple[Any, ...] = ()
     """Settings objects of modules in ``scene/effects``; in JSON ``{"name": "wind", ...its settings}``."""
+    ground_truth: tuple[Literal["grids", "flow", "vdb"], ...] = ()
+    """What to write beside the velocity: grids (flame, heat, density), flow (optical flow), vdb (OpenVDB per frame)."""
     display: Display = field(default_factory=Display)
 
     def __post_init__(self):
+        require((self.background == "blend_file") == (self.blend_file is not None), "blend_file",
+                'given exactly when background is "blend_file"', self.blend_file)  # fmt: skip
+        repeated = len(set(self.ground_truth)) != len(self.ground_truth)
+        require(not repeated, "ground_truth", "listed once each", self.ground_truth)
         require(bool(self.name) and not set(self.name) & set('/\\:*?"<>|'), "name", "a plain file name", self.name)
         require(0 <= self.seed < 2**31, "seed", "in [0, 2^31)", self.seed)
         small = min(self.cameras.sensor_px) * self.render.percentage // 100
@@ -244,6 +226,8 @@ class SceneSpec:
         )
         names = self.effect_names
         require(len(set(names)) == len(names), "effects", "listed once each", names)
+        require(self.first_frame + shutter.first_step(self) >= 1, "clip.warm_up_frames",
+                "long enough for the shutter to open before frame 0", self.clip.warm_up_frames)  # fmt: skip
         for axis, low, high in zip("xyz", self.domain.min, self.domain.max, strict=True):
             i = "xyz".index(axis)
             inside = (
@@ -264,6 +248,35 @@ class SceneSpec:
     @property
     def fuel(self) -> Fuel:
         return FUELS[self.fire.fuel]
+
+    @cached_property
+    def steps_per_frame(self) -> int:
+        """Solver steps, which are Blender frames, from one dataset frame to the next: what clip and effects need."""
+        return math.lcm(self.clip.steps_per_frame, *map(effect_modules.steps_per_frame, self.effects))
+
+    @property
+    def steps_per_second(self) -> float:
+        """Blender frames per second of the dataset clock."""
+        return self.clip.fps * self.steps_per_frame
+
+    @property
+    def solver_step_s(self) -> float:
+        """Simulated seconds per solver step."""
+        return self.clip.time_scale / self.steps_per_second
+
+    def blender_frame(self, frame: int) -> int:
+        """Blender frame number of a dataset frame."""
+        return 1 + (self.clip.warm_up_frames + frame) * self.steps_per_frame
+
+    @property
+    def first_frame(self) -> int:
+        """Blender frame number of dataset frame 0."""
+        return self.blender_frame(0)
+
+    @property
+    def last_frame(self) -> int:
+        """Last Blender frame that is simulated: that of the last dataset frame, or what its shutter still sees."""
+        return self.first_frame + max(shutter.last_step(self), (self.clip.frames - 1) * self.steps_per_frame)
 
     def to_dict(self) -> dict:
         """The JSON form; ``from_dict(to_dict())`` gives an equal spec."""
@@ -286,7 +299,7 @@ class SceneSpec:
         effects = data.pop("effects", [])
         require(isinstance(effects, list), "effects", "a list", effects)
         data["effects"] = tuple(_effect_from_dict(item) for item in effects)
-        return _from_dict(cls, data, "")
+        return records.from_dict(cls, data, "")
 
     def with_preset(self, preset: str) -> SceneSpec:
         """This spec with the cost-related fields of a preset in PRESETS. Raises SpecError for an unknown name."""
@@ -295,25 +308,6 @@ class SceneSpec:
             name: dataclasses.replace(getattr(self, name), **values) for name, values in PRESETS[preset].items()
         }
         return dataclasses.replace(self, **sections)
-
-
-PRESETS: dict[str, dict[str, dict]] = {
-    "toy": {
-        "clip": {"frames": 4, "warm_up_frames": 16},
-        "domain": {"resolution": 24},
-        "render": {"percentage": 6, "samples": 1, "plate_samples": 2, "denoise": False},
-    },
-    "preview": {
-        "clip": {"frames": 8},
-        "domain": {"resolution": 40},
-        "render": {"percentage": 12, "samples": 4, "plate_samples": 16},
-    },
-    "demo": {
-        "clip": {"frames": 36},
-        "domain": {"resolution": 64},
-        "render": {"percentage": 25, "samples": 6, "plate_samples": 32},
-    },
-}
 
 
 def load(path: str | os.PathLike) -> SceneSpec:
@@ -338,43 +332,4 @@ def _effect_from_dict(item: Any) -> Any:
     settings = dict(item)
     name = settings.pop("name")
     require(name in effect_modules.names(), "effects", f"one of {effect_modules.names()}", name)
-    return _from_dict(effect_modules.module(name).Settings, settings, f"effects.{name}.")
-
-
-def _from_dict(cls: type, data: Any, prefix: str) -> Any:
-    """Build dataclass ``cls`` from a JSON object, checking names and types field by field."""
-    require(isinstance(data, dict), prefix.rstrip(".") or "spec", "an object", data)
-    hints = typing.get_type_hints(cls)
-    unknown = sorted(set(data) - set(hints))
-    if unknown:
-        raise SpecError(f"{prefix}{unknown[0]} is not a field; known: {', '.join(sorted(hints))}")
-    for item in dataclasses.fields(cls):
-        optional = item.default is not dataclasses.MISSING or item.default_factory is not dataclasses.MISSING
-        if item.name not in data and not optional:
-            raise SpecError(f"{prefix}{item.name} is missing")
-    return cls(**{name: _value(hints[name], value, prefix + name) for name, value in data.items()})
-
-
-def _value(hint: Any, value: Any, name: str) -> Any:
-    if dataclasses.is_dataclass(hint):
-        return _from_dict(hint, value, name + ".")
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin is Literal:
-        require(value in args and type(value) in map(type, args), name, f"one of {list(args)}", value)
-        return value
-    if origin is tuple:
-        if args[-1] is Ellipsis:  # effects, already built
-            return value
-        require(isinstance(value, (list, tuple)) and len(value) == len(args), name, f"{len(args)} numbers", value)
-        return tuple(_value(arg, item, f"{name}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=True)))
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if hint is float:
-        require(number and math.isfinite(value), name, "a finite number", value)
-        return float(value)
-    if hint is int:
-        require(
-            number and value == int(value) if number and math.isfinite(value) else False, name, "a whole number", value
-        )
-        return int(value)
-    require(isinstance(value, hint), name, f"a {hint.__name__}", value)
-    return value
+    return records.from_dict(effect_modules.module(name).Settings, settings, f"effects.{name}.")

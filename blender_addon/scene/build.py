@@ -6,7 +6,7 @@ import bpy
 
 from .. import mantaflow
 from ..spec import SceneSpec
-from . import background, fire, render, rig
+from . import backgrounds, fire, render, rig
 
 
 def scene(spec: SceneSpec) -> fire.FireObjects:
@@ -15,10 +15,10 @@ def scene(spec: SceneSpec) -> fire.FireObjects:
     mantaflow.enable()
     current = bpy.context.scene
     current.name = spec.name
-    current.frame_start, current.frame_end = spec.clip.first_frame, spec.clip.last_frame
-    current.render.fps = round(spec.clip.fps)
-    current.render.fps_base = round(spec.clip.fps) / spec.clip.fps
-    background.build(spec, _collection("Background"))
+    current.frame_start, current.frame_end = spec.first_frame, spec.last_frame
+    current.render.fps = round(spec.steps_per_second)
+    current.render.fps_base = round(spec.steps_per_second) / spec.steps_per_second
+    backgrounds.build(spec, _collection("Background"))
     rig.build(spec, _collection("Cameras"))
     objects = fire.build(spec, _collection("Fire"))
     render.configure(spec)

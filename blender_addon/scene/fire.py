@@ -35,7 +35,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> FireObjects:
     domain.data.materials.append(look)
     fire = FireObjects(domain, emitter, look)
     for settings in spec.effects:
-        effects.module(effects.name_of(settings)).apply(fire, settings, spec)
+        effects.apply(fire, settings, spec)
     return fire
 
 
@@ -89,7 +89,7 @@ def _domain(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obje
     settings.cache_type = "ALL"
     settings.cache_directory = "//.cache/bake"
     settings.cache_frame_start = 1
-    settings.cache_frame_end = spec.clip.last_frame
+    settings.cache_frame_end = spec.last_frame
     settings.burning_rate = spec.fuel.burning_rate
     settings.flame_max_temp = spec.fuel.max_temperature
     settings.beta = spec.fuel.buoyancy
@@ -102,7 +102,10 @@ def _domain(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obje
 
 
 def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Object:
-    emitter = meshes.ellipsoid("Fire Emitter", spec.fire.half_size, collection, location=spec.fire.position)
+    if spec.fire.shape == "logs":
+        emitter = meshes.crossed_logs("Fire Emitter", spec.fire.radius, collection, location=spec.fire.position)
+    else:
+        emitter = meshes.ellipsoid("Fire Emitter", spec.fire.half_size, collection, location=spec.fire.position)
     emitter.hide_render = True
     modifier = emitter.modifiers.new("Fluid", "FLUID")
     modifier.fluid_type = "FLOW"
@@ -111,6 +114,9 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     flow.flow_behavior = "INFLOW"
     flow.fuel_amount = spec.fuel.amount
     flow.surface_distance = 1.0
+    if spec.fire.jet_speed:
+        flow.use_initial_velocity = True
+        flow.velocity_coord = (0.0, 0.0, spec.fire.jet_speed)
     # Uneven fuel, drifting upwards: without it a round burner gives a mirror-symmetric flame.
     texture = bpy.data.textures.new("Fuel Noise", "CLOUDS")
     texture.noise_scale = 0.5
@@ -120,8 +126,8 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     flow.texture_map_type = "AUTO"
     flow.texture_size = 1.0
     offset = np.random.default_rng(spec.seed).uniform(0.0, 100.0)
-    for frame in (1, spec.clip.last_frame):
-        flow.texture_offset = offset + 4.0 * spec.clip.step_s * (frame - 1)
+    for frame in (1, spec.last_frame):
+        flow.texture_offset = offset + 4.0 * spec.solver_step_s * (frame - 1)
         emitter.keyframe_insert(f'modifiers["{modifier.name}"].flow_settings.texture_offset', frame=frame)
     for layer in emitter.animation_data.action.fcurves:
         for key in layer.keyframe_points:

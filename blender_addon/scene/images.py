@@ -48,6 +48,18 @@ def write_mask_png(path: Path, mask: np.ndarray) -> None:
     _write(path, spec, (mask * np.uint8(255))[..., None])
 
 
+def read_png(path: Path) -> np.ndarray:
+    """(H, W, C) uint8. Raises OSError if the file cannot be read."""
+    pixels, _ = _read(path, oiio.UINT8)
+    return pixels
+
+
+def write_png(path: Path, pixels: np.ndarray) -> None:
+    """Write (H, W, 3) uint8, atomically."""
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], oiio.UINT8)
+    _write(path, spec, pixels)
+
+
 def opens(path: Path) -> bool:
     """Whether an image file exists and every pixel of it can be decoded."""
     if not path.is_file():
@@ -64,12 +76,12 @@ def temporary(path: Path) -> Path:
     return path.with_name(f".tmp-{path.name}")
 
 
-def _read(path: Path) -> tuple[np.ndarray, list[str]]:
+def _read(path: Path, kind=oiio.FLOAT) -> tuple[np.ndarray, list[str]]:
     image = oiio.ImageInput.open(str(path))
     if image is None:
         raise OSError(f"{path}: {oiio.geterror()}")
     try:
-        pixels, names = image.read_image(format=oiio.FLOAT), list(image.spec().channelnames)
+        pixels, names = image.read_image(format=kind), list(image.spec().channelnames)
         if pixels is None:
             raise OSError(f"{path}: {image.geterror()}")
         return pixels, names

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import bpy
 
-from ..spec import Fuel
+from ..fuels import Fuel
 
 Colour = tuple[float, float, float]
 
@@ -24,6 +24,9 @@ def flame(fuel: Fuel) -> bpy.types.Material:
     temperature.inputs["To Min"].default_value = fuel.colour_low_k
     temperature.inputs["To Max"].default_value = fuel.colour_high_k
     colour = add("ShaderNodeBlackbody")
+    tint = add("ShaderNodeVectorMath")
+    tint.operation = "MULTIPLY"
+    tint.inputs[1].default_value = fuel.tint
     # Dense flame radiates more than in proportion, which leaves the fringe translucent.
     density = add("ShaderNodeMath")
     density.operation = "POWER"
@@ -36,7 +39,8 @@ def flame(fuel: Fuel) -> bpy.types.Material:
     link(temperature.outputs["Result"], colour.inputs["Temperature"])
     link(reaction.outputs["Fac"], density.inputs[0])
     link(density.outputs[0], strength.inputs[0])
-    link(colour.outputs["Color"], emission.inputs["Color"])
+    link(colour.outputs["Color"], tint.inputs[0])
+    link(tint.outputs[0], emission.inputs["Color"])
     link(strength.outputs[0], emission.inputs["Strength"])
     link(emission.outputs[0], output.inputs["Volume"])
     return material
@@ -117,6 +121,29 @@ def blotches(name: str, colours: Sequence[Colour], scale: float, roughness: floa
     link(coordinates.outputs["UV"], cells.inputs["Vector"])
     link(cells.outputs["Color"], pick.inputs["Color"])
     link(pick.outputs["Red"], ramp.inputs["Fac"])
+    link(ramp.outputs["Color"], surface.inputs["Base Color"])
+    return material
+
+
+def landscape(name: str, colours: Sequence[Colour], scale: float, roughness: float = 0.8) -> bpy.types.Material:
+    """Coloured areas with winding borders of about 1/scale metres, like a map or a faded painting."""
+    material, add, link, output = _new(name)
+    coordinates = add("ShaderNodeTexCoord")
+    ground = add("ShaderNodeTexNoise")
+    ground.inputs["Scale"].default_value = scale
+    ground.inputs["Detail"].default_value = 5.0
+    ground.inputs["Distortion"].default_value = 0.8
+    ramp = add("ShaderNodeValToRGB")
+    ramp.color_ramp.interpolation = "CONSTANT"
+    elements = ramp.color_ramp.elements
+    while len(elements) < len(colours):
+        elements.new(0.5)
+    for index, colour in enumerate(colours):
+        elements[index].position = 0.34 + 0.36 * index / len(colours) if index else 0.0
+        elements[index].color = (*colour, 1.0)
+    surface = _principled(add, link, output, roughness)
+    link(coordinates.outputs["UV"], ground.inputs["Vector"])
+    link(ground.outputs["Fac"], ramp.inputs["Fac"])
     link(ramp.outputs["Color"], surface.inputs["Base Color"])
     return material
 

@@ -113,3 +113,31 @@ def ellipsoid(
         low = 1 + (rings - 2) * segments
         faces.append((low + segment, low + after, top))
     return add(name, vertices, faces, collection, **place)
+
+
+def crossed_logs(name: str, radius: float, collection: bpy.types.Collection, **place) -> bpy.types.Object:
+    """Three round logs leaning on each other like spokes, inside a circle of the given radius about Z."""
+    vertices, faces, uvs = [], [], []
+    thick, segments = radius / 4.5, 14
+    for index in range(3):
+        angle = 2 * math.pi * index / 3 + 0.3
+        along = np.array([math.cos(angle), math.sin(angle), 0.0])
+        start, end = -0.35 * radius * along + [0, 0, thick * 0.9], 0.97 * radius * along - [0, 0, thick * 0.9]
+        side = np.array([-along[1], along[0], 0.0])
+        up = np.cross((end - start) / np.linalg.norm(end - start), side)
+        first = len(vertices)
+        for centre in (start, end):
+            for segment in range(segments):
+                turn = 2 * math.pi * segment / segments
+                vertices.append(tuple(centre + thick * (math.cos(turn) * side + math.sin(turn) * up)))
+        length = float(np.linalg.norm(end - start))
+        for segment in range(segments):
+            after = (segment + 1) % segments
+            faces.append((first + segment, first + after, first + segments + after, first + segments + segment))
+            left, right = (2 * math.pi * thick * s / segments for s in (segment, segment + 1))
+            uvs += [(0.0, left), (0.0, right), (length, right), (length, left)]
+        faces.append(tuple(first + segment for segment in reversed(range(segments))))
+        faces.append(tuple(first + segments + segment for segment in range(segments)))
+        ring = [(thick * math.cos(2 * math.pi * s / segments), thick * math.sin(2 * math.pi * s / segments)) for s in range(segments)]
+        uvs += ring[::-1] + ring
+    return add(name, vertices, faces, collection, uvs, **place)

@@ -3,7 +3,8 @@
 Light adds up. Where nothing absorbs light in front of the surroundings (no smoke), a frame is the fire-free plate plus
 what the fire alone adds: its own light and its light on the surroundings. The plate is rendered once, with many
 samples; a frame then renders only the fire's part, with the scene's lamps off, which needs far fewer samples for the
-same noise.
+same noise. Where a picture sees more than one solver step (motion blur, rolling shutter, camera clocks), each step is
+rendered for the lines that see it, and the picture is their weighted sum in linear light.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..layout import FrameFiles, Layout
+from .. import shutter
+from ..layout import Layout
 from ..spec import SceneSpec
 from . import effects, images, rig
 from .fire import find_domain
@@ -62,60 +64,146 @@ def configure(spec: SceneSpec) -> None:
 def plates(spec: SceneSpec, layout: Layout) -> None:
     """Render each camera's view without the fire where it is missing: linear (.exr) and for display (.png)."""
     scene, domain = bpy.context.scene, find_domain()
+    missing = [
+        (index, camera)
+        for index, camera in enumerate(rig.find(spec))
+        if not (images.opens(layout.static(camera.name)) and images.opens(layout.static_exr(camera.name)))
+    ]
+    if not missing:
+        return
     domain.hide_render = True
     # With persistent data Cycles would keep the plate's number of samples for the frames that follow.
     scene.render.use_persistent_data = False
     scene.cycles.samples = spec.render.plate_samples
-    for camera in rig.find(spec):
-        png = layout.static(camera.name)
-        exr = layout.static_exr(camera.name)
-        if images.opens(png) and images.opens(exr):
-            continue
-        passes = _render(camera, exr)
-        images.write_exr(exr, _beauty(passes), passes["Depth.Z"], _flame(passes))
-        _write_png(png, _beauty(passes))
+    for index, camera in missing:
+        passes = _render(camera, layout.static_exr(camera.name))
+        beauty = _beauty(passes)
+        _write_png(layout.static(camera.name), effects.expose(beauty[..., :3], spec, index, -1))
+        # The fire is alone in the flame pass: lamps and screens of a user's scene are not part of it.
+        images.write_exr(layout.static_exr(camera.name), beauty, passes["Depth.Z"], np.zeros_like(beauty[..., :3]))
     domain.hide_render = False
     scene.cycles.samples = spec.render.samples
     scene.render.use_persistent_data = True
 
 
+class FrameRenderer:
+    """Renders frames of the open scene; afterwards the scene is no longer fit for anything else.
+
+    Needs the plates, which carry the depth: fire has none.
+    """
+
+    def __init__(self, spec: SceneSpec, layout: Layout):
+        self._spec, self._layout, self._cameras = spec, layout, rig.find(spec)
+        self._plate = {camera.name: images.read_exr(layout.static_exr(camera.name)) for camera in self._cameras}
+        self._adds_light = not any(effects.absorbs_light(settings) for settings in spec.effects)
+        if self._adds_light:
+            _leave_only_the_fire()
+        # A picture of many instants needs fewer paths for each.
+        _, weights = shutter.step_weights(spec, 0, 0)
+        bpy.context.scene.cycles.samples = max(1, round(spec.render.samples * float(weights.max())))
+
+    def is_finished(self, frame: int, camera: int) -> bool:
+        files = self._layout.frame(self._cameras[camera].name, frame)
+        return all(map(images.opens, (self._display_picture(frame, camera), files.mask, files.exr)))
+
+    def __call__(self, frame: int, camera: int) -> None:
+        """Render one picture of a dataset frame, unless it is there and can be decoded."""
+        if self.is_finished(frame, camera):
+            return
+        name = self._cameras[camera].name
+        files, plate = self._layout.frame(name, frame), self._plate[name]
+        beauty, flame = self._light(frame, camera)
+        if self._adds_light:
+            beauty[..., :3] += np.stack([plate[channel] for channel in "RGB"], axis=-1)
+        seen = effects.expose(beauty[..., :3], self._spec, camera, frame)
+        _write_png(self._display_picture(frame, camera), seen)
+        images.write_mask_png(files.mask, flame.max(axis=-1) > FLAME_VISIBLE)
+        images.write_exr(files.exr, beauty, plate["Z"], flame)
+
+    def _display_picture(self, frame: int, camera: int) -> Path:
+        name = self._cameras[camera].name
+        encoded = any(map(effects.encodes, self._spec.effects))
+        return self._layout.uncompressed(name, frame) if encoded else self._layout.frame(name, frame).rgb
+
+    def _light(self, frame: int, camera: int) -> tuple[np.ndarray, np.ndarray]:
+        """Beauty (H, W, 4) and flame (H, W, 3): each line the weighted sum of the solver steps that it sees."""
+        first, weights = shutter.step_weights(self._spec, camera, frame)
+        beside = self._layout.frame(self._cameras[camera].name, frame).exr
+        total_beauty = total_flame = 0.0
+        for step, weight in enumerate(weights):
+            _go_to(self._spec.blender_frame(frame) + first + step)
+            if len(weights) == 1:
+                passes = _render(self._cameras[camera], beside)
+                return _beauty(passes), _flame(passes)
+            _render_only(np.nonzero(weight)[0], len(weight), self._spec)
+            passes = _render(self._cameras[camera], beside)
+            share = _as_picture(weight, self._spec).astype(np.float32)
+            total_beauty = total_beauty + share * _beauty(passes)
+            total_flame = total_flame + share * _flame(passes)
+        return total_beauty, total_flame
+
+
 def frames(spec: SceneSpec, layout: Layout, progress: Progress) -> None:
     """Render every frame that is missing or does not open; calls progress(done, total) after each. Needs the plates."""
-    cameras = rig.find(spec)
-    total = spec.clip.frames * len(cameras)
-    plate = {}
-    if not any(effects.absorbs_light(settings) for settings in spec.effects):
-        plate = {camera.name: images.read_exr(layout.static_exr(camera.name)) for camera in cameras}
-        _switch_lamps_off()
+    render = FrameRenderer(spec, layout)
+    cameras = len(spec.cameras.names)
     for frame in range(spec.clip.frames):
-        for index, camera in enumerate(cameras):
-            files = layout.frame(camera.name, frame)
-            if not all(map(images.opens, (files.rgb, files.mask, files.exr))):
-                _frame(spec, camera, frame, files, plate.get(camera.name))
-            progress(frame * len(cameras) + index + 1, total)
+        for camera in range(cameras):
+            render(frame, camera)
+            progress(frame * cameras + camera + 1, spec.clip.frames * cameras)
 
 
-def _frame(spec: SceneSpec, camera: bpy.types.Object, frame: int, files: FrameFiles, plate: dict | None) -> None:
+def _go_to(blender_frame: int) -> None:
     scene = bpy.context.scene
-    blender_frame = spec.clip.first_frame + frame
     if scene.frame_current != blender_frame:
         scene.frame_set(blender_frame)
-    passes = _render(camera, files.exr)
-    beauty, flame = _beauty(passes), _flame(passes)
-    if plate is not None:
-        beauty[..., :3] += np.stack([plate[channel] for channel in "RGB"], axis=-1)
-    _write_png(files.rgb, beauty)
-    images.write_mask_png(files.mask, flame.max(axis=-1) > FLAME_VISIBLE)
-    images.write_exr(files.exr, beauty, passes["Depth.Z"], flame)
 
 
-def _switch_lamps_off() -> None:
+MARGIN = 8  # pixels that the denoiser needs beside the lines that are wanted
+
+
+def _render_only(lines: np.ndarray, count: int, spec: SceneSpec) -> None:
+    """Restrict rendering to the lines with these numbers, of `count` in reading order."""
+    settings = bpy.context.scene.render
+    low, high = max(int(lines[0]) - MARGIN, 0) / count, min(int(lines[-1]) + 1 + MARGIN, count) / count
+    direction = rig.READOUT[spec.cameras.roll_deg]
+    if direction in ("left", "down"):  # against Blender's axes, which run right and up
+        low, high = 1 - high, 1 - low
+    settings.use_border, settings.use_crop_to_border = True, False
+    settings.border_min_x, settings.border_max_x, settings.border_min_y, settings.border_max_y = (
+        (low, high, 0.0, 1.0) if direction in ("left", "right") else (0.0, 1.0, low, high)
+    )
+
+
+def _as_picture(weight: np.ndarray, spec: SceneSpec) -> np.ndarray:
+    """Weights of lines in reading order as (H, 1, 1) or (1, W, 1), to be multiplied with a stored picture."""
+    direction = rig.READOUT[spec.cameras.roll_deg]
+    ordered = weight[::-1] if direction in ("left", "up") else weight
+    return ordered[None, :, None] if direction in ("left", "right") else ordered[:, None, None]
+
+
+def _leave_only_the_fire() -> None:
     """Leave the fire as the only light, for this process; scene.blend is not saved again."""
     scene = bpy.context.scene
     scene.world = None
     for thing in scene.objects:
         if thing.type == "LIGHT":
             thing.hide_render = True
+    fire = find_domain().active_material
+    for item in bpy.data.materials:
+        if item != fire and item.node_tree:
+            _switch_emission_off(item.node_tree)
+    for group in bpy.data.node_groups:
+        _switch_emission_off(group)
+
+
+def _switch_emission_off(tree: bpy.types.NodeTree) -> None:
+    for node in tree.nodes:
+        name = {"EMISSION": "Strength", "BSDF_PRINCIPLED": "Emission Strength"}.get(node.type)
+        if name:
+            for link in list(node.inputs[name].links):
+                tree.links.remove(link)
+            node.inputs[name].default_value = 0.0
 
 
 def _render(camera: bpy.types.Object, beside: Path) -> dict[str, np.ndarray]:
@@ -142,17 +230,18 @@ def _flame(passes: dict[str, np.ndarray]) -> np.ndarray:
     return np.stack([passes[f"Emit.{channel}"] for channel in "RGB"], axis=-1)
 
 
-def _write_png(path: Path, beauty: np.ndarray) -> None:
-    """Write linear (H, W, 4) light as display sRGB through the scene's view transform, atomically."""
+def _write_png(path: Path, light: np.ndarray) -> None:
+    """Write linear (H, W, 3) light as display sRGB through the scene's view transform, atomically."""
     scene = bpy.context.scene
     settings = scene.render.image_settings
     settings.file_format = "PNG"
     settings.color_mode = "RGB"
     settings.color_depth = "8"
     settings.compression = 15
-    height, width = beauty.shape[:2]
+    height, width = light.shape[:2]
+    opaque = np.dstack([light, np.ones((height, width))])
     image = bpy.data.images.new("Frame", width, height, alpha=False, float_buffer=True)
-    image.pixels.foreach_set(np.ascontiguousarray(beauty[::-1], dtype=np.float32).ravel())
+    image.pixels.foreach_set(np.ascontiguousarray(opaque[::-1], dtype=np.float32).ravel())
     draft = images.temporary(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     image.save_render(str(draft), scene=scene)

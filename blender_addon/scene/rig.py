@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from .. import shutter
 from ..spec import Rig, SceneSpec
 
 SENSOR_MM = 36.0  # long side of the sensor
@@ -74,6 +75,8 @@ def describe(camera: bpy.types.Object, spec: SceneSpec) -> dict:
     """The camera's entry in dataset.json, without its file names."""
     scene = bpy.context.scene
     width, height = scene.render.resolution_x, scene.render.resolution_y
+    index = spec.cameras.names.index(camera.name)
+    timings = [shutter.timing(spec, index, frame) for frame in range(spec.clip.frames)]
     return {
         "name": camera.name,
         "width": width,
@@ -81,15 +84,25 @@ def describe(camera: bpy.types.Object, spec: SceneSpec) -> dict:
         "K": intrinsics(camera, scene).tolist(),
         "world_to_camera": world_to_camera(camera).tolist(),
         "roll_deg": spec.cameras.roll_deg,
-        "row_time_s": 0.0,
+        "row_time_s": timings[0].line,
         "readout": READOUT[spec.cameras.roll_deg],
-        "role": "train",
+        "role": "eval" if camera.name.startswith("eval") else "train",
+        # Middle of the first line's exposure.
+        "time_s": [k / spec.clip.fps + when.delay + when.open / 2 for k, when in enumerate(timings)],
+        "exposure_s": timings[0].open,
     }
 
 
 def _positions(rig: Rig) -> list[tuple[float, float, float]]:
     step = rig.arc_deg / (rig.count - 1) if rig.count > 1 else 0.0
     first = rig.azimuth_deg - (rig.arc_deg / 2 if rig.count > 1 else 0.0)
-    angles = [math.radians(first + index * step) for index in range(rig.count)]
+    places = [(first + index * step, rig.height) for index in range(rig.count)]
+    # For evaluation: in the middle of equal parts of the arc, a tenth of the distance higher.
+    part = rig.arc_deg / max(rig.eval_count, 1)
+    start = rig.azimuth_deg - rig.arc_deg / 2
+    places += [(start + (index + 0.5) * part, rig.height + 0.1 * rig.radius) for index in range(rig.eval_count)]
     x, y, _ = rig.look_at
-    return [(x + rig.radius * math.cos(angle), y + rig.radius * math.sin(angle), rig.height) for angle in angles]
+    return [
+        (x + rig.radius * math.cos(math.radians(angle)), y + rig.radius * math.sin(math.radians(angle)), height)
+        for angle, height in places
+    ]

@@ -87,7 +87,7 @@ def test_saved_scene_opens_with_the_cloud_and_no_fire(done, folder, spec):
     looked = run("-c", LOOK, folder / "out" / "scene.blend", folder / "seen.json")
     assert looked.returncode == 0, looked.stderr
     seen = json.loads((folder / "seen.json").read_text())
-    assert seen["frame"] == spec.clip.first_frame + FRAME
+    assert seen["frame"] == spec.first_frame + FRAME
     assert seen["fps"] == pytest.approx(spec.clip.fps)
     assert set(spec.cameras.names) < set(seen["objects"])
     assert not [name for name in seen["objects"] if name.startswith("Fire")]

@@ -4,13 +4,14 @@ import copy
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 from benchmark.generate import SCENES
 from blender_addon import spec as scene_spec
 from blender_addon.scene import effects
-from blender_addon.scene.effects import smoke, vorticity, wind
+from blender_addon.scene.effects import motion_blur, rolling_shutter, smoke, vorticity, wind
 from blender_addon.spec import Clip, Domain, Fire, Render, Rig, SceneSpec, SpecError
 
 
@@ -41,8 +42,21 @@ def test_left_out_fields_take_their_defaults():
 
 
 def test_frames_of_the_clip():
-    clip = Clip(frames=10, fps=50.0, warm_up_frames=4, time_scale=0.5)
-    assert (clip.first_frame, clip.last_frame, clip.step_s) == (5, 14, 0.01)
+    spec = SceneSpec("x", clip=Clip(frames=10, fps=50.0, warm_up_frames=4, time_scale=0.5))
+    assert (spec.first_frame, spec.last_frame, spec.solver_step_s) == (5, 14, 0.01)
+    finer = replace(spec, clip=replace(spec.clip, steps_per_frame=3))
+    assert (finer.first_frame, finer.last_frame, finer.steps_per_second) == (13, 40, 150.0)
+    assert finer.solver_step_s == pytest.approx(0.01 / 3)
+
+
+def test_effects_ask_for_steps_between_frames_and_for_what_the_shutter_sees():
+    clip = Clip(frames=3, fps=100.0, warm_up_frames=2)
+    blurred = SceneSpec("x", clip=clip, effects=(motion_blur.Settings(shutter=1.0, steps=4),))
+    assert (blurred.steps_per_frame, blurred.first_frame, blurred.last_frame) == (4, 9, 17 + 2)
+    both = replace(blurred, effects=(motion_blur.Settings(shutter=1.0, steps=4), rolling_shutter.Settings(0.01, steps=6)))
+    assert both.steps_per_frame == 12 and both.last_frame == 1 + 12 * 4 + 6 + 12
+    with pytest.raises(SpecError, match="long enough for the shutter to open before frame 0"):
+        replace(blurred, clip=replace(clip, warm_up_frames=0))
 
 
 @pytest.mark.parametrize(
@@ -113,7 +127,8 @@ def test_every_effect_module_keeps_the_contract():
     for name in effects.names():
         module = effects.module(name)
         assert effects.name_of(module.Settings()) == name
-        assert callable(module.apply)
+        hooks = {"apply", "ABSORBS_LIGHT", "steps_per_frame", "timing", "expose", "ENCODES"} & set(vars(module))
+        assert hooks, "an effect changes something"
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*/spec.json")), ids=lambda path: path.parent.name)

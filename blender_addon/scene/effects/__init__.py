@@ -1,9 +1,20 @@
 """Effects a scene spec may list. Each is one module here; adding an effect means adding one file.
 
-A module holds ``Settings`` (a frozen dataclass, the JSON form of the effect) and ``apply(fire, settings, spec)``,
-which changes a built ``scene.fire.FireObjects`` before the bake. ``ABSORBS_LIGHT = True`` says that the effect dims
-what is behind it, so that frames cannot be rendered as the fire-free plate plus the fire's light. Modules import bpy
-only inside ``apply``.
+A module holds ``Settings`` (a frozen dataclass, the JSON form of the effect) and some of these, all optional:
+
+``apply(fire, settings, spec)``
+    changes a built ``scene.fire.FireObjects`` before the bake; the only place where an effect imports bpy.
+``ABSORBS_LIGHT = True``
+    says that the effect dims what is behind it, so that frames cannot be rendered as the fire-free plate plus the
+    fire's light.
+``steps_per_frame(settings) -> int``
+    solver steps it needs from one frame to the next.
+``timing(settings, spec, camera, frame) -> shutter.Timing``
+    what it adds to the time at which a picture is taken.
+``expose(light, settings, spec, camera, frame) -> light``
+    turns the light that reaches the sensor, (H, W, 3) linear, into what the sensor reports; frame -1 is the plate.
+``ENCODES = True``
+    says that the display pictures of a camera pass through a codec as one video (``scene.video``).
 """
 
 from __future__ import annotations
@@ -11,7 +22,14 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...shutter import Timing
+
+if TYPE_CHECKING:
+    from ...spec import SceneSpec
 
 
 def names() -> list[str]:
@@ -29,6 +47,46 @@ def name_of(settings: Any) -> str:
     return type(settings).__module__.rpartition(".")[2]
 
 
+def apply(fire, settings: Any, spec: SceneSpec) -> None:
+    """Let an effect change the scene before the bake."""
+    if hook := _hook(settings, "apply"):
+        hook(fire, settings, spec)
+
+
 def absorbs_light(settings: Any) -> bool:
-    """Whether the effect of a settings object dims what is behind it."""
-    return getattr(module(name_of(settings)), "ABSORBS_LIGHT", False)
+    """Whether the effect dims what is behind it."""
+    return bool(_hook(settings, "ABSORBS_LIGHT"))
+
+
+def encodes(settings: Any) -> bool:
+    """Whether the effect passes the display pictures through a codec."""
+    return bool(_hook(settings, "ENCODES"))
+
+
+def steps_per_frame(settings: Any) -> int:
+    """Solver steps an effect needs per frame."""
+    hook = _hook(settings, "steps_per_frame")
+    return hook(settings) if hook else 1
+
+
+def touches_time(settings: Any) -> bool:
+    """Whether an effect changes when pictures are taken."""
+    return _hook(settings, "timing") is not None
+
+
+def timing(settings: Any, spec: SceneSpec, camera: int, frame: int) -> Timing:
+    """What an effect adds to the time of a picture."""
+    hook = _hook(settings, "timing")
+    return hook(settings, spec, camera, frame) if hook else Timing()
+
+
+def expose(light: np.ndarray, spec: SceneSpec, camera: int, frame: int) -> np.ndarray:
+    """Light at the sensor to what the sensor reports, through the effects in the order of the spec."""
+    for settings in spec.effects:
+        if hook := _hook(settings, "expose"):
+            light = hook(light, settings, spec, camera, frame)
+    return light
+
+
+def _hook(settings: Any, name: str):
+    return getattr(module(name_of(settings)), name, None)

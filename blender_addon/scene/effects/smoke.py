@@ -10,7 +10,7 @@ ABSORBS_LIGHT = True
 @dataclass(frozen=True)
 class Settings:
     amount: float = 0.5
-    """Smoke released per unit of burnt fuel."""
+    """Smoke released per unit of burnt wood; other fuels by their soot."""
     density: float = 8.0
     """Extinction per metre of smoke of density 1."""
     albedo: float = 0.2
@@ -18,7 +18,7 @@ class Settings:
 
 
 def apply(fire, settings: Settings, spec) -> None:
-    fire.domain_settings.flame_smoke = settings.amount
+    fire.domain_settings.flame_smoke = settings.amount * spec.fuel.soot
     nodes, links = fire.material.node_tree.nodes, fire.material.node_tree.links
     density = nodes.new("ShaderNodeAttribute")
     density.attribute_name = "density"

@@ -17,6 +17,6 @@ class Settings:
 
 def apply(fire, settings: Settings, spec) -> None:
     """Set the confinement. The solver adds it once per step, so it is scaled with the step length."""
-    scale = spec.clip.step_s / REFERENCE_STEP_S
+    scale = spec.solver_step_s / REFERENCE_STEP_S
     fire.domain_settings.vorticity = settings.gas * scale
     fire.domain_settings.flame_vorticity = settings.flame * scale

@@ -1,4 +1,4 @@
-"""Built-in surroundings of the fire, one function each. The fire burns above the origin, cameras are at -Y."""
+"""A cluttered workshop: brick wall, stone floor, shelves of boxes and tins, crates, posters, a fire bowl."""
 
 from __future__ import annotations
 
@@ -7,32 +7,12 @@ import math
 import bpy
 import numpy as np
 
-from ..spec import SceneSpec
-from . import material, meshes
+from ...spec import SceneSpec
+from .. import material, meshes
+from .lighting import light, sky
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
-    """Add the background that the spec names."""
-    {"studio": studio, "workshop": workshop}[spec.background](spec, collection)
-
-
-def studio(spec: SceneSpec, collection: bpy.types.Collection) -> None:
-    """A plain photographer's studio: checked floor, grey backdrop, one soft light."""
-    floor = material.tiles("Floor", ((0.28, 0.28, 0.28), (0.12, 0.12, 0.13)), (0.05, 0.05, 0.05), (0.3, 0.3), shift=0.0)
-    meshes.box("Floor", (8, 8, 0.1), collection, location=(0, 0, -0.05), material=floor)
-    meshes.box(
-        "Backdrop",
-        (8, 0.1, 5),
-        collection,
-        location=(0, 2.0, 2.5),
-        material=material.plain("Backdrop", (0.16, 0.17, 0.18)),
-    )
-    _light(collection, (-1.8, -2.0, 3.2), 70.0, 1.5, (1.0, 0.96, 0.9))
-    _sky((0.032, 0.036, 0.045), 1.0)
-
-
-def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
-    """A cluttered workshop: brick wall, stone floor, shelves of boxes and tins, crates, posters, a fire bowl."""
     rng = np.random.default_rng([spec.seed, 1])
     brick = material.tiles(
         "Brick", ((0.20, 0.085, 0.055), (0.085, 0.042, 0.035)), (0.17, 0.155, 0.14), (0.215, 0.075), 0.01
@@ -59,9 +39,9 @@ def workshop(spec: SceneSpec, collection: bpy.types.Collection) -> None:
         meshes.lathe(
             "Pipe", [(radius, 0.0), (radius, 4.0)], collection, 12, location=(x, 1.74, 0), material=steel, smooth=True
         )
-    _light(collection, (-1.9, -1.6, 3.3), 55.0, 1.2, (1.0, 0.93, 0.82))
-    _light(collection, (2.6, -0.6, 2.6), 13.0, 1.0, (0.72, 0.84, 1.0))
-    _sky((0.032, 0.036, 0.045), 1.0)
+    light(collection, (-1.9, -1.6, 3.3), 55.0, 1.2, (1.0, 0.93, 0.82))
+    light(collection, (2.6, -0.6, 2.6), 13.0, 1.0, (0.72, 0.84, 1.0))
+    sky((0.032, 0.036, 0.045), 1.0)
 
 
 PRINTS = (
@@ -231,23 +211,3 @@ def _fire_bowl(spec, rng, collection, steel, stone) -> None:
             turn_deg=math.degrees(angle),
             location=(x + 0.36 * math.cos(angle), y + 0.36 * math.sin(angle), size[2] / 2),
         )
-
-
-def _light(collection, location, watts: float, size: float, colour) -> None:
-    """A square area light that shines at the origin's neighbourhood."""
-    data = bpy.data.lights.new("Light", "AREA")
-    data.energy, data.size, data.color = watts, size, colour
-    lamp = bpy.data.objects.new("Light", data)
-    lamp.location = location
-    x, y, z = location
-    lamp.rotation_euler = (math.atan2(math.hypot(x, y - 0.6), z - 0.6), 0.0, math.atan2(y - 0.6, x) + math.pi / 2)
-    collection.objects.link(lamp)
-
-
-def _sky(colour, strength: float) -> None:
-    world = bpy.data.worlds.new("World")
-    world.use_nodes = True
-    shade = world.node_tree.nodes["Background"]
-    shade.inputs["Color"].default_value = (*colour, 1.0)
-    shade.inputs["Strength"].default_value = strength
-    bpy.context.scene.world = world

@@ -1,0 +1,32 @@
+"""Cost presets: points on the accuracy/time curves of docs/costs.md. Never imports bpy."""
+
+from __future__ import annotations
+
+PRESETS: dict[str, dict[str, dict]] = {
+    "toy": {
+        "clip": {"frames": 4, "warm_up_frames": 16},
+        "domain": {"resolution": 24},
+        "render": {"percentage": 6, "samples": 1, "plate_samples": 2, "denoise": False},
+    },
+    "preview": {
+        "clip": {"frames": 8},
+        "domain": {"resolution": 40},
+        "render": {"percentage": 12, "samples": 4, "plate_samples": 16},
+    },
+    "draft": {
+        "clip": {"frames": 36},
+        "domain": {"resolution": 64},
+        "render": {"percentage": 25, "samples": 6, "plate_samples": 32},
+    },
+    "standard": {
+        "clip": {"frames": 50},
+        "domain": {"resolution": 128},
+        "render": {"percentage": 25, "samples": 16, "plate_samples": 64},
+    },
+    "paper": {
+        "clip": {"frames": 50},
+        "domain": {"resolution": 640},
+        "render": {"percentage": 100, "samples": 32, "plate_samples": 256},
+    },
+}
+"""What each preset changes in a spec: cost, never content. ``toy`` is for tests."""

@@ -1,0 +1,79 @@
+"""A user's .blend as the surroundings of the fire.
+
+Everything in the file's scene that is visible in renders is brought in and moved so that the chosen empty becomes the
+origin of our world, with the empty's turn about Z undone and the file's unit scale applied: one of its units may be a
+centimetre. Objects stand still, as they are at the file's current frame. Its cameras and fluid domains stay out.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import bpy
+from mathutils import Matrix
+
+from ...records import SpecError
+from ...spec import SceneSpec
+
+
+def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
+    """Append the scene of ``spec.blend_file``.
+
+    Raises SpecError if the file cannot be read, or has no scene or no such empty.
+    """
+    path, name = Path(spec.blend_file.path), spec.blend_file.empty
+    if not path.is_file():
+        raise SpecError(f"blend_file.path: there is no file {path}")
+    scene = _append_scene(path)
+    things = [thing for thing in scene.objects if not thing.hide_render]
+    marker = next((thing for thing in scene.objects if thing.name.partition(".")[0] == name or thing.name == name), None)
+    if marker is None:
+        empties = sorted(thing.name for thing in scene.objects if thing.type == "EMPTY")
+        raise SpecError(f"blend_file.empty: {path} has no object {name!r}; its empties: {', '.join(empties) or 'none'}")
+    scale = scene.unit_settings.scale_length
+    to_ours = _to_our_world(marker.matrix_world, scale)
+    for thing in things:
+        if thing.type == "CAMERA" or any(modifier.type == "FLUID" for modifier in thing.modifiers):
+            continue
+        _place(thing, to_ours, scale)
+        collection.objects.link(thing)
+    ours = bpy.context.scene
+    ours.world = scene.world
+    bpy.data.scenes.remove(scene)
+    bpy.context.view_layer.update()
+    bpy.ops.file.pack_all()  # scene.blend must not depend on where the user's textures are
+
+
+def _append_scene(path: Path) -> bpy.types.Scene:
+    try:
+        with bpy.data.libraries.load(str(path), link=False) as (theirs, ours):
+            ours.scenes = theirs.scenes[:1]
+    except OSError as error:
+        raise SpecError(f"blend_file.path: Blender cannot read {path}: {error}") from error
+    if not ours.scenes:
+        raise SpecError(f"blend_file.path: {path} holds no scene")
+    scene = ours.scenes[0]
+    scene.view_layers[0].update()  # poses of parents and constraints
+    return scene
+
+
+def _to_our_world(marker: Matrix, scale: float) -> Matrix:
+    """Their world to ours: the marker to the origin, its heading to +X, their units to metres."""
+    heading = math.atan2(marker[1][0], marker[0][0])
+    return Matrix.Scale(scale, 4) @ Matrix.Rotation(-heading, 4, "Z") @ Matrix.Translation(-marker.to_translation())
+
+
+def _place(thing: bpy.types.Object, to_ours: Matrix, scale: float) -> None:
+    """Fix an object at its place in our world, free of parents, constraints and animation."""
+    pose = to_ours @ thing.matrix_world
+    thing.animation_data_clear()
+    thing.parent = None
+    thing.constraints.clear()
+    thing.matrix_world = pose
+    if thing.type == "LIGHT" and thing.data.type != "SUN":
+        # Power falls off with squared distance, which has just changed by the scale.
+        thing.data = thing.data.copy()
+        thing.data.energy *= scale**2
+        if thing.data.type in ("POINT", "SPOT"):
+            thing.data.shadow_soft_size *= scale

@@ -1,0 +1,27 @@
+"""Lamps and sky of the built-in surroundings."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+
+
+def light(collection, location, watts: float, size: float, colour) -> None:
+    """A square area light that shines at the origin's neighbourhood."""
+    data = bpy.data.lights.new("Light", "AREA")
+    data.energy, data.size, data.color = watts, size, colour
+    lamp = bpy.data.objects.new("Light", data)
+    lamp.location = location
+    x, y, z = location
+    lamp.rotation_euler = (math.atan2(math.hypot(x, y - 0.6), z - 0.6), 0.0, math.atan2(y - 0.6, x) + math.pi / 2)
+    collection.objects.link(lamp)
+
+
+def sky(colour, strength: float) -> None:
+    world = bpy.data.worlds.new("World")
+    world.use_nodes = True
+    shade = world.node_tree.nodes["Background"]
+    shade.inputs["Color"].default_value = (*colour, 1.0)
+    shade.inputs["Strength"].default_value = strength
+    bpy.context.scene.world = world
