@@ -6,7 +6,7 @@ uint32_t gof_pattern(uint32_t count, uint32_t phase) {
     count &= GOF_COUNT_MASK;
     phase %= GOF_TICKS_PER_PERIOD;
     uint32_t strip = phase / GOF_TICKS_PER_SLOT;
-    uint32_t late = phase >= GOF_TICKS_PER_PERIOD / 2u ? 1u : 0u;
+    uint32_t late = phase >= GOF_DISAMBIGUATION_TICK ? 1u : 0u;
     return (1u << strip) | (gof_gray(count) << GOF_GRAY_FIRST) | (((count + late) & 1u) << GOF_DISAMBIGUATION);
 }
 

@@ -8,8 +8,8 @@
  *
  * The counter shows the number of periods in reflected Gray code, so exactly one of its LEDs changes per period and a
  * picture taken across the change reads one of two neighbouring counts. The disambiguation LED shows the lowest bit
- * of the count *half a period later* ((tick + 5) / 10) & 1: it is steady whenever the Gray code changes, and tells
- * which of the two counts belongs to the change. Both wrap together: the count after 2^bits - 1 is 0, again with one
+ * of the count 6 ticks later, ((tick + 6) / 10) & 1: it turns with the third slot, is steady whenever the Gray code
+ * changes, and tells which of the two counts belongs to the change. (The board in the paper's footage turns it there.) Both wrap together: the count after 2^bits - 1 is 0, again with one
  * Gray LED changing, and 2^bits is even, so the disambiguation LED goes on alternating.
  */
 #ifndef GOF_BOARD_H
@@ -26,6 +26,7 @@
 #define GOF_ALL_OUTPUTS ((1u << GOF_OUTPUTS) - 1u)
 #define GOF_TICKS_PER_SLOT 2u
 #define GOF_TICKS_PER_PERIOD (GOF_STRIPS * GOF_TICKS_PER_SLOT)
+#define GOF_DISAMBIGUATION_TICK 4u
 #define GOF_COUNT_MASK ((1u << GOF_GRAY_BITS) - 1u)
 #define GOF_TICK_US_DEFAULT 400u
 #define GOF_TICK_US_MIN 50u

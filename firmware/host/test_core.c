@@ -31,7 +31,7 @@ static uint32_t lit_now(void) {
 
 static void test_first_period(void) {
     static const uint32_t strips[GOF_TICKS_PER_PERIOD] = {1, 1, 2, 2, 4, 4, 8, 8, 16, 16};
-    static const uint32_t disambiguation[GOF_TICKS_PER_PERIOD] = {0, 0, 0, 0, 0, 1, 1, 1, 1, 1};
+    static const uint32_t disambiguation[GOF_TICKS_PER_PERIOD] = {0, 0, 0, 0, 1, 1, 1, 1, 1, 1};
     for (uint32_t phase = 0; phase < GOF_TICKS_PER_PERIOD; phase++) {
         CHECK(gof_pattern(0, phase) == (strips[phase] | disambiguation[phase] << GOF_DISAMBIGUATION));
     }

@@ -42,7 +42,7 @@ class BoardTemplate:
     strip_slot: np.ndarray
     outline: np.ndarray
     marker_side_m: float | None
-    disambiguation_lead: float = 0.5
+    disambiguation_lead: float = 0.6
 
     @property
     def gray_bits(self) -> int:
@@ -68,7 +68,7 @@ class BoardTemplate:
                 np.array([s["ends"] for s in d["strips"]], np.float64),
                 np.array([s["slot"] for s in d["strips"]]),
                 np.array(d["outline"], np.float64),
-                d["marker"].get("side_m"), float(d.get("disambiguation_lead", 0.5)),
+                d["marker"].get("side_m"), float(d.get("disambiguation_lead", 0.6)),
             )
         except (KeyError, TypeError, ValueError) as e:
             raise DataFormatError(f"{path}: not a board template: field {e} is missing or malformed") from e
@@ -91,22 +91,18 @@ def draw_svg(template: BoardTemplate, marker_side_mm: float) -> str:
     low, high = points.min(0) - 0.2, points.max(0) + 0.2
     mm = lambda p: (np.asarray(p) - low) * marker_side_mm
     width, height = (high - low) * marker_side_mm
-    background, light = ("#111", "#fff") if template.inverted else ("#fff", "#111")
+    light, dark = "#fff", "#111"
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.2f}mm" height="{height:.2f}mm" '
         f'viewBox="0 0 {width:.2f} {height:.2f}" font-family="sans-serif">',
         f"<title>LED board {template.name}, marker side {marker_side_mm:g} mm</title>",
-        '<polygon points="' + " ".join(f"{x:.2f},{y:.2f}" for x, y in mm(template.outline)) + f'" fill="{background}"/>',
+        '<polygon points="' + " ".join(f"{x:.2f},{y:.2f}" for x, y in mm(template.outline)) + f'" fill="{dark if template.inverted else light}"/>',
     ]
     cell = marker_side_mm / 6
     x0, y0 = mm((0, 0))
     for (row, column), white in np.ndenumerate(cells):
-        if white != template.inverted:  # inverted: the black cells of the dictionary become light
-            out.append(f'<rect x="{x0 + column * cell:.3f}" y="{y0 + row * cell:.3f}" width="{cell:.3f}" '
-                       f'height="{cell:.3f}" fill="{light if template.inverted else background}" stroke="none"/>')
-        elif not template.inverted:
-            out.append(f'<rect x="{x0 + column * cell:.3f}" y="{y0 + row * cell:.3f}" width="{cell:.3f}" '
-                       f'height="{cell:.3f}" fill="{light}" stroke="none"/>')
+        out.append(f'<rect x="{x0 + column * cell:.3f}" y="{y0 + row * cell:.3f}" width="{cell:.3f}" '
+                   f'height="{cell:.3f}" fill="{light if white != template.inverted else dark}"/>')
     for ends, slot in zip(template.strip_ends, template.strip_slot, strict=True):
         (xa, ya), (xb, yb) = mm(ends)
         out.append(f'<line x1="{xa:.2f}" y1="{ya:.2f}" x2="{xb:.2f}" y2="{yb:.2f}" stroke="#e8d9a0" stroke-width="3"/>')

@@ -6,32 +6,23 @@ import shutil
 import signal
 import subprocess
 import sys
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 import pytest
+from runs import TOY, channels, in_blender
 
 from benchmark import generate
 from blender_addon import spec as scene_spec
 from blender_addon.layout import Layout
 from blender_addon.scene.effects import smoke, vorticity, wind
-from blender_addon.spec import Clip, Domain, Render, SceneSpec
+from blender_addon.spec import SceneSpec
 from gof.dataset import Dataset
 from gof.errors import GofError
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
 
-TOY = SceneSpec(
-    "toy",
-    seed=3,
-    clip=Clip(frames=5, fps=60.0, warm_up_frames=14),
-    domain=Domain(resolution=20),
-    render=Render(percentage=6, samples=1, plate_samples=2, denoise=False),
-    background="studio",
-)
 IMAGES = TOY.clip.frames * TOY.cameras.count
 
 
@@ -78,23 +69,9 @@ def kill_after(layout: Layout, stage: str, done: int) -> None:
         assert process.wait() == -signal.SIGKILL
 
 
-def in_blender(script: str, *args) -> dict:
-    """Run a script in its own Blender process; it puts its findings into ``result``."""
-    code = "import json, sys, bpy\nfrom blender_addon import mantaflow\nresult = {}\n" + textwrap.dedent(script)
-    code += "\nprint('RESULT' + json.dumps(result))\nmantaflow.leave()"
-    run = subprocess.run([sys.executable, "-c", code, *map(str, args)], capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
-    return json.loads(next(line for line in run.stdout.splitlines() if line.startswith("RESULT"))[6:])
-
-
 def image_times(layout: Layout) -> dict[str, int]:
     files = [*layout.root.glob("cameras/*/*/[0-9]*"), *layout.root.glob("static/*")]
     return {str(path.relative_to(layout.root)): path.stat().st_mtime_ns for path in files}
-
-
-def channels(path: Path) -> dict[str, np.ndarray]:
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
 
 
 def test_dataset_opens(toy):

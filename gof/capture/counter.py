@@ -1,0 +1,125 @@
+"""The coarse clock: the period counter in reflected Gray code, and its disambiguation LED.
+
+Time unit: microseconds of board time. The exposure of a frame may straddle a change of the counter; then one Gray bit,
+and only one, may read either way. The disambiguation LED shows floor(t / period + lead) & 1: it is steady around every
+change of the Gray code, and so tells which change it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gof.capture.strips import NotDecodable
+from gof.capture.template import BoardTemplate
+
+
+def gray(count: np.ndarray) -> np.ndarray:
+    """Reflected Gray code of non-negative integers."""
+    count = np.asarray(count)
+    return count ^ (count >> 1)
+
+
+def lit(led: np.ndarray, visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """LED brightness (T, L) to 0..1 between dark and lit, and known (L,): False for LEDs out of view.
+
+    LEDs that change are scaled by their own levels, constant ones by the levels of the others (their brightness agrees
+    to a few percent on one board).
+    """
+    low, high = np.percentile(led, [5, 95], axis=0)
+    changes = visible & (high - low > 60)
+    if not changes.any():
+        raise NotDecodable("no counter LED changes in this footage; is the board running, is the clip longer than a period?")
+    dark, bright = np.median(low[changes]), np.median(high[changes])
+    low, high = np.where(changes, low, dark), np.where(changes, high, bright)
+    return np.clip((led - low) / (high - low), 0, 1), visible.copy()
+
+
+def read_count(on: np.ndarray, known: np.ndarray, bit: np.ndarray) -> tuple[np.ndarray, int]:
+    """Decode Gray bits (T, L) 0..1 of each frame by a threshold.
+
+    Unknown bits above the highest known run are taken as zero.
+    Returns:
+        count (T,) of the lowest `bits` bits, and `bits`: bits 0..bits-1 are all known.
+    """
+    position = {int(b): i for i, b in enumerate(bit) if b >= 0}
+    bits = 0
+    while bits in position and known[position[bits]]:
+        bits += 1
+    count = np.zeros(len(on), np.int64)
+    for b in range(bits):
+        count |= (on[:, position[b]] > 0.5).astype(np.int64) << b
+    shift = 1
+    while shift < max(bits, 1):
+        count ^= count >> shift
+        shift *= 2
+    return count, bits
+
+
+def resolve(count: np.ndarray, phase: np.ndarray, disambiguation: np.ndarray | None, lead: float) -> np.ndarray:
+    """Count of each frame from a read that may be off by one near a change.
+
+    Args:
+        count: (T,) as read.
+        phase: (T,) position in the period, 0..1, from the strips.
+        disambiguation: (T,) state of the LED 0..1, None when it is not in view.
+        lead: of the template, in periods.
+    """
+    if disambiguation is None:
+        return count
+    parity = (disambiguation > 0.5).astype(np.int64)
+    # Between lead and the end the LED already shows the next count; around the change it is steady.
+    after_turn = phase >= 1 - lead
+    shown = count + after_turn  # parity that a right read would show
+    wrong = (shown & 1) != parity
+    near_start, near_end = phase < (1 - lead) / 2, phase > 1 - lead / 2
+    # Just after the change an old count was read: one more. Just before it a new one was read: one less.
+    return count + np.where(wrong & near_start, 1, 0) - np.where(wrong & near_end, 1, 0)
+
+
+def vote(template: BoardTemplate, on: np.ndarray, known: np.ndarray, led_time: np.ndarray, period: float,
+         exposure: float) -> tuple[np.ndarray, float, int]:
+    """The count at which the clip starts, from all frames together.
+
+    Every frame's time is known up to one common number of periods, so one integer explains all LEDs of all frames; each
+    candidate's predicted bits are compared with frames whose exposure lies inside one period. Missing LEDs leave
+    candidates that cannot be told apart.
+
+    Args:
+        led_time: (T, L) mid-exposure board time of each LED in each frame, us, up to that number of periods.
+        exposure: us, with a margin.
+    Returns:
+        candidates (in periods to add to `led_time`) that agree equally well, smallest first; share of clean readings that
+        agree with them; number of clean readings.
+    Raises:
+        NotDecodable: no reading lies inside one period.
+    """
+    is_bit = (template.led_bit >= 0) & known
+    time, read = led_time[:, is_bit], on[:, is_bit] > 0.5
+    bits = template.led_bit[is_bit]
+    phase = time % period
+    clean = (phase > exposure / 2) & (phase < period - exposure / 2)
+    if not clean.any():
+        raise NotDecodable(f"the exposure (about {exposure:.0f} us) is so long that every frame straddles a change of the "
+                           "counter; lengthen the board's tick")
+    base = np.floor(time / period).astype(np.int64)
+    origin = int(base.min())
+    base -= origin
+    wrap = 1 << template.gray_bits
+    wrong = np.zeros(wrap)
+    for i, b in enumerate(bits):
+        # Candidates are periodic in the bit's own cycle: compare one cycle, then repeat it.
+        cycle = min(wrap, 1 << (b + 2))
+        offsets, seen, count = _tally(base[clean[:, i], i] % cycle, read[clean[:, i], i])
+        candidate = np.arange(cycle)
+        cost = np.zeros(cycle)
+        for o, s, n in zip(offsets, seen, count, strict=True):
+            cost += n * ((gray((candidate + o) % wrap) >> b & 1) != s)
+        wrong += np.tile(cost, wrap // cycle)
+    readings = int(clean.sum())
+    candidates = np.flatnonzero(wrong <= wrong.min() + 0.5) - origin
+    return candidates, 1 - float(wrong.min()) / readings, readings
+
+
+def _tally(offset, seen):
+    pairs, counts = np.unique(np.stack([offset, seen.astype(np.int64)], 1), axis=0, return_counts=True)
+    return pairs[:, 0], pairs[:, 1], counts

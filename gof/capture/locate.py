@@ -1,0 +1,229 @@
+"""Finds the LED board in footage of a fixed camera: marker, then LEDs, then the strips' curves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gof.capture.footage import sample, white
+from gof.capture.template import BoardTemplate
+from gof.errors import GofError
+
+
+class BoardNotFound(GofError):
+    """The footage does not show the board well enough to read it."""
+
+
+@dataclass(frozen=True)
+class BoardInImage:
+    """Where the board is in an image. Pixel coordinates, centres at integer + 0.5.
+
+    Args:
+        corners: (4, 2) marker corners.
+        marker_to_image: (3, 3) homography from marker sides, corrected with the LEDs.
+        led: (L, 2) LED positions; led_visible (L,) False where cut off by the image border.
+        strip: (S, J, 2) sample points along each strip, in template order; strip_visible (S, J).
+        strip_normal: (J, 2) unit vectors across the strips.
+        strip_offset_px: how far the strips were found from where the marker's plane puts them, mean over samples.
+    """
+
+    corners: np.ndarray
+    marker_to_image: np.ndarray
+    led: np.ndarray
+    led_visible: np.ndarray
+    strip: np.ndarray
+    strip_visible: np.ndarray
+    strip_normal: np.ndarray
+    strip_offset_px: float
+
+
+class Summary:
+    """Per-pixel minimum, maximum and a mid picture of the first frames, in one pass and three images of memory."""
+
+    def __init__(self) -> None:
+        self.low: np.ndarray | None = None
+        self.high: np.ndarray | None = None
+        self.pictures: list[np.ndarray] = []  # a few grey frames to look for the marker in
+        self.count = 0
+
+    def add(self, frame: np.ndarray) -> None:
+        """Add a BGR frame.
+
+        Raises: BoardNotFound: its size differs from the first frame's.
+        """
+        import cv2
+
+        w = white(frame)
+        if self.low is None:
+            self.low, self.high = w.copy(), w.copy()
+        elif w.shape != self.low.shape:
+            raise BoardNotFound(f"frame {self.count} is {w.shape[::-1]}, the ones before {self.low.shape[::-1]} pixels")
+        else:
+            np.minimum(self.low, w, out=self.low)
+            np.maximum(self.high, w, out=self.high)
+        if self.count % 16 == 0 and len(self.pictures) < 9:
+            self.pictures.append(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame)
+        self.count += 1
+
+
+def locate(summary: Summary, template: BoardTemplate, samples: int = 96) -> BoardInImage:
+    """Find the board.
+
+    Args:
+        summary: of frames in which LEDs and strips change.
+        samples: points along each strip.
+    Raises:
+        BoardNotFound: no marker (says what to check), or no strips where the template puts them.
+    """
+    import cv2
+
+    if summary.low is None:
+        raise BoardNotFound("no frames")
+    height, width = summary.low.shape
+    corners = find_marker(summary, template)
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
+    H, _ = cv2.findHomography(square, corners)
+    side = float(np.sqrt(abs(cv2.contourArea(corners.astype(np.float32)))))
+
+    high = cv2.GaussianBlur(summary.high, (0, 0), max(0.5, side / 60)).astype(np.float32)
+    led = _project(H, template.led_xy)
+    snapped, found = _snap(high, led, radius=max(2.0, side / 8))
+    if found.sum() >= 4:
+        # LEDs spread wider than the marker: they settle the homography. RANSAC drops reflections and dark LEDs.
+        better, inlier = cv2.findHomography(
+            np.vstack([square, template.led_xy[found]]), np.vstack([corners, snapped[found]]), cv2.RANSAC, side / 25
+        )
+        if better is not None and inlier.sum() >= 6:
+            H = better
+    led = _project(H, template.led_xy)
+    snapped, found = _snap(high, led, radius=max(1.5, side / 14))
+    led = np.where(found[:, None], snapped, led)
+    margin = max(1.0, side / 30)
+    led_visible = _inside(led, width, height, margin)
+
+    strip, normal, strip_visible, offset = _find_strips(summary, template, H, samples)
+    return BoardInImage(corners, H, led, led_visible, strip, strip_visible, normal, offset)
+
+
+def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
+    """(4, 2) corners of the template's marker in continuous pixel coordinates.
+
+    Raises: BoardNotFound: it is in none of the pictures, at one or two times their size.
+    """
+    import cv2
+
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    parameters.cornerRefinementWinSize = 3
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), parameters)
+    median = np.median(summary.pictures, axis=0).astype(np.uint8)
+    for scale in (1, 2):
+        for picture in (median, summary.high, *summary.pictures):
+            image = 255 - picture if template.inverted else picture
+            if scale > 1:
+                image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+            corners, ids, _ = detector.detectMarkers(image)
+            hits = [c[0] for c, i in zip(corners, ids.ravel(), strict=True) if i == template.marker_id] if ids is not None else []
+            if hits:
+                # OpenCV puts pixel centres at integers.
+                return (hits[0].astype(np.float64) + 0.5) / scale
+    kind = "inverted " if template.inverted else ""
+    raise BoardNotFound(
+        f"marker {template.marker_id} ({kind}DICT_4X4_50) is not in the picture: is it whole, lit, and at least about "
+        "20 pixels wide?"
+    )
+
+
+def _project(H: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.perspectiveTransform(np.asarray(xy, np.float64).reshape(1, -1, 2), H).reshape(np.shape(xy))
+
+
+def _inside(points: np.ndarray, width: int, height: int, margin: float) -> np.ndarray:
+    x, y = points[..., 0], points[..., 1]
+    return (x >= margin) & (y >= margin) & (x <= width - margin) & (y <= height - margin)
+
+
+def _snap(image: np.ndarray, points: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Centroid of the bright spot within `radius` of each point; found False where it is no spot or at the border."""
+    height, width = image.shape
+    out, found = points.copy(), np.zeros(len(points), bool)
+    for i, (x, y) in enumerate(points):
+        x0, x1, y0, y1 = int(x - radius), int(x + radius) + 1, int(y - radius), int(y + radius) + 1
+        if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
+            continue
+        patch = image[y0:y1, x0:x1]
+        low, high = np.percentile(patch, 20), patch.max()
+        if high - low < 60:
+            continue
+        weight = np.clip(patch - (low + high) / 2, 0, None)
+        yy, xx = np.mgrid[y0:y1, x0:x1] + 0.5
+        out[i] = (weight * xx).sum() / weight.sum(), (weight * yy).sum() / weight.sum()
+        found[i] = True
+    return out, found
+
+
+def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, samples: int):
+    """Slide the comb of five predicted strips across the flicker image, separately along their length, and fit smooth
+    curves: strips are mounted off the marker's plane and lenses bend them."""
+    height, width = summary.low.shape
+    flicker = summary.high.astype(np.float32) - summary.low
+    s = np.linspace(-0.04, 1.04, samples)
+    ends = template.strip_ends
+    predicted = _project(H, ends[:, None, 0] + s[:, None] * (ends[:, None, 1] - ends[:, None, 0]))  # (S, J, 2)
+    across = predicted[-1] - predicted[0]
+    spacing = np.linalg.norm(across, axis=1) / (len(ends) - 1)
+    along = np.gradient(predicted.mean(0), axis=0)
+    normal = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1, keepdims=True)
+    normal *= np.sign((normal * across).sum(1))[:, None]
+
+    shifts = np.linspace(-1.6, 1.6, 129)  # in strip spacings
+    stretches = np.linspace(0.85, 1.15, 7)
+    middle = predicted.mean(0)
+    comb = np.arange(len(ends)) - (len(ends) - 1) / 2
+    score = np.empty((len(stretches), len(shifts), samples))
+    for k, stretch in enumerate(stretches):
+        place = (comb[:, None] * stretch + shifts)[:, :, None, None] * (spacing[:, None] * normal) + middle
+        gaps = ((np.arange(len(ends) + 1) - len(ends) / 2)[:, None] * stretch + shifts)[:, :, None, None] * (
+            spacing[:, None] * normal) + middle
+        score[k] = sample(flicker, place).mean(0) - sample(flicker, gaps).mean(0)
+    inside = _inside(middle, width, height, 2)
+    if inside.sum() < samples / 4:
+        raise BoardNotFound("the strips are outside the picture")
+    # One stretch for the board; one shift curve, quadratic along the strips, refitted without outliers.
+    stretch_at, _ = np.unravel_index(score[:, :, inside].mean(2).argmax(), score.shape[:2])
+    stretch, best = stretches[stretch_at], score[stretch_at]
+    overall = best[:, inside].mean(1).argmax()
+    near = np.abs(np.arange(len(shifts)) - overall)[:, None] <= 24
+    shift = shifts[np.where(near, best, -np.inf).argmax(0)]
+    strength = best.max(0)
+    if np.median(strength[inside]) < 12:
+        raise BoardNotFound(
+            f"no flickering strips where the board should have them (contrast {np.median(strength[inside]):.0f} of 255): "
+            "is the board running, and are the strips in the picture?"
+        )
+    use = inside & (strength > 0.3 * np.median(strength[inside]))
+    for _ in range(4):
+        curve = np.polyfit(s[use], shift[use], 2)
+        use = inside & (np.abs(np.polyval(curve, s) - shift) < 0.25)
+        if use.sum() < 8:
+            raise BoardNotFound("the five strips cannot be told apart; are they sharp and free in front of the camera?")
+    shift = np.polyval(curve, s)
+    strip = (comb[:, None] * stretch + shift)[..., None] * (spacing[:, None] * normal) + middle
+    # Each strip on its own: settle on its ridge, smooth.
+    fine = np.linspace(-0.35, 0.35, 29)
+    for k in range(len(ends)):
+        around = strip[k][None] + fine[:, None, None] * (spacing[:, None] * normal)
+        ridge = np.clip(sample(flicker, around) - 0.6 * flicker.max(), 0, None)
+        weight = ridge.sum(0)
+        ok = _inside(strip[k], width, height, 2) & (weight > 0)
+        if ok.sum() < 8:
+            continue
+        centre = (ridge * fine[:, None]).sum(0)[ok] / weight[ok]
+        curve = np.polyfit(s[ok], centre, 2)
+        strip[k] += np.polyval(curve, s)[:, None] * (spacing[:, None] * normal)
+    lit = sample(flicker, strip)
+    visible = _inside(strip, width, height, 1.5) & (lit > 0.5 * np.median(lit[:, inside]))
+    return strip, normal, visible, float(np.mean(shift) * spacing.mean())

@@ -1,0 +1,70 @@
+"""Footage of the board -> brightness over time of every LED and of points along every strip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gof.capture.footage import frames, sample, white
+from gof.capture.locate import BoardInImage, Summary, locate
+from gof.capture.template import BoardTemplate
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Raw brightness (0..255, smallest colour channel) of T frames.
+
+    Args:
+        strip: (T, S, J) float32 at the board's strip points, averaged over a pixel to either side.
+        led: (T, L) float32.
+        duplicate: (T,) True where the board's picture repeats the frame before exactly or nearly.
+        image_size: (width, height).
+        board: where the points are.
+    """
+
+    strip: np.ndarray
+    led: np.ndarray
+    duplicate: np.ndarray
+    image_size: tuple[int, int]
+    board: BoardInImage
+
+
+def read_signals(video: Path, template: BoardTemplate, locate_frames: int = 160, progress=None) -> Signals:
+    """Find the board in the first `locate_frames` frames, then sample all frames. Memory does not grow with the picture
+    size times the length.
+
+    Raises:
+        BoardNotFound, DataFormatError: see `locate` and `frames`.
+    """
+    summary = Summary()
+    for frame in frames(video, locate_frames):
+        summary.add(frame)
+    board = locate(summary, template)
+    strips, leds = [], []
+    for count, frame in enumerate(frames(video), 1):
+        strip, led = sample_frame(white(frame), board)
+        strips.append(strip)
+        leds.append(led)
+        if progress and count % 64 == 0:
+            progress(count, None)
+    height, width = summary.low.shape
+    return make_signals(np.stack(strips), np.stack(leds), (width, height), board)
+
+
+def sample_frame(image: np.ndarray, board: BoardInImage) -> tuple[np.ndarray, np.ndarray]:
+    """(S, J) strip and (L,) LED brightness of one (H, W) white image."""
+    around = np.array([-1.0, 0.0, 1.0])
+    strip = sample(image, board.strip[None] + around[:, None, None, None] * board.strip_normal).mean(0)
+    offsets = np.stack(np.meshgrid(around, around), -1).reshape(-1, 1, 2)
+    return strip, sample(image, board.led[None] + offsets).max(0)
+
+
+def make_signals(strip: np.ndarray, led: np.ndarray, image_size: tuple[int, int], board: BoardInImage) -> Signals:
+    """Signals with repeated frames marked: two frames of a running board differ by more than coding noise unless one is
+    a copy of the other."""
+    visible = board.strip_visible
+    step = np.abs(np.diff(strip, axis=0))[:, visible].mean(1) if visible.any() else np.zeros(len(strip) - 1)
+    duplicate = np.concatenate([[False], step < 0.06 * np.median(step)])
+    return Signals(strip, led, duplicate, image_size, board)
