@@ -53,7 +53,8 @@ def stages_of(config: DemoConfig) -> list[Stage]:
         Stage("generate", ["generate", config.scene, *preset, "--out", dataset], [dataset / "dataset.json"], dataset / "costs.json"),
         Stage("reconstruct", ["reconstruct", dataset, *effort, "--out", result.parent], [result], result.parent / "costs.json"),
         Stage("evaluate", ["evaluate", result, "--truth", dataset, "--json", scores], [scores]),
-        Stage("import", ["import", result, "--dataset", dataset, "--blend", out / "result.blend", "--preview", out / "preview.png"],
+        Stage("import", ["import", result, "--dataset", dataset, "--blend", out / "result.blend", "--preview", out / "preview.png",
+               "--samples", 8],
               [out / "result.blend", out / "preview.png"]),
         Stage("report", ["report", out, "--dataset", dataset], [out / "report.html"]),
     ]  # fmt: skip
