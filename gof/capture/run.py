@@ -8,6 +8,7 @@ import sys
 PARTS = {
     "board": ("gof.capture.board_command", "find, set, start, stop, test and monitor the LED board"),
     "sync": ("gof.capture.sync", "footage of the board -> the time of every row of every frame (times.json, plots)"),
+    "accuracy": ("gof.capture.accuracy", "decode rendered footage with known times and table the error"),
     "draw": ("gof.capture.template", "board template -> printable SVG"),
     "calibrate": ("gof.capture.calibration", "ChArUco footage -> intrinsics; undistort, turn to portrait, row delays"),
 }
