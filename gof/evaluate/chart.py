@@ -21,16 +21,19 @@ class Series:
 
 
 def panels(content: list[tuple[str, list[Series]]], x_label: str, y_label: str, columns: int = 2) -> Image.Image:
-    """One panel per (title, series); all panels share their axes."""
-    xs = np.log10([v for _, s in content for one in s for v in one.x])
-    ys = np.log10([v for _, s in content for one in s for v in one.y])
-    box = (np.floor(xs.min()), np.ceil(xs.max()), np.floor(ys.min()), np.ceil(ys.max()))
-    box = (box[0], max(box[1], box[0] + 1), box[2], max(box[3], box[2] + 1))
+    """One panel per (title, series); the panels share the horizontal axis."""
+    across = _decades([v for _, s in content for one in s for v in one.x])
     rows = -(-len(content) // columns)
     page = Image.new("RGB", (SIZE[0] * columns, SIZE[1] * rows), "white")
     for i, (title, series) in enumerate(content):
+        box = (*across, *_decades([v for one in series for v in one.y]))
         page.paste(_panel(title, series, box, x_label, y_label), (SIZE[0] * (i % columns), SIZE[1] * (i // columns)))
     return page
+
+
+def _decades(values: list[float]) -> tuple[float, float]:
+    low, high = np.floor(np.log10(min(values))), np.ceil(np.log10(max(values)))
+    return low, max(high, low + 1)
 
 
 def _panel(title: str, series: list[Series], box, x_label: str, y_label: str) -> Image.Image:

@@ -83,6 +83,15 @@ def expected_velocity(field: VelocityLike, position: np.ndarray, scale: np.ndarr
     return expected_velocity_plain(field, position, scale, rotation, order)
 
 
+def sample(field: VelocityLike, points: np.ndarray) -> np.ndarray:
+    """`field.sample(points)`, compiled for many points on a grid: (M, 3) world m to (M, 3) m/s."""
+    if isinstance(field, (VelocityField, StoredField)) and len(points) >= COMPILED_FROM:
+        from gof.evaluate.grid_quadrature import expected_velocity_on_grid
+
+        return expected_velocity_on_grid(field, points, np.zeros((len(points), 3)), np.tile([1.0, 0, 0, 0], (len(points), 1)), 1).centre
+    return field.sample(points)
+
+
 def expected_velocity_plain(field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray,
                             order: int = 3) -> Expectation:
     """`expected_velocity` in numpy float64, for any field; holds about CHUNK_POINTS points at a time, whatever M is."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -55,7 +55,7 @@ def evaluate(result: Path | TransientGaussians | Trajectory, dataset: Dataset, o
             the dataset's.
         extras: material for LPIPS and RMSE_depth; without it they are named as absent.
     Returns:
-        JSON-ready dict: "import" {"method", "notes", "alignment"}, "dve" (see DVESequence.to_dict), "controls" {name: {"l2", "cos_sim", "skill", ...}}, "psnr",
+        JSON-ready dict: "import" {"method", "path", "options", "notes", "alignment"}, "dve" (see DVESequence.to_dict), "controls" {name: {"l2", "cos_sim", "skill", ...}}, "psnr",
         "psnr_flame", "psnr_plate", "psnr_flame_plate", "ssim", "ssim_flame", "ssim_plate", "ssim_flame_plate" (means over
         pictures; None where undefined; likewise "flip" and "lpips" where available, "temporal_l2" and "rmse_depth"), "images" (spread,
         every picture, and "absent": which scores are not there and why), "costs" {part: seconds}, "warnings".
@@ -82,8 +82,10 @@ def _load(result, dataset: Dataset, foreign: ImportOptions, align: Path | None) 
     if isinstance(result, (TransientGaussians, Trajectory)):
         gaussians, origin = result, {"method": "memory", "notes": []}
     else:
-        imported = read_result(result, replace(foreign, frame_time_s=foreign.frame_time_s or dataset.frame_time_s or None))
-        gaussians, origin = imported.gaussians, {"method": imported.method, "notes": imported.notes}
+        options = replace(foreign, frame_time_s=foreign.frame_time_s or dataset.frame_time_s or None)
+        imported = read_result(result, options)
+        gaussians, origin = imported.gaussians, {"method": imported.method, "notes": imported.notes, "path": str(imported.path),
+                                                 "options": asdict(options) | {"world": options.world and str(options.world)}}
     if align is None:
         return gaussians, origin
     found = align_cameras(read_cameras(align), {c.name: c.world_to_camera for c in dataset.cameras})
@@ -264,7 +266,7 @@ def main(argv: list[str]) -> int:
         if t.row_count:
             console.print(t)
     for warning in scores["import"]["notes"] + scores["warnings"] + scores.get("images", {}).get("absent", []):
-        console.print(f"[yellow]note:[/] {warning}")
+        console.print("note:", warning, style="yellow", markup=False, highlight=False)
     console.print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in scores["costs"].items()))
     for path in {config.out and config.out / "scores.json", config.json} - {None}:
         write_json(path, scores)

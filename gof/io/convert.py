@@ -87,7 +87,7 @@ def main(argv: list[str]) -> int:
     console = Console()
     console.print(f"{imported.method}: {len(imported.gaussians)} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s")
     for note in imported.notes:
-        console.print(f"[yellow]note:[/] {note}", highlight=False)
+        console.print("note:", note, style="yellow", markup=False, highlight=False)
     if config.json:
         write_json(config.json, {"method": imported.method, "gaussians": len(imported.gaussians), "notes": imported.notes, "out": str(config.out),
                                  "seconds": round(seconds, 3)})

@@ -1,0 +1,133 @@
+"""Tables, fronts, stream plots and the page."""
+
+import csv
+import io
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from gof.errors import DataFormatError
+from gof.evaluate.leaderboard import best_rows, collect, main, pareto, to_csv, to_markdown
+from gof.evaluate.run import main as evaluate_main
+from gof.evaluate.streams import draw, max_projection, streamlines, volume, x_slice
+from gof.gaussians import TransientGaussians
+from tests.evaluate.synthetic_flame import flame_dataset
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Two evaluated results, the truth and one at half speed, and one whose file is gone."""
+    folder = tmp_path_factory.mktemp("board")
+    truth = flame_dataset(folder / "data")
+    for name, factor in (("exact", 1.0), ("slow", 0.5), ("gone", 0.8)):
+        (folder / name).mkdir()
+        fields = {n: getattr(truth, n) for n in truth.__dataclass_fields__} | {"velocity": factor * truth.velocity}
+        TransientGaussians(**fields).save(folder / name / "result.npz")
+        assert evaluate_main([str(folder / name / "result.npz"), "--truth", str(folder / "data"), "--out", str(folder / name), "--no-images"]) == 0
+    (folder / "exact/method.json").write_text(json.dumps({"name": "Exact | <b>method</b>", "train_seconds": 100}))
+    (folder / "slow/costs.json").write_text(json.dumps({"schema": "gof-costs", "version": 1, "stages": [{"name": "a", "seconds": 4.5}, {"name": "b", "seconds": 5.5}]}))
+    (folder / "gone/result.npz").unlink()
+    return folder
+
+
+def test_rows(results):
+    rows = collect([results / n for n in ("exact", "slow", "gone")])
+    exact, slow, gone = rows[:3]
+    assert exact["name"].startswith("Exact") and (exact["train_s"], slow["train_s"], gone["train_s"]) == (100, 10, None)
+    assert exact["l2"] < 0.02 < slow["l2"] and slow["speed_ratio"] == pytest.approx(0.5, abs=0.02) and exact["evaluate_s"] > 0
+    assert [r["name"] for r in rows[3:]] == [f"control: {n}" for n in ("zero", "random", "shuffled", "constant", "height_mean", "true_centre")]
+    best = best_rows(rows)
+    assert best["l2"] == 0 and best["train_s"] == 1 and "speed_ratio" not in best and "gaussians" not in best
+    with pytest.raises(DataFormatError, match="gof evaluate"):
+        collect([results / "data"])
+
+
+def test_tables(results):
+    rows = collect([results / n for n in ("exact", "slow")])
+    table = list(csv.DictReader(io.StringIO(to_csv(rows))))
+    assert float(table[1]["l2"]) == rows[1]["l2"] and table[2]["control"] == "1" and table[0]["psnr"] == ""
+    lines = to_markdown(rows).splitlines()
+    assert lines[2].startswith("| Exact \\| ") and f"**{rows[0]['l2']:.3f}**" in lines[2] and "*control: zero*" in lines[4] and "PSNR" not in lines[0]
+
+
+def test_pareto_front():
+    points = [(1, 5), (2, 4), (3, 6), (2, 9), (0.5, 1), (4, 6)]  # (seconds, score)
+    assert pareto(points, +1) == [4, 0, 3] and pareto(points, -1) == [4]
+    assert pareto([(1, 1), (1, 2)], +1) == [1] and pareto([], 1) == []
+
+
+def test_streamlines_follow_a_known_flow():
+    """Solid rotation: lines stay on circles and go round the right way; nothing is drawn where nothing is."""
+    n = 60
+    x, y = np.meshgrid(np.arange(n) + 0.5 - n / 2, np.arange(n) + 0.5 - n / 2, indexing="ij")
+    density = (np.hypot(x, y) < 20).astype(float)
+    lines = streamlines(np.stack([-y, x], -1), density)
+    assert len(lines) > 100
+    for line in lines:
+        r = np.hypot(*(line - n / 2).T)
+        assert np.ptp(r) < 0.05 * max(r.max(), 4) and r.max() < 22
+        turn = np.cross(line[:-1] - n / 2, np.diff(line, axis=0))
+        assert (turn >= -1e-9).all() and turn.sum() > 0
+    assert streamlines(np.zeros((n, n, 2)), density) == []
+    picture = np.asarray(draw(density, np.stack([-y, x], -1), scale=4))
+    assert picture.shape == (240, 240, 3) and (picture[:20, :20] == picture[0, 0]).all() and picture.max() > 200
+
+
+def test_projection_shows_the_densest_cell_of_each_column():
+    density, velocity = np.zeros((4, 5, 3)), np.zeros((4, 5, 3, 3))
+    density[1, 2, 0], density[1, 4, 0] = 2, 5
+    velocity[1, 2, 0], velocity[1, 4, 0] = [9, 9, 9], [1, 2, 3]
+    d, v = max_projection(density, velocity)
+    assert d.shape == (4, 3) and d[1, 0] == 5 and v[1, 0].tolist() == [1, 3]
+    d, v, i = x_slice(density, velocity)
+    assert i == 1 and d[4, 0] == 5 and v[4, 0].tolist() == [2, 3]
+
+
+def test_volume_keeps_mean_velocity_and_ignores_floaters():
+    n = 4000
+    rng = np.random.default_rng(0)
+    position = rng.normal(0, 0.1, (n, 3))
+    position[0] = [50, 0, 0]
+    g = TransientGaussians(position=position, velocity=np.tile([0.1, 0.2, 3.0], (n, 1)), t_mu=np.zeros(n), t_sigma=np.full(n, np.inf), scale=np.full((n, 3), 0.01),
+                           rotation=np.tile([1.0, 0, 0, 0], (n, 1)), opacity=np.full(n, 0.5), color=np.zeros((n, 3)), dynamic=np.ones(n, bool))
+    v = volume(g, 0.0)
+    assert v.cell < 0.02 and max(v.density.shape) <= 80
+    dense = v.density > 0.1 * v.density.max()
+    np.testing.assert_allclose(v.velocity[dense], np.tile([0.1, 0.2, 3.0], (dense.sum(), 1)), rtol=1e-6)
+    centre = (v.centres() * v.density[..., None]).sum((0, 1, 2)) / v.density.sum()
+    np.testing.assert_allclose(centre, 0, atol=0.02)
+
+
+def test_page(results, capsys):
+    out = results / "out"
+    arguments = [str(results / n) for n in ("exact", "slow", "gone")]
+    assert main([*arguments, "--truth", str(results / "data"), "--out", str(out), "--title", "A <board>"]) == 0
+    assert "no stream plot of gone" in " ".join(capsys.readouterr().out.split())
+    page = (out / "leaderboard.html").read_text()
+    assert "A &lt;board&gt;" in page and "Exact | &lt;b&gt;method" in page
+    assert not re.search(r'<(script|link|img)[^>]+(src|href)="(?!data:)', page)  # nothing is loaded from elsewhere
+    assert page.count('<img src="data:image/png;base64') == 8 and page.count('class="plotly-graph-div"') == 2
+    assert json.loads((out / "leaderboard.json").read_text())["schema"] == "gof-leaderboard"
+    assert (out / "leaderboard.csv").is_file() and (out / "leaderboard.md").is_file()
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
+def test_page_in_a_browser(results, tmp_path):
+    """Sorting works and nothing complains, in a real browser: a probe appended to the page writes what it saw into the title."""
+    main([str(results / "exact"), str(results / "slow"), "--truth", str(results / "data"), "--out", str(tmp_path)])
+    page = (tmp_path / "leaderboard.html").read_text()
+    watch = "<script>window.faults = []; window.onerror = m => { faults.push(m); }; console.error = m => { faults.push(m); };</script>"
+    probe = """<script>const names = () => [...document.querySelectorAll("#scores tbody tr")].slice(0, 2).map(r => r.cells[0].textContent);
+    const b = [...document.querySelectorAll("#scores th button")].find(b => b.textContent === "DVE L2"); b.click(); const up = names(); b.click(); const down = names();
+    setTimeout(() => { document.title = JSON.stringify({up, down, faults, charts: document.querySelectorAll(".main-svg").length}); }, 500);</script>"""
+    (tmp_path / "probe.html").write_text(page.replace("<head>", "<head>" + watch).replace("</body>", probe + "</body>"))
+    done = subprocess.run(["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+                           "--disable-component-update", "--disable-sync", f"--user-data-dir={tmp_path}/profile", "--virtual-time-budget=5000", "--dump-dom",
+                           f"file://{tmp_path}/probe.html"], capture_output=True, text=True, timeout=120)
+    seen = json.loads(re.search(r"<title>(.*?)</title>", done.stdout, re.S)[1])
+    assert seen["faults"] == [] and seen["charts"] >= 2
+    assert seen["up"][0] == "control: true_centre" and seen["up"][1].startswith("Exact") and seen["down"] == ["control: random", "control: zero"]
