@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from conftest import arc
+from tests.conftest import arc
 
 from gof.cameras import Camera
 from gof.errors import DataFormatError, NonFiniteError

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import random_gaussians
+from tests.conftest import random_gaussians
 
 from gof.errors import DataFormatError, GofError, NonFiniteError
 from gof.gaussians import TransientGaussians

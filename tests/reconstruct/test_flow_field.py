@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import arc
+from tests.conftest import arc
 
 from gof.reconstruct.flow_field import FUSIONS, back_projected_flow, fuse_frame
 from gof.reconstruct.voxels import FlameVoxels, carve

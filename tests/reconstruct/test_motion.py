@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from conftest import arc, write_dataset
+from tests.conftest import arc, write_dataset
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import arc, write_dataset
+from tests.conftest import arc, write_dataset
 
 from gof.dataset import Dataset
 from gof.errors import GofError, NonFiniteError

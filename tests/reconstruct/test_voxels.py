@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import arc
+from tests.conftest import arc
 
 from gof.errors import DataFormatError
 from gof.reconstruct.voxels import carve, flame_box, tomography
