@@ -202,12 +202,12 @@ def pareto_figures(rows: list[dict[str, Any]]) -> list[str]:
         figure.add_scatter(x=[points[i][0] for i in front], y=[points[i][1] for i in front], mode="lines", line={"color": "#e8772e", "shape": "hv"},
                            name="nobody is better and faster", hoverinfo="skip")
         figure.add_scatter(x=[p[0] for p in points], y=[p[1] for p in points], mode="markers+text", text=[r["name"] for r in shown],
-                           textposition="top center", marker={"size": 11, "color": "#1769aa"}, name="methods")
+                           textposition="top center", cliponaxis=False, marker={"size": 11, "color": "#1769aa"}, name="methods")
         constant = next((r for r in rows if r["control"] and r["name"].endswith("constant")), None)
         if constant and constant.get(key) is not None:
             figure.add_hline(y=constant[key], line={"dash": "dot", "color": "#777"}, annotation_text="one constant vector")
         arrow = "lower is better" if better < 0 else "higher is better"
-        figure.update_layout(template="plotly_white", height=380, margin={"l": 60, "r": 20, "t": 40, "b": 50}, showlegend=False,
+        figure.update_layout(template="plotly_white", height=380, margin={"l": 60, "r": 90, "t": 40, "b": 50}, showlegend=False,
                              title={"text": f"{heading} ({arrow})", "font": {"size": 15}})
         figure.update_xaxes(type="log", title="seconds to train")
         figure.update_yaxes(title=heading)
@@ -266,7 +266,7 @@ def main(argv: list[str]) -> int:
     console = Console()
     table = Table(title=config.title, title_justify="left")
     shown = [k for k in ("l2", "cos_sim", "psnr_flame", "ssim_flame", "train_s") if k in used_columns(rows)]
-    table.add_column("method")
+    table.add_column("method", no_wrap=True)
     for key in shown:
         table.add_column(COLUMNS[key][0], justify="right")
     for r in rows:
