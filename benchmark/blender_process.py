@@ -27,7 +27,7 @@ def command(stage: str, root: Path) -> list[str]:
 
 
 def run_stage(stage: str, root: Path) -> dict:
-    """Run a stage of the dataset in `root` to its end. Returns {"seconds", "peak_mb"}.
+    """Run a stage of the dataset in `root` to its end. Returns {"seconds", "cpu_s", "peak_mb"}.
 
     Raises:
         BlenderLost: it failed; the message holds its last lines.
@@ -39,7 +39,8 @@ def run_stage(stage: str, root: Path) -> dict:
         process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise BlenderLost(f"stage '{stage}' of {root} ended with status {process.returncode}:\n{_last_lines(log)}")
-    return {"seconds": time.perf_counter() - start, "peak_mb": usage.ru_maxrss / 1024}
+    seconds = time.perf_counter() - start
+    return {"seconds": seconds, "cpu_s": usage.ru_utime + usage.ru_stime, "peak_mb": usage.ru_maxrss / 1024}
 
 
 class Renderer:
@@ -57,7 +58,7 @@ class Renderer:
 
     @classmethod
     def render(cls, root: Path, frame: int, camera: int) -> dict:
-        """Render with an idle renderer of this process, or a new one. Returns {"seconds", "peak_mb"}.
+        """Render with an idle renderer of this process, or a new one. Returns {"seconds", "cpu_s", "peak_mb"}.
 
         Raises:
             BlenderLost: the Blender process died; the picture is not there.
@@ -87,7 +88,7 @@ class Renderer:
         except BrokenPipeError as error:
             raise self._lost() from error
         seconds, self._overhead = cost["seconds"] + self._overhead, 0.0  # the start-up counts with the first picture
-        return {"seconds": seconds, "peak_mb": cost["peak_mb"]}
+        return {"seconds": seconds, "cpu_s": cost["cpu_s"], "peak_mb": cost["peak_mb"]}
 
     def _answer(self) -> dict:
         line = self._process.stdout.readline()

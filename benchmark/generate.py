@@ -129,6 +129,7 @@ def settings_of(stage: str, spec: SceneSpec) -> dict:
                    "effects": spec.effect_names},
         "ground-truth": {"frames": frames, "resolution": spec.domain.resolution},
         "video": {"cameras": cameras},
+        "flow": {"images": frames * cameras},
         "finish": {},
     }[stage]  # fmt: skip
 

@@ -69,6 +69,7 @@ class Generation:
             # A bake that was cut off starts over, so that pictures may follow only a bake of this very run.
             self._simulate_and_render(fresh_bake=not self._layout.bake.exists())
             stages = ["video"] if any(map(_encodes, self._spec.effects)) else []
+            stages += ["flow"] if "flow" in self._spec.ground_truth else []
             for stage in [*stages, "finish"]:
                 self._submit(stage, run_stage, stage)
                 self._wait_for(lambda: not self._running)

@@ -1,15 +1,15 @@
 """Worker that generates one stage of a dataset in its own Blender process.
 
-    python -m blender_addon.generate --spec spec.json --out DATASET --stage bake|render|serve|video|ground-truth|finish
+    python -m blender_addon.generate --spec spec.json --out DATASET --stage STAGE
 
 Stages: ``bake`` builds scene.blend and simulates the fire; ``render`` makes plates and frames, ``serve`` likewise but
 only what it is asked for, and during the bake; ``video`` passes pictures through a codec; ``ground-truth`` exports
-velocity and what else the spec lists; ``finish`` writes dataset.json. Each resumes: what is finished is not made again.
+velocity and what else the spec lists, ``flow`` its optical flow; ``finish`` writes dataset.json. Each resumes: what is finished is not made again.
 One process per stage, because a second bake in the same process is unreliable and the wheel cannot exit normally after
 a bake.
 
 ``serve`` reads lines ``{"frame": 3, "camera": 0}`` from standard input and answers each with a line
-``{"rendered": {"frame": 3, "camera": 0, "seconds": 0.7, "peak_mb": 410.0}}``; it ends with its input.
+``{"rendered": {"frame": 3, "camera": 0, "seconds": 0.7, "cpu_s": 1.2, "peak_mb": 410.0}}``; it ends with its input.
 
 Progress goes to standard output as lines ``{"progress": {"stage": "render", "done": 3, "total": 108}}``;
 what Blender itself prints goes to DATASET/.cache/<stage>.log.
@@ -33,7 +33,7 @@ from .scene import effects
 from .spec import SceneSpec
 
 GENERATOR_VERSION = "0.1.0"
-STAGES = ("bake", "render", "serve", "video", "ground-truth", "finish")
+STAGES = ("bake", "render", "serve", "video", "ground-truth", "flow", "finish")
 TEST_EVERY, TEST_FIRST = 8, 4  # frames k with k % 8 == 4 are held out
 
 
@@ -99,9 +99,9 @@ def serve(spec: SceneSpec, layout: Layout, progress) -> None:
     renderer = cycles.FrameRenderer(spec, layout)
     progress.line(ready=True)
     for line in sys.stdin:
-        order, start = json.loads(line), time.perf_counter()
+        order, start, cpu = json.loads(line), time.perf_counter(), time.process_time()
         renderer(order["frame"], order["camera"])
-        cost = {"seconds": time.perf_counter() - start, "peak_mb": _peak_mb()}
+        cost = {"seconds": time.perf_counter() - start, "cpu_s": time.process_time() - cpu, "peak_mb": _peak_mb()}
         progress.line(rendered=order | cost)
 
 
@@ -119,12 +119,25 @@ def video(spec: SceneSpec, layout: Layout, progress) -> None:
 
 def ground_truth(spec: SceneSpec, layout: Layout, progress) -> None:
     _open_blend(layout)
-    from .scene import fire, velocity
+    from .scene import extra_truth, fire, velocity
 
     frames = [spec.blender_frame(frame) for frame in range(spec.clip.frames)]
     velocity.export_velocity(
         fire.find_domain(), frames, spec.steps_per_second, spec.clip.time_scale, layout.velocity, progress
     )
+    if "grids" in spec.ground_truth:
+        extra_truth.grids(spec, layout)
+    if "vdb" in spec.ground_truth:
+        extra_truth.vdb(spec, layout)
+
+
+def flow(spec: SceneSpec, layout: Layout, progress) -> None:
+    """Optical flow of every picture, if the spec lists it; needs the flame masks."""
+    if "flow" in spec.ground_truth:
+        _open_blend(layout)
+        from .scene import extra_truth
+
+        extra_truth.flow(spec, layout, progress)
 
 
 def finish(spec: SceneSpec, layout: Layout, progress) -> None:
@@ -162,9 +175,13 @@ def finish(spec: SceneSpec, layout: Layout, progress) -> None:
             "spec": spec.to_dict(),
             "effects": spec.effect_names,
             "time_s": [frame / spec.clip.fps for frame in range(spec.clip.frames)],
-            "cameras": [rig.describe(camera, spec) | layout.patterns(camera.name) for camera in rig.find(spec)],
+            "cameras": [
+                rig.describe(camera, spec) | layout.patterns(camera.name, "flow" in spec.ground_truth)
+                for camera in rig.find(spec)
+            ],
             "splits": {"train": [frame for frame in range(spec.clip.frames) if frame not in test], "test": test},
             "velocity": layout.velocity.name,
+            "ground_truth": list(spec.ground_truth),
             "scene": layout.blend.name,
             "display": spec.to_dict()["display"],
             "domain": {
@@ -192,8 +209,9 @@ def main(argv: list[str] | None = None) -> int:
     try:
         spec = scene_spec.load(args.spec)
         progress = Reporter(args.stage, layout.log(args.stage))
+        os.chdir(layout.hidden)  # Mantaflow leaves files where it runs
         run = {"bake": bake, "render": render, "serve": serve, "video": video, "ground-truth": ground_truth}
-        (run | {"finish": finish})[args.stage](spec, layout, progress)
+        (run | {"flow": flow, "finish": finish})[args.stage](spec, layout, progress)
     except scene_spec.SpecError as error:
         print(error, file=sys.stderr)
         return 2

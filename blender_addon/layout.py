@@ -26,6 +26,7 @@ class Layout:
         "exr": "cameras/{camera}/exr/{frame:06d}.exr",
         "mask": "cameras/{camera}/mask/{frame:06d}.png",
     }
+    FLOW = "cameras/{camera}/flow/{frame:06d}.exr"
     STATIC = "static/{camera}.png"
 
     @property
@@ -84,6 +85,15 @@ class Layout:
     def video(self, camera: str) -> Path:
         return self.root / "cameras" / camera / "video.mp4"
 
+    def flow(self, camera: str, frame: int) -> Path:
+        return self.root / self.FLOW.format(camera=camera, frame=frame)
+
+    def grid(self, quantity: str) -> Path:
+        return self.root / "grids" / f"{quantity}.zarr"
+
+    def vdb(self, frame: int) -> Path:
+        return self.root / "vdb" / f"{frame:06d}.vdb"
+
     def static(self, camera: str) -> Path:
         return self.root / self.STATIC.format(camera=camera)
 
@@ -91,8 +101,9 @@ class Layout:
         """The linear form of the plate, with its depth."""
         return self.static(camera).with_suffix(".exr")
 
-    def patterns(self, camera: str) -> dict[str, str]:
+    def patterns(self, camera: str, with_flow: bool = False) -> dict[str, str]:
         """File name patterns of a camera as written in dataset.json; ``{frame:06d}`` stays open."""
-        return {kind: pattern.replace("{camera}", camera) for kind, pattern in self.PATTERNS.items()} | {
+        kinds = self.PATTERNS | ({"flow": self.FLOW} if with_flow else {})
+        return {kind: pattern.replace("{camera}", camera) for kind, pattern in kinds.items()} | {
             "static": self.STATIC.format(camera=camera)
         }

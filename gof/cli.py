@@ -16,7 +16,7 @@ COMMANDS = {
     "evaluate": ("gof.evaluate.run", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with"),
     "convert": ("gof.io.convert", "any method's result -> .npz, .ply or .ftgs.ply in metres, seconds and m/s"),
     "leaderboard": ("gof.evaluate.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time"),
-    "study": ("gof.evaluate.study", "accuracy against time of the DVE's quadrature: table and plot"),
+    "study": ("benchmark.study", "accuracy against time, as tables and plots: of the DVE (dve), of the generator (generate)"),
     "import": ("benchmark.import_result", "result -> animated point cloud in a .blend, and a rendered preview"),
     "capture": ("gof.capture.run", "LED board control, sub-frame times from footage, camera calibration"),
     "report": ("gof.report", "pictures, animation, scores and costs on one self-contained HTML page"),

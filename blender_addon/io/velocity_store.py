@@ -1,8 +1,8 @@
-"""Writer of the ground-truth velocity: one chunked zarr v3 array, with numpy, json and gzip only.
+"""Writer of ground-truth grids over time: one chunked zarr v3 array, with numpy, json and gzip only.
 
-Layout (zarr core specification v3): array at the root, shape (T, X, Y, Z, 3), chunks (1, 64, 64, 64, 3), codecs
-bytes (little endian) + gzip, fill value 0; a chunk that is zero everywhere has no file. Attributes follow the
-dataset contract (`gof-velocity` version 1).
+Layout (zarr core specification v3): array at the root, shape (T, X, Y, Z, 3) for velocity and (T, X, Y, Z) for scalars,
+chunks of one frame and 64 cells a side, codecs bytes (little endian) + gzip, fill value 0; a chunk that is zero
+everywhere has no file. Attributes follow the dataset contract (`gof-velocity` or `gof-grid`, version 1).
 
 The array grows in `<path>.partial`. A frame is finished when its marker exists, so a killed export goes on with the
 next frame; `finish` writes the final attributes and renames the folder, so `<path>` itself is always complete.
@@ -27,9 +27,17 @@ GZIP_LEVEL = 5
 
 Block = tuple[slice, slice, slice]
 
+VELOCITY = {"schema": "gof-velocity", "version": 1, "units": "m/s", "frame": "world", "layout": "cell_centred"}
+"""Attributes that say what a velocity store holds."""
+
+
+def scalar(quantity: str, units: str = "1") -> dict:
+    """Attributes that say what a scalar store holds."""
+    return {"schema": "gof-grid", "version": 1, "quantity": quantity, "units": units, "layout": "cell_centred"}
+
 
 class VelocityWriter:
-    """Resumable writer of one velocity array.
+    """Resumable writer of one array of velocity, or of a scalar.
 
     Args:
         path: the finished folder, by custom `velocity.zarr`.
@@ -38,6 +46,7 @@ class VelocityWriter:
         time_s: (T,) seconds on the dataset clock, strictly increasing.
         voxel_size: edge of a cell, m.
         dtype: "float16" or "float32".
+        content: attributes of what is stored, VELOCITY or scalar(...).
 
     Raises:
         FileFormatError: the path, or an interrupted export beside it, holds something else than this very array.
@@ -45,12 +54,13 @@ class VelocityWriter:
     """
 
     def __init__(self, path: str | Path, grid: tuple[int, int, int], index_to_world: np.ndarray, time_s: np.ndarray,
-                 voxel_size: float, dtype: str = "float16"):
+                 voxel_size: float, dtype: str = "float16", content: dict = VELOCITY):
         self.path = Path(path)
         self.grid = tuple(int(n) for n in grid)
         self.dtype = np.dtype(dtype).newbyteorder("<")
+        self._components = (3,) if content is VELOCITY else ()
         self._check_arguments(index_to_world, time_s, voxel_size)
-        self._description = array_description(self.grid, index_to_world, time_s, voxel_size, self.dtype.name)
+        self._description = array_description(self.grid, index_to_world, time_s, voxel_size, self.dtype.name, content)
         self._partial = self.path.with_name(self.path.name + ".partial")
         self._markers = self._partial / "finished_frames"
         self.finished = self._same_array(self.path)
@@ -67,8 +77,8 @@ class VelocityWriter:
 
         Args:
             frame: index in [0, T).
-            block: called with three slices (x, y, z), returns (a, b, c, 3) velocities in m/s, world axes; for an
-                array v in memory that is `v.__getitem__`.
+            block: called with three slices (x, y, z), returns (a, b, c, 3) velocities in m/s, world axes, or
+                (a, b, c) scalars; for an array v in memory that is `v.__getitem__`.
 
         Raises:
             ValueError: a velocity is not finite or does not fit the dtype; the frame is left unfinished.
@@ -83,9 +93,9 @@ class VelocityWriter:
                 largest_error = max(largest_error, float(np.abs(stored.astype(np.float64) - exact).max()))
             if stored.any():
                 # Chunks at the upper border are full size too (zarr), padded with the fill value.
-                full = np.zeros((CHUNK, CHUNK, CHUNK, 3), self.dtype)
+                full = np.zeros((CHUNK, CHUNK, CHUNK, *self._components), self.dtype)
                 full[tuple(slice(0, n) for n in stored.shape[:3])] = stored
-                name = self._partial.joinpath("c", str(frame), *map(str, index), "0")
+                name = self._partial.joinpath("c", str(frame), *map(str, index), *("0" for _ in self._components))
                 _write_atomically(name, gzip.compress(full.tobytes(), GZIP_LEVEL, mtime=0))
         _write_atomically(self._marker(frame), json.dumps({"max_abs_error": largest_error}).encode())
 
@@ -158,22 +168,22 @@ class VelocityWriter:
 
 
 def array_description(grid: tuple[int, int, int], index_to_world: np.ndarray, time_s: np.ndarray, voxel_size: float,
-                      dtype: str) -> dict:
+                      dtype: str, content: dict = VELOCITY) -> dict:
     """The zarr.json of the array without `storage_max_abs_error`, which is known at the end."""
+    components = [3] if content is VELOCITY else []
     return {
         "zarr_format": 3,
         "node_type": "array",
-        "shape": [len(time_s), *grid, 3],
+        "shape": [len(time_s), *grid, *components],
         "data_type": dtype,
-        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1, CHUNK, CHUNK, CHUNK, 3]}},
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1, CHUNK, CHUNK, CHUNK, *components]}},
         "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
         "fill_value": 0.0,
         "codecs": [{"name": "bytes", "configuration": {"endian": "little"}},
                    {"name": "gzip", "configuration": {"level": GZIP_LEVEL}}],
-        "dimension_names": ["time", "x", "y", "z", "component"],
+        "dimension_names": ["time", "x", "y", "z", *("component" for _ in components)],
         "attributes": {
-            "schema": "gof-velocity", "version": 1, "units": "m/s", "frame": "world", "layout": "cell_centred",
-            "index_to_world": np.asarray(index_to_world, float).tolist(), "voxel_size": float(voxel_size),
+            **content, "index_to_world": np.asarray(index_to_world, float).tolist(), "voxel_size": float(voxel_size),
             "time_s": np.asarray(time_s, float).tolist(),
         },
     }

@@ -42,6 +42,15 @@ def write_exr(path: Path, beauty: np.ndarray, depth: np.ndarray, flame: np.ndarr
     _write(path, spec, pixels)
 
 
+def write_flow_exr(path: Path, flow: np.ndarray, weight: np.ndarray) -> None:
+    """Write optical flow (H, W, 2) in pixels per frame, right and down, and its weight (H, W), as float, atomically."""
+    pixels = np.concatenate([flow, weight[..., None]], axis=-1).astype(np.float32)
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, oiio.FLOAT)
+    spec.channelnames = ("flow.X", "flow.Y", "weight")
+    spec.attribute("compression", "zip")
+    _write(path, spec, pixels)
+
+
 def write_mask_png(path: Path, mask: np.ndarray) -> None:
     """Write an (H, W) boolean mask as 8-bit grey, 255 where true, atomically."""
     spec = oiio.ImageSpec(mask.shape[1], mask.shape[0], 1, oiio.UINT8)

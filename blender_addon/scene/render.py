@@ -93,6 +93,7 @@ class FrameRenderer:
     """
 
     def __init__(self, spec: SceneSpec, layout: Layout):
+        configure(spec)  # the spec's word counts, whatever scene.blend was saved with
         self._spec, self._layout, self._cameras = spec, layout, rig.find(spec)
         self._plate = {camera.name: images.read_exr(layout.static_exr(camera.name)) for camera in self._cameras}
         self._adds_light = not any(effects.absorbs_light(settings) for settings in spec.effects)

@@ -47,7 +47,7 @@ def through_codec(spec: SceneSpec, layout: Layout, camera: str, settings: Settin
     scene.render.image_settings.color_mode = "RGB"
     for frame, path in zip(frames, finished, strict=True):
         scene.frame_set(frame + 1)
-        draft = images.temporary(path)
+        draft = path.with_name(f".tmp-decoded-{path.name}")
         scene.render.filepath = str(draft)
         bpy.ops.render.render(write_still=True, scene=scene.name)
         images.write_png(path, images.read_png(draft)[:height, :width])

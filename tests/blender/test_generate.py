@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from runs import TOY, channels, in_blender
+from tests.blender.runs import TOY, channels, in_blender
 
 from benchmark import generate
 from blender_addon import spec as scene_spec

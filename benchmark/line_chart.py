@@ -1,0 +1,57 @@
+"""A small line chart as SVG text: logarithmic axes, one line per series."""
+
+from __future__ import annotations
+
+import math
+from html import escape
+from pathlib import Path
+
+from gof.io.files import atomic_path
+
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 560, 340, 70, 20, 34, 52
+COLOURS = ("#c2410c", "#1d4ed8", "#15803d", "#7e22ce")
+
+
+def write(path: Path, title: str, x_label: str, y_label: str, series: dict[str, list[tuple[float, float, str]]]) -> None:
+    """Write a chart; a point is (x, y, label), x and y > 0 (others are left out)."""
+    series = {name: [p for p in points if p[0] > 0 and p[1] > 0] for name, points in series.items()}
+    everything = [point for points in series.values() for point in points]
+    x_low, x_high = _range([p[0] for p in everything])
+    y_low, y_high = _range([p[1] for p in everything])
+
+    def place(x: float, y: float) -> tuple[float, float]:
+        across = (math.log10(x) - x_low) / (x_high - x_low)
+        up = (math.log10(y) - y_low) / (y_high - y_low)
+        return LEFT + across * (WIDTH - LEFT - RIGHT), HEIGHT - BOTTOM - up * (HEIGHT - TOP - BOTTOM)
+
+    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="sans-serif" font-size="12">',
+             f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/>',
+             f'<text x="{LEFT}" y="20" font-size="14" font-weight="bold">{escape(title)}</text>',
+             f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 10}" text-anchor="middle">{escape(x_label)}</text>',
+             f'<text transform="translate(16 {HEIGHT / 2}) rotate(-90)" text-anchor="middle">{escape(y_label)}</text>']  # fmt: skip
+    for value in _ticks(x_low, x_high):
+        x, _ = place(value, 10**y_low)
+        parts.append(f'<path d="M{x:.1f} {TOP}V{HEIGHT - BOTTOM}" stroke="#ddd"/><text x="{x:.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{value:g}</text>')
+    for value in _ticks(y_low, y_high):
+        _, y = place(10**x_low, value)
+        parts.append(f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="#ddd"/><text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>')
+    for index, (name, points) in enumerate(series.items()):
+        colour, at = COLOURS[index % len(COLOURS)], [place(p[0], p[1]) for p in points]
+        line = " ".join(f"{x:.1f},{y:.1f}" for x, y in at)
+        parts.append(f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="2"/>')
+        for (x, y), point in zip(at, points, strict=True):
+            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/><text x="{x + 6:.1f}" y="{y - 6:.1f}" fill="{colour}">{escape(point[2])}</text>')
+        parts.append(f'<text x="{WIDTH - RIGHT}" y="{TOP + 14 + 15 * index}" text-anchor="end" fill="{colour}">{escape(name)}</text>')
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join([*parts, "</svg>"]) + "\n")
+
+
+def _range(values: list[float]) -> tuple[float, float]:
+    """Limits of a logarithmic axis (powers of ten as real numbers), with some room."""
+    low, high = math.log10(min(values, default=1.0)), math.log10(max(values, default=10.0))
+    room = max(0.06 * (high - low), 0.05)
+    return low - room, high + room
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    return [m * 10.0**e for e in range(math.floor(low), math.ceil(high) + 1) for m in (1, 2, 5) if low <= math.log10(m) + e <= high]

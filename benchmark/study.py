@@ -1,0 +1,24 @@
+"""`gof study WHAT`: accuracy against time of one part of the software."""
+
+from __future__ import annotations
+
+import importlib
+
+from gof.errors import GofError
+
+STUDIES = {"dve": "gof.evaluate.study", "generate": "benchmark.generate_study"}
+
+
+def main(argv: list[str]) -> int:
+    """Run the study that the first argument names; each explains itself with --help.
+
+    Raises:
+        GofError: no study of that name.
+    """
+    if not argv or argv[0] not in STUDIES:
+        if argv and argv[0] in ("-h", "--help"):
+            print(f"usage: gof study {{{','.join(STUDIES)}}} [OPTIONS]\n\n{__doc__}")
+            return 0
+        raise GofError(f"name what to study: gof study {{{','.join(STUDIES)}}}")
+    # The DVE study takes its own name as an argument.
+    return importlib.import_module(STUDIES[argv[0]]).main(argv if argv[0] == "dve" else argv[1:]) or 0

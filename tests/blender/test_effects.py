@@ -1,0 +1,278 @@
+"""Effects on real bakes and renders, all in two toy runs; what a sensor does, without Blender."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.blender.runs import TOY, channels, in_blender
+
+from benchmark import generate
+from blender_addon import spec as scene_spec
+from blender_addon.layout import Layout
+from blender_addon.scene import effects
+from blender_addon.scene.effects import (
+    clock,
+    exposure,
+    fine_noise,
+    motion_blur,
+    moving_emitter,
+    obstacles,
+    rolling_shutter,
+    sensor_noise,
+    video_compression,
+)
+from gof.dataset import Dataset
+
+pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
+CLIP = replace(TOY.clip, frames=3, fps=50.0, warm_up_frames=6)
+
+
+def run(spec, folder: Path) -> Layout:
+    scene_spec.save(spec, folder / "spec.json")
+    generate.main([str(folder / "spec.json"), "--out", str(folder / "data")])
+    return Layout(folder / "data")
+
+
+@pytest.fixture(scope="module")
+def camera_run(tmp_path_factory) -> Layout:
+    """Everything that happens in a camera, at once."""
+    listed = (motion_blur.Settings(0.5), rolling_shutter.Settings(0.01), clock.Settings(0.003), exposure.Settings(0.5),
+              sensor_noise.Settings(), video_compression.Settings("lossless"))  # fmt: skip
+    spec = replace(TOY, clip=CLIP, effects=listed, cameras=replace(TOY.cameras, count=2, eval_count=1))
+    return run(spec, tmp_path_factory.mktemp("camera"))
+
+
+@pytest.fixture(scope="module")
+def gas_run(tmp_path_factory) -> Layout:
+    """Everything that happens in the gas: noise, an obstacle, a swinging burner."""
+    ball = obstacles.Obstacle("box", (0.0, 0.0, 0.7), (0.48, 0.48, 0.3))
+    listed = (fine_noise.Settings(), obstacles.Settings((ball,)), moving_emitter.Settings(0.1, 0.4))
+    domain = replace(TOY.domain, resolution=24)
+    spec = replace(TOY, clip=replace(CLIP, warm_up_frames=22), domain=domain, effects=listed, ground_truth=("grids", "flow", "vdb"))
+    return run(spec, tmp_path_factory.mktemp("gas"))
+
+
+def test_grids_flow_and_vdb_are_written_when_listed(gas_run, camera_run):
+    zarr = pytest.importorskip("zarr")
+    flame = zarr.open_array(str(gas_run.grid("flame")), mode="r")
+    field = Dataset.open(gas_run.root).velocity.at(0.04)
+    assert flame.shape == (3, *field.velocity.shape[:3]) and 0.2 < flame[2].max() <= 1.01
+    z = (flame[2].sum((0, 1)) * np.arange(flame.shape[3])).sum() / flame[2].sum() * field.index_to_world[2, 2]
+    assert 0.05 < z < 0.6, "the flame burns between burner and obstacle"
+    assert zarr.open_array(str(gas_run.grid("heat")), mode="r")[2].max() > 0.1
+    flow = channels(gas_run.flow("cam_1", 2))
+    mask = Dataset.open(gas_run.root).mask(1, 2) > 0
+    assert set(flow) == {"flow.X", "flow.Y", "weight"} and not flow["weight"][~mask].any()
+    assert flow["flow.Y"][mask].mean() < -0.2, "flames rise"
+    found = in_blender(
+        """
+        import numpy as np
+        from blender_addon.scene import images  # puts Blender's own Python packages on the path
+        import openvdb
+        grids, _ = openvdb.readAll(sys.argv[1])
+        for grid in grids:
+            value = np.zeros((19, 19, 24) + ((3,) if "Vec3" in type(grid).__name__ else ()), np.float32)
+            result[grid.name] = [list(grid.transform.indexToWorld((0, 0, 0))), list(grid.transform.indexToWorld((1, 2, 3)))]
+            if grid.name == "velocity":
+                inside = np.zeros((6, 6, 12, 3), np.float32)
+                grid.copyToArray(inside, ijk=(3, 3, 0))
+                result["values"] = inside.tolist()
+        bpy.ops.object.volume_import(filepath=sys.argv[1])
+        volume = bpy.context.object.data
+        volume.grids.load()
+        result["blender"] = sorted(grid.name for grid in volume.grids)
+    """,
+        gas_run.vdb(2),
+    )
+    cell = field.index_to_world[0, 0]
+    np.testing.assert_allclose(found["velocity"], field.index_to_world[:3, 3] + [[cell / 2] * 3, [1.5 * cell, 2.5 * cell, 3.5 * cell]], atol=1e-5)
+    np.testing.assert_allclose(found["values"], field.velocity[3:9, 3:9, :12].astype(float), atol=5e-3)
+    assert {"flame", "heat", "velocity"} <= set(found["blender"])
+    assert not (camera_run.root / "grids").exists() and not (camera_run.root / "vdb").exists(), "only where listed"
+
+
+def test_cameras_record_when_they_saw(camera_run):
+    meta = json.loads(camera_run.description.read_text())
+    assert [camera["role"] for camera in meta["cameras"]] == ["train", "train", "eval"]
+    lines = meta["cameras"][0]["width"]  # portrait: sensor rows are columns
+    for camera in meta["cameras"]:
+        assert camera["row_time_s"] == pytest.approx(0.01 / lines) and camera["exposure_s"] == pytest.approx(0.5 / 50)
+        offset = np.subtract(camera["time_s"], meta["time_s"])
+        np.testing.assert_allclose(offset, offset[0], atol=1e-12)
+        assert 0 < abs(offset[0]) < 0.01
+    assert len(Dataset.open(camera_run.root).cameras) == 2, "evaluation cameras are not trained on"
+
+
+def test_lines_are_the_weighted_sum_of_the_steps_they_see(camera_run):
+    found = in_blender(
+        """
+        import numpy as np
+        from pathlib import Path
+        from blender_addon import shutter, spec as scene_spec
+        from blender_addon.layout import Layout
+        from blender_addon.scene import render
+        mantaflow.enable()
+        layout = Layout(Path(sys.argv[1]))
+        spec = scene_spec.load(layout.spec)
+        bpy.ops.wm.open_mainfile(filepath=str(layout.blend))
+        renderer = render.FrameRenderer(spec, layout)
+        frame, camera = 1, 0
+        beauty, flame = renderer._light(frame, camera)
+        first, weights = shutter.step_weights(spec, camera, frame)
+        bpy.context.scene.render.use_border = False
+        total = 0.0
+        for step, weight in enumerate(weights):
+            render._go_to(spec.blender_frame(frame) + first + step)
+            whole = render._flame(render._render(renderer._cameras[camera], layout.hidden / "shot.exr"))
+            total = total + whole * weight[None, ::-1, None]  # a sensor rolled by 90 degrees reads columns right to left
+            result[f"step {step}"] = float(whole.mean())
+        result["error"], result["largest"], result["steps"] = float(abs(total - flame).max()), float(flame.max()), len(weights)
+    """,
+        camera_run.root,
+    )
+    assert found["steps"] >= 4 and found["largest"] > 0.5
+    assert len({found[f"step {step}"] for step in range(found["steps"])}) == found["steps"], "every step is another instant"
+    assert found["error"] < 0.02 * found["largest"]
+
+
+def test_pictures_went_through_a_codec_and_light_did_not(camera_run):
+    stages = {stage["name"] for stage in json.loads(camera_run.costs.read_text())["stages"]}
+    assert stages == {"bake", "render", "video", "ground-truth", "finish"}
+    import cv2
+
+    for name in ("cam_0", "eval_0"):
+        assert camera_run.video(name).stat().st_size > 500
+        # Even a "lossless" video halves the resolution of colour; grey values stay.
+        decoded = [cv2.imread(str(camera_run.frame(name, k).rgb), cv2.IMREAD_GRAYSCALE).astype(float) for k in range(3)]
+        before = [cv2.imread(str(camera_run.uncompressed(name, k)), cv2.IMREAD_GRAYSCALE).astype(float) for k in range(3)]
+        errors = np.array([[np.abs(a - b).mean() for b in before] for a in decoded])
+        assert 0 < np.diag(errors).max() < 3, "changed, and by little"
+        assert (errors.argmin(1) == range(3)).all(), "frames keep their place"
+        assert np.isfinite(channels(camera_run.frame(name, 1).exr)["R"]).all()
+
+
+def test_exposure_and_noise_follow_their_laws():
+    spec = replace(TOY, effects=(exposure.Settings(spread_ev=0.5),))
+    light = np.full((40, 50, 3), 0.3, np.float32)
+    stops = [exposure.stops(spec.effects[0], spec, camera, 0) for camera in range(3)]
+    assert len(set(stops)) == 3
+    np.testing.assert_allclose(effects.expose(light, spec, 1, 0), light * 2 ** stops[1], rtol=1e-6)
+    noisy = replace(TOY, effects=(sensor_noise.Settings(electrons=1000, read_noise=5),))
+    seen = effects.expose(light, noisy, 0, 0)
+    assert seen.mean() == pytest.approx(0.3, rel=0.01)
+    assert seen.std() == pytest.approx(np.sqrt(300 + 25) / 1000, rel=0.05)
+    np.testing.assert_array_equal(seen, effects.expose(light, noisy, 0, 0))
+    assert (seen != effects.expose(light, noisy, 0, 1)).any()
+    dark = effects.expose(np.array([[[-1.0, 0.0, 0.0]]]), noisy, 0, 0)
+    assert np.isfinite(dark).all() and (dark >= 0).all()
+
+
+def test_gas_flows_around_an_obstacle(gas_run):
+    field = Dataset.open(gas_run.root).velocity.at(0.04)
+    speed = np.linalg.norm(field.velocity.astype(float), axis=-1)
+    centres = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in speed.shape), indexing="ij"), -1)
+    world = centres @ field.index_to_world[:3, :3].T + field.index_to_world[:3, 3]
+    cell = field.index_to_world[2, 2]
+    inside = (np.abs(world - [0, 0, 0.7]) < np.array([0.24, 0.24, 0.15]) - 1.5 * cell).all(-1)
+    assert inside.any()
+    moving = speed.max()
+    assert moving > 0.3
+    assert speed[inside].max() < 0.02 * moving, "nothing flows in the solid"
+    below = (np.abs(world[..., :2]) < 0.15).all(-1) & (np.abs(world[..., 2] - 0.55 - 0.5 * cell) < 0.51 * cell)
+    beside = (np.abs(world[..., :2]) < 0.15).all(-1) & (np.abs(world[..., 2] - 0.35) < 0.51 * cell)
+    upwards = np.abs(field.velocity[..., 2].astype(float))
+    assert upwards[below].mean() < 0.35 * upwards[beside].mean(), "no flow through its lower face"
+
+
+def test_noise_and_motion_reach_the_bake_and_nothing_else_does(gas_run, camera_run):
+    assert list((gas_run.bake / "noise").glob("*")), "the detail is simulated"
+    assert not list((camera_run.bake / "noise").glob("*")), "and only where it is listed"
+    found = in_blender(
+        """
+        import numpy as np
+        from blender_addon.scene import fire
+        mantaflow.enable()
+        bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+        for frame in (1, 6):
+            bpy.context.scene.frame_set(frame)
+            result[str(frame)] = list(bpy.data.objects["Fire Emitter"].matrix_world.translation)
+        result["noise"] = fire.find_domain().modifiers["Fluid"].domain_settings.use_noise
+    """,
+        gas_run.blend,
+    )
+    assert found["noise"]
+    np.testing.assert_allclose(np.subtract(found["6"], found["1"]), [0.1, 0, 0], atol=1e-4)  # a quarter of the period
+
+
+FOREIGN = """
+import sys, bpy, math
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+scene.unit_settings.scale_length = 0.01  # drawn in centimetres
+marker = bpy.data.objects.new("Hearth", None)
+marker.location, marker.rotation_euler = (200.0, 100.0, 50.0), (0, 0, math.pi / 2)
+scene.collection.objects.link(marker)
+def box(name, location, size, parent=None):
+    bpy.ops.mesh.primitive_cube_add(size=1, location=location)
+    thing = bpy.context.object
+    thing.name, thing.scale, thing.parent = name, size, parent
+    return thing
+box("Wall", (0, 100, 100), (10, 600, 400))
+box("Floor", (200, 100, 45), (900, 900, 10))
+lamp_post = box("Post", (0, 0, 0), (5, 5, 5))
+child = box("Child", (0, 20, 0), (2, 2, 2), lamp_post)
+lamp_post.location = (250, 100, 60)
+screen = box("Screen", (10, 25, 90), (2, 40, 40))
+glow = bpy.data.materials.new("Glow")
+glow.use_nodes = True
+glow.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = 3.0
+screen.data.materials.append(glow)
+lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+lamp.data.energy, lamp.location = 3e6, (400, 0, 300)
+scene.collection.objects.link(lamp)
+scene.collection.objects.link(bpy.data.objects.new("Their Camera", bpy.data.cameras.new("c")))
+bpy.context.view_layer.update()
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+"""
+
+
+def test_a_users_blend_file_is_the_background(tmp_path):
+    from blender_addon.records import SpecError
+    from blender_addon.spec import BlendFile
+
+    subprocess.run([sys.executable, "-c", FOREIGN, str(tmp_path / "room.blend")], check=True, capture_output=True)
+    spec = replace(TOY, clip=CLIP, background="blend_file", blend_file=BlendFile("room.blend", "Hearth"))
+    layout = run(spec, tmp_path)
+    found = in_blender(
+        """
+        bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+        for name in ("Wall", "Post", "Child"):
+            result[name] = [list(row) for row in bpy.data.objects[name].matrix_world]
+        result["lamp"] = bpy.data.objects["Lamp"].data.energy
+        result["cameras"] = sorted(o.name for o in bpy.data.objects if o.type == "CAMERA")
+        result["scenes"] = len(bpy.data.scenes)
+    """,
+        layout.blend,
+    )
+    # The empty is the origin, its X axis (their +Y) is ours, and centimetres are metres.
+    np.testing.assert_allclose(np.array(found["Wall"])[:3, 3], [0.0, 2.0, 0.5], atol=1e-5)
+    np.testing.assert_allclose(np.array(found["Post"])[:3, 3], [0.0, -0.5, 0.1], atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(np.array(found["Wall"])[:3, :3], axis=0), [0.1, 6.0, 4.0], rtol=1e-5)
+    assert np.linalg.norm(np.array(found["Child"])[:3, 3] - np.array(found["Post"])[:3, 3]) == pytest.approx(1.0, rel=0.01)
+    assert found["lamp"] == pytest.approx(300.0) and found["cameras"] == ["cam_0", "cam_1", "cam_2"] and found["scenes"] == 1
+    frame, plate = channels(layout.frame("cam_1", 2).exr), channels(layout.static_exr("cam_1"))
+    depth = frame["Z"][frame["Z"].shape[0] // 2, frame["Z"].shape[1] // 2]
+    assert depth == pytest.approx(2.8 + 1.95 / np.cos(np.arctan2(0.15, 2.8)), rel=0.03), "the wall is where it should be"
+    # The screen shines in the picture once, from the plate, and is not flame.
+    lit = plate["R"] > 2.0
+    assert lit.any() and frame["flame.R"][lit].max() < 0.05
+    assert np.median(frame["R"][lit] / plate["R"][lit]) < 1.05
+    broken = replace(spec, blend_file=BlendFile(str(tmp_path / "room.blend"), "Nowhere"))
+    with pytest.raises(generate.GofError, match="its empties: Hearth"):
+        (tmp_path / "broken").mkdir()
+        run(broken, tmp_path / "broken")
+    assert issubclass(SpecError, ValueError)
