@@ -33,7 +33,7 @@ SWEEPS: dict[str, list] = {
 
 def measure(shot: SyntheticShot, template: BoardTemplate, frames: int = 96, codec: str | None = None,
             options: DecodeOptions | None = None) -> dict[str, float]:
-    """Render, decode, compare.
+    """Render, decode, compare. `codec`: None, an OpenCV four-letter code, or "jpeg Q" for single pictures of that quality.
 
     Returns:
         rms error in us of fused and of single-frame times (bias included), bias, error of row time and exposure, seconds.
@@ -41,15 +41,16 @@ def measure(shot: SyntheticShot, template: BoardTemplate, frames: int = 96, code
         GofError: not decodable.
     """
     truth = shot.times(frames)
-    if codec:
+    if codec and not codec.startswith("jpeg"):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / ("shot.avi" if codec == "FFV1" else "shot.mp4")
             write_video(path, render(shot, template, frames), codec)
             start = time.perf_counter()
             signals = read_signals(path, template)
     else:
-        start = time.perf_counter()
         pictures = list(render(shot, template, frames))
+        if codec:
+            pictures = [_jpeg(p, int(codec.split()[1])) for p in pictures]
         start = time.perf_counter()
         summary = Summary()
         for picture in pictures:
@@ -59,6 +60,12 @@ def measure(shot: SyntheticShot, template: BoardTemplate, frames: int = 96, code
         signals = make_signals(np.stack(strips), np.stack(leds), (shot.width, shot.height), board)
     times = decode(signals, template, options or DecodeOptions(shot.period))
     return errors(times, truth, shot) | {"seconds": time.perf_counter() - start}
+
+
+def _jpeg(picture: np.ndarray, quality: int) -> np.ndarray:
+    import cv2
+
+    return cv2.imdecode(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_GRAYSCALE)
 
 
 def errors(times: CameraTimes, truth: np.ndarray, shot: SyntheticShot) -> dict[str, float]:
@@ -81,7 +88,7 @@ class AccuracyConfig:
     frames: int = 96
     """Frames per case."""
     codec: bool = True
-    """Also table compressed footage (MPEG-4)."""
+    """Also table compressed footage (MPEG-4, JPEG)."""
     json: Path | None = None
     """Also write the figures to this file."""
 
@@ -95,6 +102,7 @@ def main(argv: list[str]) -> int:
     if config.codec:
         rows += [[name, value, "mp4v"] for name, value in
                  [("default", ""), ("exposure", 300.0), ("exposure", 2200.0), ("marker_px", 40.0), ("noise", 10.0), ("gain", 0.8)]]
+        rows += [["default", "", "jpeg 30"], ["default", "", "jpeg 10"], ["marker_px", 40.0, "jpeg 10"]]
     lines = ["| varied | value | codec | fused rms (us) | single frame rms (us) | bias (us) | frames left out |",
              "|---|---|---|---|---|---|---|"]
     figures = []

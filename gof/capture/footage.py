@@ -10,7 +10,7 @@ import numpy as np
 from gof.errors import DataFormatError
 
 
-def frames(path: Path, limit: int | None = None) -> Iterator[np.ndarray]:
+def frames(path: Path) -> Iterator[np.ndarray]:
     """Frames of a video as (H, W, 3) uint8 BGR, in file order.
 
     Raises:
@@ -23,7 +23,7 @@ def frames(path: Path, limit: int | None = None) -> Iterator[np.ndarray]:
     video = cv2.VideoCapture(str(path))
     try:
         count = 0
-        while limit is None or count < limit:
+        while True:
             ok, frame = video.read()
             if not ok:
                 break
@@ -47,7 +47,12 @@ def nominal_fps(path: Path) -> float | None:
 
 def white(frame: np.ndarray) -> np.ndarray:
     """(H, W) uint8: the smallest colour channel."""
-    return frame if frame.ndim == 2 else frame.min(axis=2)
+    import cv2
+
+    if frame.ndim == 2:
+        return frame
+    blue, green, red = cv2.split(frame)
+    return cv2.min(cv2.min(blue, green), red)
 
 
 def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:

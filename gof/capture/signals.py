@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -31,20 +32,24 @@ class Signals:
     board: BoardInImage
 
 
-def read_signals(video: Path, template: BoardTemplate, locate_frames: int = 160, progress=None) -> Signals:
-    """Find the board in the first `locate_frames` frames, then sample all frames. Memory does not grow with the picture
-    size times the length.
+def read_signals(video: Path, template: BoardTemplate, locate_frames: int = 160, memory: int = 2**28, progress=None) -> Signals:
+    """Read a video once: find the board in the first `locate_frames` frames (fewer when they would not fit in `memory`
+    bytes), then sample those and all that follow.
 
     Raises:
         BoardNotFound, DataFormatError: see `locate` and `frames`.
     """
-    summary = Summary()
-    for frame in frames(video, locate_frames):
+    summary, held = Summary(), []
+    stream = frames(video)
+    for frame in stream:
         summary.add(frame)
+        held.append(white(frame))
+        if len(held) >= locate_frames or (len(held) + 1) * held[0].nbytes > memory:
+            break
     board = locate(summary, template)
     strips, leds = [], []
-    for count, frame in enumerate(frames(video), 1):
-        strip, led = sample_frame(white(frame), board)
+    for count, image in enumerate(chain(held, map(white, stream)), 1):
+        strip, led = sample_frame(image, board)
         strips.append(strip)
         leds.append(led)
         if progress and count % 64 == 0:

@@ -141,9 +141,11 @@ def fit(value: np.ndarray, usable: np.ndarray, delay_position: np.ndarray, axis:
         # Lit and dark levels per point: frames rarely show a point both fully lit and fully dark.
         model = _evaluate(curve, s_at, (line if steady else time)[:, None] + row_time * x, period)[0]
         value[:, s_at, j_at] = _relevel(raw[:, s_at, j_at], model)
-    slots, faults = _wiring(curve, usable, slot, period)
+    slots, faults = _wiring(curve, usable, slot)
     shift, centre_error = _anchor(curve, slots, usable, period)
     time = time - shift
+    bins = curve.shape[1]
+    curve = np.stack([np.interp((np.arange(bins) + shift * bins / period) % bins, np.arange(bins), c, period=bins) for c in curve])
     scatter = np.sqrt(np.mean(sigma**2)) or 1.0
     about_line = robust_scale(time - robust_line(index, time, sigma)[0]) if steady and T >= 3 else scatter
     return StripFit(time, sigma * max(1.0, about_line / scatter), row_time, axis, curve, centre_error,
@@ -280,7 +282,7 @@ def _edges(curve, period):
     return tuple((cross(int(i)) + start) * period / bins for i in (ups[longest], downs[longest]))
 
 
-def _wiring(curve, usable, slot, period):
+def _wiring(curve, usable, slot):
     """Which slots each strip is lit in, and faults in words."""
     alive = usable.sum(1) >= 8
     faults = [f"strip {slot[s]} does not flicker: dead, stuck or hidden" for s in np.flatnonzero(~alive)]
