@@ -18,6 +18,7 @@ from gof.fields import CHUNK, VelocityField, VelocitySequence
 EDGE = CHUNK + 1
 POOL_BYTES = 1 << 30  # larger pools are worked through in parts
 FAR = 1e6  # cells, exact in float32; what is farther out is put here, where no node of a sane Gaussian reaches the grid
+FEW = 4  # chunks of a grid so small that finding out which are touched takes longer than reading them all
 MARGIN = 2  # cells around what is asked for: the upper corners, and the stencil of `phase_spread`
 
 
@@ -75,7 +76,7 @@ class StoredField:
         coordinate = np.clip(index[inside] - 0.5, 0, np.array(self.resolution) - 1)
         low = coordinate.astype(np.int64)
         fraction = (coordinate - low).astype(np.float32)
-        pool = pool_of(self, low, low)
+        pool = pool_of(self, touched_chunks(self, low, low))
         brick, local = np.divmod(low, CHUNK)
         slot = pool.table[tuple(brick.T)]
         step = (low + 1 < self.resolution).astype(np.int64)
@@ -112,6 +113,8 @@ def touched_chunks(field: VelocityField | StoredField, low: np.ndarray, high: np
     """(bricks per axis) bool: the chunks that any of the cell ranges low..high, (M, 3) whole numbers, reaches into."""
     size = np.array(field.resolution)
     bricks = -(-size // CHUNK)
+    if bricks.prod() <= FEW:
+        return np.ones(bricks, bool)
     meets = ((high + MARGIN >= 0) & (low - MARGIN < size)).all(1)
     first = np.clip(low[meets] - MARGIN, 0, size - 1).astype(np.int64) // CHUNK
     after = np.clip(high[meets] + MARGIN, 0, size - 1).astype(np.int64) // CHUNK + 1
@@ -126,9 +129,8 @@ def pool_bytes(field: VelocityField | StoredField, chunks: int) -> int:
     return chunks * EDGE**3 * 4 * np.dtype(_dtype(field)).itemsize
 
 
-def pool_of(field: VelocityField | StoredField, low: np.ndarray, high: np.ndarray) -> Pool:
-    """The pool for the cell ranges low..high; the last pool of a stored field is kept, since its frame is asked for twice."""
-    needed = touched_chunks(field, low, high)
+def pool_of(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
+    """The pool for the chunks of `touched_chunks`; the last pool of a stored field is kept, since its frame is asked for twice."""
     kept = field.__dict__.get("_pool") if isinstance(field, StoredField) else None
     if kept is not None and not (needed & ~kept.held).any():
         return kept

@@ -35,8 +35,8 @@ def expected_velocity_on_grid(field: VelocityField | StoredField, position: np.n
     index = np.clip(field.to_index(position) - 0.5, -FAR, FAR)  # whole numbers are cell centres
     cell = np.floor(index).astype(np.int32)
     low, high = cell_ranges(field, position, scale, np.abs(nodes).max())
-    for part in _parts(field, low, high, np.arange(len(position))):
-        pool = pool_of(field, low[part], high[part])
+    for part, needed in _parts(field, low, high, np.arange(len(position))):
+        pool = pool_of(field, needed)
         cells = _to_device(pool.cells)
         part = part[np.argsort(_brick_order(cell[part], field.resolution), kind="stable")]  # neighbours share the cache
         for start in range(0, len(part), LAUNCH):
@@ -50,16 +50,17 @@ def expected_velocity_on_grid(field: VelocityField | StoredField, position: np.n
     return result
 
 
-def _parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterator[np.ndarray]:
-    """`rows`, halved along the longest side until the chunks of each part fit into the pool."""
-    chunks = int(touched_chunks(field, low[rows], high[rows]).sum())
-    middle = low[rows] + (high[rows] - low[rows]) // 2
-    spread = np.ptp(middle, axis=0)
-    if pool_bytes(field, chunks) <= bricks.POOL_BYTES or spread.max() < CHUNK:
-        yield rows
-        return
-    for half in np.array_split(rows[np.argsort(middle[:, spread.argmax()], kind="stable")], 2):
-        yield from _parts(field, low, high, half)
+def _parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """`rows` with the chunks they touch, halved along the longest side until the chunks of each part fit into the pool."""
+    needed = touched_chunks(field, low[rows], high[rows])
+    if pool_bytes(field, int(needed.sum())) > bricks.POOL_BYTES:
+        middle = low[rows] + (high[rows] - low[rows]) // 2
+        spread = np.ptp(middle, axis=0)
+        if spread.max() >= CHUNK:  # below, halving cannot help
+            for half in np.array_split(rows[np.argsort(middle[:, spread.argmax()], kind="stable")], 2):
+                yield from _parts(field, low, high, half)
+            return
+    yield rows, needed
 
 
 def _brick_order(cell: np.ndarray, resolution) -> np.ndarray:

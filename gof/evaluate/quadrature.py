@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
 from gof.errors import GofError
-from gof.evaluate.bricks import StoredField, cell_ranges, pool_of
+from gof.evaluate.bricks import StoredField, cell_ranges, pool_of, touched_chunks
 from gof.fields import VelocityField
 
 ORDERS = (1, 3, 5, 7)
@@ -79,7 +79,8 @@ def expected_velocity(field: VelocityLike, position: np.ndarray, scale: np.ndarr
 
         return expected_velocity_on_grid(field, position, scale, rotation, order)
     if isinstance(field, StoredField):
-        pool_of(field, *cell_ranges(field, position, scale, np.abs(product_rule(order)[0]).max()))  # read once, not in pieces
+        ranges = cell_ranges(field, position, scale, np.abs(product_rule(order)[0]).max())
+        pool_of(field, touched_chunks(field, *ranges))  # read once, not in pieces
     return expected_velocity_plain(field, position, scale, rotation, order)
 
 

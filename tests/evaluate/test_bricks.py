@@ -110,7 +110,7 @@ def test_sequence_scores_equal_those_of_whole_fields(store):
 
 
 def test_damaged_chunk_is_named_when_it_is_read(tmp_path):
-    v = np.ones((70, 4, 4, 3), np.float32)
+    v = np.ones((300, 4, 4, 3), np.float32)  # five chunks
     v[66, 1, 1] = np.nan
     store = VelocitySequence.create(tmp_path / "v.zarr", [VelocityField.from_array(v, (0, 0, 0), 1.0)])
     g = make_gaussians(5, position=np.full((5, 3), 2.0), velocity=np.ones((5, 3)))

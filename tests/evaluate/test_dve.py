@@ -1,11 +1,13 @@
 """DVE against the paper's formulas written out plainly, closed forms, and every hard case."""
 
+import math
+
 import numpy as np
 import pytest
 
 from gof.errors import DataFormatError, GofError, NonFiniteError
 from gof.evaluate import dve, dve_sequence
-from gof.evaluate.dve import CULL_SHARE, Samples, Sums, probe, sanity_warnings, weighted_sums
+from gof.evaluate.dve import CULL_SHARE, Samples, Sums, _sum, probe, sanity_warnings, weighted_sums
 from gof.fields import VelocityField, VelocitySequence
 from tests.evaluate.analytic import Analytic, Sequence, covariance, make_gaussians, waves
 
@@ -167,6 +169,14 @@ def test_order_of_the_gaussians_does_not_matter():
         assert getattr(a, name) == pytest.approx(getattr(b, name), rel=1e-12)
 
 
+def test_sums_of_ten_million_terms_are_right_in_any_order():
+    rng = np.random.default_rng(6)
+    terms = 10.0 ** rng.uniform(-8, 0, 10_000_000)
+    exact = math.fsum(terms)
+    for values in (terms, terms[::-1].copy(), np.sort(terms), rng.permutation(terms)):
+        assert _sum(values) == pytest.approx(exact, rel=1e-14)
+
+
 def test_float32_grid_and_float64_field_agree():
     V, _ = waves(2.0)["abc"]
     n, h = 96, 2.4 / 96
@@ -241,6 +251,16 @@ def test_units_are_questioned():
     assert "times the true ones" in hints[0]
     box = Sequence([0.0], lambda t: Analytic(np.ones_like, -0.01, 0.01))
     assert "centimetres" in sanity_warnings(dve_sequence(make_gaussians(60), box, controls=False))[0]
+
+
+@pytest.mark.parametrize("factor,word", [(100, "cm/s"), (1e-3, "millisecond")])
+def test_velocities_in_centimetres_or_per_millisecond_are_questioned(factor, word):
+    g, sequence = moving_case()
+    V = waves(2.0)["abc"][0]
+    right = make_gaussians(60, velocity=V(g.position.astype(float)))
+    assert sanity_warnings(dve_sequence(right, Sequence([0.0], sequence.at), controls=False)) == []
+    wrong = make_gaussians(60, velocity=factor * right.velocity)
+    assert word in sanity_warnings(dve_sequence(wrong, Sequence([0.0], sequence.at), controls=False))[0]
 
 
 def test_sums_add_up():

@@ -123,3 +123,21 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
     assert aligned["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-3) and aligned["psnr"] == pytest.approx(original["psnr"], abs=0.1)
     with pytest.raises(DataFormatError, match="--time-unit"):
         evaluate(tmp_path / "a.ftgs.ply", Dataset(dataset.path, dataset.meta, dataset.cameras, dataset.times_s[:1]), foreign=ImportOptions())
+
+
+def test_a_checkpoint_of_the_papers_code_through_the_whole_path(flame, tmp_path):
+    """The known Gaussians written in its layout and units (ms, bounded scales, un-normalised quaternions) score as they are."""
+    torch = pytest.importorskip("torch")
+    _, dataset, truth = flame
+    n, (low, high) = len(truth), (0.005, 0.08)
+    logit = lambda x: np.log(x / (1 - x))  # noqa: E731
+    rest = np.zeros((n, 15, 3))
+    arrays = [truth.position, truth.velocity / 1000, ((truth.color - 0.5) / 0.28209479177387814)[:, None], rest, logit((truth.scale - low) / (high - low)),
+              3 * truth.rotation, logit(truth.opacity)[:, None], 1000 * truth.t_mu[:, None], 1000 * truth.t_sigma[:, None]]
+    tensors = [torch.nn.Parameter(torch.tensor(np.asarray(a, np.float32))) for a in arrays]
+    torch.save(((3, *tensors, torch.ones(n, dtype=torch.bool), torch.zeros(n), torch.zeros(n, 1), torch.zeros(n, 1), {}, np.float64(3.0)), 7000),
+               tmp_path / "chkpnt7000.pth")
+    (tmp_path / "scale_bounds.json").write_text(json.dumps({"dynamic_scale_min": low, "dynamic_scale_max": high}))
+    original, got = evaluate(truth, dataset), evaluate(tmp_path, dataset)
+    assert got["import"]["method"] == "authors" and got["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-4)
+    assert got["dve"]["cos_sim"] == pytest.approx(original["dve"]["cos_sim"], abs=1e-5) and got["psnr"] == pytest.approx(original["psnr"], abs=0.05)
