@@ -14,7 +14,7 @@ from PIL import Image
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
-from gof.io.files import atomic_path, read_json
+from gof.io.files import atomic_path, read_json, write_json
 from gof.report import pictures
 from gof.report.machine import machine, versions
 from gof.report.velocity import legend
@@ -185,6 +185,8 @@ class ReportConfig:
     """Result file; default OUT/result.npz, or OUT/reconstruct/result.npz."""
     camera: int | None = None
     """Number of the camera of the animation; default the middle one."""
+    json: Path | None = None
+    """Also write the page's name and size to this file."""
 
 
 def main(argv: list[str]) -> int:
@@ -207,5 +209,7 @@ def main(argv: list[str]) -> int:
     with progress_bar("report") as progress:
         path = build_report(out, dataset, result, read_json(out / "scores.json"), stages, preview, camera=config.camera,
                             progress=progress)
+    if config.json:
+        write_json(config.json, {"report": str(path), "bytes": path.stat().st_size})
     print(f"{path} ({path.stat().st_size / 2**20:.1f} MB)")
     return 0
