@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.blender.runs import TOY, channels, in_blender
 
 from benchmark import generate
 from blender_addon import spec as scene_spec
@@ -26,6 +25,7 @@ from blender_addon.scene.effects import (
     video_compression,
 )
 from gof.dataset import Dataset
+from tests.blender.runs import TOY, channels, in_blender
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
 CLIP = replace(TOY.clip, frames=3, fps=50.0, warm_up_frames=6)

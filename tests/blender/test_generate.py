@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.blender.runs import TOY, channels, in_blender
 
 from benchmark import generate
 from blender_addon import spec as scene_spec
@@ -20,6 +19,7 @@ from blender_addon.scene.effects import smoke, vorticity, wind
 from blender_addon.spec import SceneSpec
 from gof.dataset import Dataset
 from gof.errors import GofError
+from tests.blender.runs import TOY, channels, in_blender
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
 
