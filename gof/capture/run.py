@@ -10,11 +10,10 @@ PARTS = {
     "sync": ("gof.capture.sync", "footage of the board -> the time of every row of every frame (times.json, plots)"),
     "accuracy": ("gof.capture.accuracy", "decode rendered footage with known times and table the error"),
     "draw": ("gof.capture.template", "board template -> printable SVG"),
-    "calibrate": ("gof.capture.calibration", "ChArUco footage -> intrinsics; undistort, turn to portrait, row delays"),
 }
 
 HELP = """\
-gof capture - the camera rig: LED board, sub-frame times from footage, calibration.
+gof capture - the camera rig: LED board and sub-frame times from footage.
 
 usage: gof capture PART [OPTIONS]        gof capture PART --help explains one part
 
