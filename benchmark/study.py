@@ -1,4 +1,4 @@
-"""`gof study WHAT`: accuracy against time of one part of the software."""
+"""`gof study WHAT`: accuracy against time of one part of the software; each writes its table with --json FILE."""
 
 from __future__ import annotations
 

@@ -38,7 +38,10 @@ def demo(tmp_path_factory):
     cameras = folder / "demo" / "dataset" / "cameras"
 
     def finished():
-        return {p: p.stat().st_mtime_ns for p in cameras.rglob("0*.*")}
+        """Files of finished frames; a frame's EXR is written last."""
+        frames = [(exr.parent.parent, exr.stem) for exr in cameras.glob("*/exr/0*.exr")]
+        files = [f / kind / f"{k}.{suffix}" for f, k in frames for kind, suffix in (("rgb", "png"), ("mask", "png"), ("exr", "exr"))]
+        return {p: p.stat().st_mtime_ns for p in files}
 
     first = subprocess.Popen(command(folder, scene), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 240
