@@ -1,5 +1,6 @@
 """The cost model: what it counts, what it refuses; its coefficients are measured by `gof generate --estimate`."""
 
+import itertools
 from dataclasses import replace
 
 import psutil
@@ -24,7 +25,7 @@ def test_cells_of_the_domain():
 
 def test_presets_rise_in_cost():
     totals = [predicted(DEMO.with_preset(name)) for name in ("toy", "preview", "draft", "standard", "paper")]
-    assert all(a.total_s < b.total_s and a.memory_mb < b.memory_mb for a, b in zip(totals, totals[1:], strict=False))
+    assert all(a.total_s < b.total_s and a.memory_mb < b.memory_mb for a, b in itertools.pairwise(totals))
     assert totals[1].total_s < 60
     assert set(PRESETS) == {"toy", "preview", "draft", "standard", "paper"}
 
@@ -38,7 +39,7 @@ def test_listed_effects_cost_and_others_do_not(effect, stage):
 
 def test_too_large_is_refused_with_advice(tmp_path):
     huge = replace(DEMO, domain=replace(DEMO.domain, resolution=2048))
-    with pytest.raises(GofError, match="lower domain.resolution from 2048 to") as error:
+    with pytest.raises(GofError, match=r"lower domain\.resolution from 2048 to") as error:
         costs.refuse_if_too_large(huge, tmp_path)
     advice = int(str(error.value).split(" to ")[1].split(",")[0])
     assert predicted(replace(DEMO, domain=replace(DEMO.domain, resolution=advice))).memory_mb < 0.9 * psutil.virtual_memory().total / 2**20
