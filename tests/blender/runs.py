@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import tempfile
 import textwrap
 from pathlib import Path
 
@@ -25,7 +26,8 @@ def in_blender(script: str, *args) -> dict:
     """Run a script in its own Blender process; it puts its findings into ``result``."""
     code = "import json, sys, bpy\nfrom blender_addon import mantaflow\nresult = {}\n" + textwrap.dedent(script)
     code += "\nprint('RESULT' + json.dumps(result))\nmantaflow.leave()"
-    run = subprocess.run([sys.executable, "-c", code, *map(str, args)], capture_output=True, text=True)
+    with tempfile.TemporaryDirectory() as folder:  # Mantaflow leaves files where it runs
+        run = subprocess.run([sys.executable, "-c", code, *map(str, args)], capture_output=True, text=True, cwd=folder)
     assert run.returncode == 0, run.stderr
     return json.loads(next(line for line in run.stdout.splitlines() if line.startswith("RESULT"))[6:])
 

@@ -35,8 +35,10 @@ def toy(tmp_path_factory) -> Layout:
         generate.main([str(folder / "toy.json"), "--out", str(folder / "toy"), "--json", str(folder / "costs.json")])
         == 0
     )
-    stages = [stage["name"] for stage in json.loads((folder / "costs.json").read_text())["stages"]]
-    assert sorted(stages) == ["bake", "finish", "ground-truth", "render"], "and no stage for an effect that is not listed"
+    costs = json.loads((folder / "costs.json").read_text())
+    walls = {stage["name"]: stage["settings"]["wall_s"] for stage in costs["stages"]}
+    assert sorted(walls) == ["bake", "finish", "ground-truth", "render"], "and no stage for an effect that is not listed"
+    assert max(walls.values()) <= costs["wall_s"] < sum(stage["seconds"] for stage in costs["stages"]) + 20
     return Layout(folder / "toy")
 
 
