@@ -64,6 +64,19 @@ class Dataset:
             frames = meta["splits"].get(name)
             if not isinstance(frames, list) or any(not 0 <= k < len(times) for k in frames):
                 raise DataFormatError(f"{source}: splits.{name} must list frame numbers below {len(times)}")
+        for entry in meta["cameras"]:
+            own = entry.get("time_s")
+            if own is None:
+                continue
+            try:
+                own = np.asarray(own, np.float64)
+            except (TypeError, ValueError):
+                own = np.empty(0)
+            if own.shape != times.shape or not np.isfinite(own).all() or not (np.diff(own) > 0).all():
+                raise DataFormatError(
+                    f"{source}: camera '{entry.get('name')}': time_s must hold {len(times)} strictly increasing seconds, "
+                    "one per frame of the dataset"
+                )
         return cls(folder, meta, cameras, times)
 
     @property
@@ -80,9 +93,17 @@ class Dataset:
         """Median time between two frames; 0 for a single frame."""
         return float(np.median(np.diff(self.times_s))) if len(self.times_s) > 1 else 0.0
 
+    def camera_times_s(self, camera: int) -> np.ndarray:
+        """(T,) float64 s: when this camera's frames start (its first line is read), on the dataset clock.
+
+        Cameras that are not triggered together have a `time_s` of their own in dataset.json; without it, the common clock.
+        """
+        own = self._entry(camera).get("time_s")
+        return self.times_s if own is None else np.asarray(own, np.float64)
+
     def file(self, camera: int, kind: str, frame: int = 0) -> Path:
         """Path of a camera's "rgb", "exr", "mask" or "static" file for a frame."""
-        entry = next(c for c in self.meta["cameras"] if c["name"] == self.cameras[camera].name)
+        entry = self._entry(camera)
         if kind not in entry:
             raise DataFormatError(f"{self.path}/dataset.json: camera '{entry['name']}' has no '{kind}' files")
         path = (self.path / entry[kind].format(frame=frame)).resolve()
@@ -100,7 +121,7 @@ class Dataset:
 
     def mask(self, camera: int, frame: int) -> np.ndarray | None:
         """(H, W) float32 in [0, 1], 1 where flame is visible (ground truth); None when the dataset has no masks."""
-        entry = next(c for c in self.meta["cameras"] if c["name"] == self.cameras[camera].name)
+        entry = self._entry(camera)
         if "mask" not in entry:
             return None
         return self._read(self.file(camera, "mask", frame), camera)[..., 0]
@@ -115,6 +136,9 @@ class Dataset:
         if not self.meta.get("velocity"):
             raise DataFormatError(f"{self.path}: has no ground-truth velocity (a real capture?)")
         return VelocitySequence.open(self.path / self.meta["velocity"])
+
+    def _entry(self, camera: int) -> dict[str, Any]:
+        return next(c for c in self.meta["cameras"] if c["name"] == self.cameras[camera].name)
 
     def _read(self, path: Path, camera: int) -> np.ndarray:
         import cv2

@@ -73,3 +73,18 @@ def test_a_real_capture_has_no_velocity(tiny_dataset):
     change(tiny_dataset, velocity=None)
     with pytest.raises(DataFormatError, match="no ground-truth velocity"):
         _ = Dataset.open(tiny_dataset).velocity
+
+
+def test_cameras_with_clocks_of_their_own(tiny_dataset):
+    meta = json.loads((tiny_dataset / "dataset.json").read_text())
+    own = [0.004 + 0.01 * k for k in range(4)]
+    meta["cameras"][1]["time_s"] = own
+    change(tiny_dataset, cameras=meta["cameras"])
+    d = Dataset.open(tiny_dataset)
+    np.testing.assert_array_equal(d.camera_times_s(0), d.times_s)
+    np.testing.assert_array_equal(d.camera_times_s(1), own)
+    for bad in (own[:3], own[::-1], [0, 1, 2, float("inf")], "soon"):
+        meta["cameras"][1]["time_s"] = bad
+        change(tiny_dataset, cameras=meta["cameras"])
+        with pytest.raises(DataFormatError, match="cam_1.*time_s"):
+            Dataset.open(tiny_dataset)
