@@ -142,7 +142,7 @@ def estimate_motion(
         result.intensity.append(np.stack([light_above(images[c][k], static[c]).mean(-1) for c in cameras]))
         result.mask.append(np.stack([flame_mask(images[c][k], static[c]) for c in cameras]))
         result.flow.append(
-            np.stack([_frame_velocity(pictures[c], dataset.times_s, int(k), max_error_px) for c in cameras])
+            np.stack([_frame_velocity(pictures[c], dataset.camera_times_s(c), int(k), max_error_px) for c in cameras])
         )
         progress(i + 1, len(frames))
     for name in ("image", "intensity", "mask", "flow"):

@@ -1,10 +1,12 @@
-"""Optimising transient flame Gaussians against the training pictures, over the static plate, with Dr.Jit.
+"""Optimising transient flame Gaussians against the training pictures, over the static plates, with Dr.Jit.
 
-Loss (paper): 0.8 L1 + 0.2 (1 - SSIM) + 0.1 mean(A_dyn (1 - M)), one random training picture a step.
+Loss (paper): 0.8 L1 + 0.2 (1 - SSIM) + 0.1 mean(A_dyn (1 - M)), one random training picture a step. Every picture is drawn at
+its own camera's time, and line by line when that camera has a rolling shutter.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,18 +21,19 @@ from gof.gaussians import TransientGaussians
 from gof.io.files import atomic_path
 from gof.reconstruct.motion import Motion
 from gof.reconstruct.seeds import SCALE_MAX, SCALE_MIN
-from gof.render import Splats, Target, l1_ssim, render_splats, transient_state
+from gof.render import Splats, Target, l1_ssim, render_splats, shutter_delay, transient_state
 from gof.render.backend import Array3f, Array4f, Float
 
-SSIM_WEIGHT, ALPHA_WEIGHT = 0.2, 0.1
+SSIM_WEIGHT = 0.2
 CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
 CHECKPOINT_EVERY = 500
+EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the last step; the paper's are 1k, 7k, 30k
 OPACITY_EPS = 1e-4  # logits stay finite
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Step counts and learning rates.
+    """Step counts, learning rates and loss weights.
 
     Lengths are in voxels and times in frame times, so that neither the scene's size nor its clock matters.
     """
@@ -44,6 +47,8 @@ class Schedule:
     rotation: float = 0.005
     opacity: float = 0.03
     color: float = 0.01
+    plate: float = 0.0  # display values; 0 = the plates stay as they are
+    alpha_loss: float = 0.1
 
 
 def optimize(
@@ -57,20 +62,23 @@ def optimize(
     rng: np.random.Generator,
     checkpoint: Path,
     progress: Callable[..., None] = lambda done, total, **_: None,
-) -> TransientGaussians:
+    evaluate: Callable[[int, TransientGaussians, list[np.ndarray]], float | None] = lambda *_: None,
+) -> tuple[TransientGaussians, list[np.ndarray]]:
     """Optimise all parameters of `seeds`.
 
     Args:
         voxel_size: m, bounds the scale (0.1 to 3 voxels).   frame_time_s: s.
-        motion: training pictures and masks.   times_s: (T,) clock of all dataset frames.
-        checkpoint: file to resume from and to write every 500 steps (removed by the caller when done).
+        motion: training pictures and masks.   times_s: (C, F) when each camera took each of them (first line).
+        checkpoint: file to resume from and to write every 500 steps (removed by the caller when done); a disk too full
+            for it is reported and does not end the run.
         progress: called with (done, total, note=...).
+        evaluate: called with (step, Gaussians, plates) at EVALUATE_AT and the last step; returns what to show as PSNR, or None.
     Returns:
-        the optimised Gaussians, same number and order.
+        the optimised Gaussians, same number and order; and the plates, C x (H, W, 3) display values.
     Raises:
         NonFiniteError: the loss or a parameter became NaN or Inf; names the parameter and the step.
     """
-    clock = float(times_s[0])
+    clock = float(times_s.min())
     raw = _to_raw(seeds, voxel_size, clock)
     rates = {
         "x0": schedule.position[0] * voxel_size,
@@ -82,46 +90,73 @@ def optimize(
         "opacity": schedule.opacity,
         "color": schedule.color,
     }
+    plates = {f"plate_{c}": _columns(plate.reshape(-1, 3)) for c, plate in enumerate(motion.static)}
+    if schedule.plate > 0:
+        raw |= plates
+        rates |= dict.fromkeys(plates, schedule.plate)
     # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
     optimizer = Adam(lr=1.0, params=raw, beta_2=0.99, epsilon=1e-15, mask_updates=True)
     optimizer.set_learning_rate(rates)
     start = _load_checkpoint(checkpoint, optimizer)
 
+    def state() -> tuple[TransientGaussians, list[np.ndarray]]:
+        shown = [optimizer[name] if schedule.plate > 0 else plates[name] for name in plates]
+        images = [_rows(x).reshape(plate.shape) for x, plate in zip(shown, motion.static, strict=True)]
+        return _from_raw(optimizer, voxel_size, clock), images
+
     targets, outside = {}, {}
-    background = [[Float(np.ascontiguousarray(plate[..., i].ravel())) for i in range(3)] for plate in motion.static]
-    order, mean_loss, seen = [], None, 0
+    usable = np.argwhere(delivered(motion))
+    order, mean_loss, psnr = [], None, None
     decay = (schedule.position[1] / schedule.position[0]) ** (1 / max(schedule.iterations, 1))
     for step in range(start, schedule.iterations):
         if not order:
-            order = [(f, c) for f in range(len(motion.frames)) for c in range(len(cameras))]
-            rng.shuffle(order)
+            order = rng.permutation(usable).tolist()
         f, c = order.pop()
         if (f, c) not in targets:
             targets[f, c] = Target(motion.image[f, c])
             outside[f, c] = Float(np.ascontiguousarray(~motion.mask[f, c].ravel(), np.float32))
         optimizer.set_learning_rate({"x0": rates["x0"] * decay**step})
-        splats = activate(optimizer, voxel_size, float(times_s[motion.frames[f]]) - clock)
-        frame = render_splats(splats, cameras[c], background=background[c])
+        splats = activate(optimizer, voxel_size, float(times_s[c, f]) - clock, cameras[c])
+        plate = (optimizer if schedule.plate > 0 else plates)[f"plate_{c}"]
+        # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
+        frame = render_splats(splats, cameras[c], background=[plate.x, plate.y, plate.z], near=voxel_size)
         loss = l1_ssim(frame.color, targets[f, c], ssim_weight=SSIM_WEIGHT)
-        loss += ALPHA_WEIGHT * dr.mean(frame.alpha * outside[f, c])
+        loss += schedule.alpha_loss * dr.mean(frame.alpha * outside[f, c])
         dr.backward(loss)
         optimizer.step()
         dr.eval(list(optimizer.values()))
-        seen += 1
-        if (step + 1) % CHECK_EVERY == 0 or step + 1 == schedule.iterations:
+        done, last = step + 1, step + 1 == schedule.iterations
+        if done in EVALUATE_AT or last:
+            _check(float(loss.array[0]), optimizer, step)
+            psnr = evaluate(done, *state())
+        if done % CHECK_EVERY == 0 or last:
             value = float(loss.array[0])
             _check(value, optimizer, step)
             mean_loss = value if mean_loss is None else 0.8 * mean_loss + 0.2 * value
-            progress(step + 1, schedule.iterations, note=f"loss {mean_loss:.4f}")
-        if (step + 1) % CHECKPOINT_EVERY == 0:
-            _save_checkpoint(checkpoint, optimizer, step + 1)
-    return _from_raw(optimizer, voxel_size, clock)
+            quality = "" if psnr is None else f", held-out flame {psnr:.2f} dB"
+            progress(done, schedule.iterations, note=f"loss {mean_loss:.4f}{quality}")
+        if done % CHECKPOINT_EVERY == 0:
+            _save_checkpoint(checkpoint, optimizer, done)
+    return state()
 
 
-def activate(raw, voxel_size: float, time_s: float) -> Splats:
-    """Raw parameters to the splats seen at a time (seconds after the clip's start)."""
+def delivered(motion: Motion) -> np.ndarray:
+    """(F, C) bool: False where a camera gave no picture (a black frame in its place).
+
+    Fire only adds light, so a picture with less than half of its plate's light was not taken of this scene.
+    """
+    plates = np.stack(motion.static)
+    return np.minimum(motion.image, plates).mean((2, 3, 4)) >= 0.5 * plates.mean((1, 2, 3))
+
+
+def activate(raw, voxel_size: float, time_s: float, camera: Camera) -> Splats:
+    """Raw parameters to the splats a camera sees in a frame whose first line it reads at `time_s` (after the clip's start)."""
     t_sigma, opacity, scale, _ = _activations(raw, voxel_size)
-    position, opacity_t = transient_state(raw["x0"], raw["velocity"], raw["t_mu"], t_sigma, opacity, time_s)
+    motion = raw["x0"], raw["velocity"], raw["t_mu"], t_sigma, opacity
+    position, opacity_t = transient_state(*motion, time_s)
+    if camera.row_time_s > 0:
+        delay = shutter_delay(position, raw["velocity"], camera, near=voxel_size)
+        position, opacity_t = transient_state(*motion, delay + time_s)
     color = raw["color"]
     return Splats(position, raw["rotation"], scale, opacity_t, [color.x, color.y, color.z])
 
@@ -139,38 +174,39 @@ def _logit(x: np.ndarray) -> np.ndarray:
     return (np.log(x) - np.log1p(-x)).astype(np.float32)
 
 
-def _to_raw(g: TransientGaussians, voxel_size: float, clock: float) -> dict:
-    def array3(x):
-        return Array3f(np.ascontiguousarray(x.T, np.float32))
+def _columns(x: np.ndarray) -> Array3f:
+    return Array3f(np.ascontiguousarray(x.T, np.float32))
 
+
+def _rows(x) -> np.ndarray:
+    return np.array(dr.detach(x)).T if dr.depth_v(x) > 1 else np.array(dr.detach(x))
+
+
+def _to_raw(g: TransientGaussians, voxel_size: float, clock: float) -> dict:
     scale = (g.scale / voxel_size - SCALE_MIN) / (SCALE_MAX - SCALE_MIN)
     return {
-        "x0": array3(g.position),
-        "velocity": array3(g.velocity),
+        "x0": _columns(g.position),
+        "velocity": _columns(g.velocity),
         "t_mu": Float(g.t_mu - np.float32(clock)),
         "log_t_sigma": Float(np.log(g.t_sigma)),
-        "scale": array3(_logit(scale)),
+        "scale": _columns(_logit(scale)),
         "rotation": Array4f(np.ascontiguousarray(g.rotation.T)),
         "opacity": Float(_logit(g.opacity)),
-        "color": array3(g.color),
+        "color": _columns(g.color),
     }
 
 
 def _from_raw(raw, voxel_size: float, clock: float) -> TransientGaussians:
     t_sigma, opacity, scale, rotation = _activations(raw, voxel_size)
-
-    def rows(x):
-        return np.array(dr.detach(x)).T if dr.depth_v(x) > 1 else np.array(dr.detach(x))
-
     return TransientGaussians(
-        position=rows(raw["x0"]),
-        velocity=rows(raw["velocity"]),
-        t_mu=rows(raw["t_mu"]) + np.float32(clock),
-        t_sigma=rows(t_sigma),
-        scale=rows(scale),
-        rotation=rows(rotation),
-        opacity=rows(opacity),
-        color=rows(raw["color"]),
+        position=_rows(raw["x0"]),
+        velocity=_rows(raw["velocity"]),
+        t_mu=_rows(raw["t_mu"]) + np.float32(clock),
+        t_sigma=_rows(t_sigma),
+        scale=_rows(scale),
+        rotation=_rows(rotation),
+        opacity=_rows(opacity),
+        color=_rows(raw["color"]),
         dynamic=np.ones(dr.width(raw["t_mu"]), bool),
     )
 
@@ -191,8 +227,15 @@ def _save_checkpoint(path: Path, optimizer: Adam, step: int) -> None:
         for label, x in (("value", dr.detach(optimizer[name])), ("m", m), ("v", v)):
             arrays[f"{name}.{label}"] = np.array(x)
         arrays[f"{name}.t"] = np.array(t)
-    with atomic_path(path) as temporary, open(temporary, "wb") as f:
-        np.savez(f, **arrays)
+    try:
+        with atomic_path(path) as temporary, open(temporary, "wb") as f:
+            np.savez(f, **arrays)
+    except OSError as e:
+        print(
+            f"{path}: no checkpoint at step {step} ({e.strerror or e}); the optimisation goes on, an interruption would "
+            "cost what came after the one before",
+            file=sys.stderr,
+        )
 
 
 def _load_checkpoint(path: Path, optimizer: Adam) -> int:

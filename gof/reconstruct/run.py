@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +15,10 @@ from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
 from gof.io.files import read_json, write_json
+from gof.reconstruct.presets import PRESETS, step_ms
 from gof.stages import StageLog, progress_bar
+
+Ablation = Literal["none", "no-sync", "rand-flow", "joint-opt", "no-mask"]
 
 
 @dataclass
@@ -22,29 +27,41 @@ class ReconstructConfig:
 
     Stages: motion (masks, optical flow) -> flow field (hull, tomography, fused 3D velocity) -> seeds -> optimisation of
     position, velocity, time, lifetime, opacity, scale, rotation and colour over the fire-free plates. Held-out frames
-    are never read. Pictures of every stage go to OUT/stages, costs to OUT/costs.json.
+    are read for scores only. Pictures of every stage go to OUT/stages, costs to OUT/costs.json, scores on held-out
+    pictures along the way to OUT/curve.json.
     """
 
     dataset: tyro.conf.Positional[Path]
     """Dataset folder (holds dataset.json)."""
     out: Path = Path("out/reconstruction")
     """Folder for the result; a half-finished reconstruction there is resumed."""
-    gaussians: Annotated[int, tyro.conf.arg(metavar="N")] = 60_000
+    preset: Literal["preview", "draft", "standard", "paper"] = "preview"
+    """How much work; sets the next four, each of which can be given by itself."""
+    gaussians: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """How many Gaussians in all frames together."""
-    iterations: int = 2500
+    iterations: int | None = None
     """Optimisation steps, one training picture each."""
-    voxels: int = 72
+    voxels: int | None = None
     """Voxels along the longest side of the flame's box; also bounds the Gaussians' size."""
+    longest_side: int | None = None
+    """Pictures with a longer side, in pixels, are shrunk to it."""
     fusion: Literal["full", "paper"] = "full"
     """How the cameras' flows become one velocity: "full" uses both image components of every camera, "paper" its eq. 5-7."""
     smooth_voxels: float = 3.0
     """Emission-weighted smoothing of the fused flow, std-dev in voxels; 0 = none."""
     opacity: float = 0.1
     """Opacity of a new Gaussian."""
+    ablation: Ablation = "none"
+    """Leave a part of the method out, as in the paper's ablations (see gof.reconstruct.ablations)."""
     seed: int = 0
     """Random seed of the seeding and of the order of pictures."""
     json: Path | None = None
     """Also write the summary to this file."""
+
+    def __post_init__(self):
+        for name, value in asdict(PRESETS[self.preset]).items():
+            if getattr(self, name) is None:
+                setattr(self, name, value)
 
 
 def reconstruct(config: ReconstructConfig) -> Path:
@@ -55,24 +72,33 @@ def reconstruct(config: ReconstructConfig) -> Path:
     Raises:
         GofError: `out` holds a reconstruction made with other settings; or see the stages.
     """
-    dataset, out = Dataset.open(config.dataset), config.out
+    full, out = Dataset.open(config.dataset), config.out
     result = out / "result.npz"
-    settings = {k: v for k, v in asdict(config).items() if k not in ("out", "json", "dataset")}
-    settings["dataset"] = str(dataset.path.resolve().name)
+    settings = {k: v for k, v in asdict(config).items() if k not in ("out", "json", "dataset", "preset")}
+    settings["dataset"] = str(full.path.resolve().name)
     _claim(out / "settings.json", settings)
     if result.exists() and (out / "result.ply").exists():
         return result
 
-    from gof.reconstruct import pictures
+    from gof.reconstruct import ablations, pictures
     from gof.reconstruct.flow_field import fuse_frame
+    from gof.reconstruct.heldout import HeldOut
     from gof.reconstruct.motion import estimate_motion
-    from gof.reconstruct.seeds import sample_seeds
+    from gof.reconstruct.seeds import LIFETIME_FRAMES, sample_seeds
+    from gof.reconstruct.shrink import shrink
     from gof.reconstruct.voxels import carve, tomography
 
     log, rng = StageLog(out / "costs.json"), np.random.default_rng(config.seed)
-    dt = dataset.frame_time_s
-    if dt <= 0:
-        raise GofError(f"{dataset.path}: a single frame has no motion; at least 2 training frames are needed")
+    dataset, dt = shrink(full, config.longest_side), full.frame_time_s
+    if len(dataset.train_frames) < 2:
+        raise GofError(
+            f"{dataset.path}: a single frame has no motion; at least 2 training frames are needed, "
+            f"splits.train has {len(dataset.train_frames)}"
+        )
+    lifetime_pictures = min(len(dataset.train_frames), 2.5 * LIFETIME_FRAMES)
+    pixels = dataset.cameras[0].width * dataset.cameras[0].height
+    expected = config.iterations * step_ms(config.gaussians * lifetime_pictures / len(dataset.train_frames), pixels) / 1e3
+    print(f"{config.iterations} steps: about {max(expected / 60, 0.1):.1f} min on two free CPU cores", file=sys.stderr)
 
     with log.measure("motion") as figures, progress_bar("motion") as progress:
         motion = estimate_motion(dataset, progress=progress)
@@ -104,32 +130,59 @@ def reconstruct(config: ReconstructConfig) -> Path:
 
     with log.measure("seeds") as figures:
         seeds = sample_seeds(voxels, frames, dt, config.gaussians, config.opacity, rng)
+        seeds = ablations.change_seeds(config.ablation, seeds, rng)
         seeds.save(out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds))
 
     from gof.reconstruct.optimize import Schedule, optimize
 
     checkpoint = out / "checkpoint.npz"
+    held_out = HeldOut(full, config.longest_side)
+    times_s = np.stack([dataset.camera_times_s(c)[motion.frames] for c in range(len(dataset.cameras))])
+    curve = Curve(out / "curve.json", resumed=checkpoint.exists())
+
+    def evaluate(step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
+        return curve.add(step, lambda: held_out.score(gaussians, plates, near=voxels.voxel_size))
+
     with (
         log.measure("optimize", iterations=config.iterations, gaussians=len(seeds)),
         progress_bar("optimise") as progress,
     ):
-        gaussians = optimize(
+        gaussians, _ = optimize(
             seeds,
             voxels.voxel_size,
             dt,
             motion,
-            dataset.times_s,
+            ablations.change_times(config.ablation, times_s, dt),
             dataset.cameras,
-            Schedule(config.iterations),
+            ablations.change_schedule(config.ablation, Schedule(config.iterations)),
             rng,
             checkpoint,
             progress,
+            evaluate,
         )
     gaussians.save(out / "result.ply", source=f"gof reconstruct {dataset.meta['name']}")
     gaussians.save(result, source=f"gof reconstruct {dataset.meta['name']}")
     checkpoint.unlink(missing_ok=True)
     return result
+
+
+class Curve:
+    """curve.json: scores on held-out pictures against steps and seconds of optimisation (without the scoring's own)."""
+
+    def __init__(self, path: Path, resumed: bool):
+        self.path = path
+        self.rows = read_json(path) if resumed and path.exists() else []
+        self._start = time.perf_counter() - (self.rows[-1]["seconds"] if self.rows else 0.0)
+
+    def add(self, step: int, score) -> float | None:
+        """Call `score` and note what it returns; gives its "psnr_flame"."""
+        begin = time.perf_counter()
+        row = {"step": step, "seconds": round(begin - self._start, 2)} | score()
+        self.rows = [*(r for r in self.rows if r["step"] < step), row]
+        write_json(self.path, self.rows)
+        self._start += time.perf_counter() - begin
+        return row["psnr_flame"]
 
 
 def _claim(path: Path, settings: dict) -> None:
@@ -152,9 +205,13 @@ def main(argv: list[str]) -> int:
     result = reconstruct(config)
     stages = [asdict(s) for s in StageLog(config.out / "costs.json").stages()]
     summary = {"result": str(result), "gaussians": len(TransientGaussians.load(result)), "stages": stages}
+    scores = {k: v for k, v in read_json(config.out / "curve.json")[-1].items() if v is not None}
+    summary["held_out"] = scores
     if config.json:
         write_json(config.json, summary)
     for stage in stages:
         print(f"{stage['name']:<12} {stage['seconds']:8.1f} s {stage['peak_mb']:8.0f} MB")
+    if "psnr_flame" in scores:
+        print(f"held-out pictures, flame only: {scores['psnr_flame']:.2f} dB, SSIM {scores['ssim_flame']:.3f}")
     print(f"{summary['gaussians']} Gaussians -> {result}")
     return 0

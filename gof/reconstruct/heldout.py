@@ -1,0 +1,73 @@
+"""Scores on pictures the optimisation never sees: held-out frames, and cameras kept for novel views (role "eval")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gof.cameras import Camera
+from gof.dataset import Dataset
+from gof.evaluate.image import psnr, ssim
+from gof.gaussians import TransientGaussians
+from gof.reconstruct.motion import flame_mask
+from gof.reconstruct.shrink import shrink
+
+
+@dataclass(frozen=True)
+class _Picture:
+    camera: Camera
+    number: int | None  # of the training camera; None for a camera kept for novel views
+    time_s: float
+    truth: np.ndarray
+    plate: np.ndarray
+    mask: np.ndarray
+
+
+class HeldOut:
+    """The pictures of a dataset's test frames, read once.
+
+    A picture's flame is the dataset's own mask; where there is none (a real capture), the motion mask of that picture.
+    """
+
+    def __init__(self, dataset: Dataset, longest_side: int):
+        self.pictures = _pictures(shrink(dataset, longest_side), training=True)
+        kept = [Camera.from_dict(entry) for entry in dataset.meta["cameras"] if entry.get("role") == "eval"]
+        if kept:
+            self.pictures += _pictures(shrink(replace(dataset, cameras=kept), longest_side), training=False)
+
+    def score(self, gaussians: TransientGaussians, plates: list[np.ndarray], near: float) -> dict[str, float | None]:
+        """Means over the held-out pictures.
+
+        Args:
+            plates: C x (H, W, 3) display values of the training cameras, what the Gaussians are drawn over.
+            near: m, Gaussians closer to a camera are not drawn.
+        Returns:
+            "psnr", "ssim", "psnr_flame", "ssim_flame" of the training cameras, and "psnr_flame_novel" of cameras with role
+            "eval"; None without such pictures.
+        """
+        from gof.render import render
+
+        values = {name: [] for name in ("psnr", "ssim", "psnr_flame", "ssim_flame", "psnr_flame_novel")}
+        for p in self.pictures:
+            plate = p.plate if p.number is None else plates[p.number]
+            image = np.clip(render(gaussians, p.camera, p.time_s, background=plate, near=near)["color"], 0, 1)
+            if p.number is None:
+                values["psnr_flame_novel"].append(psnr(image, p.truth, p.mask))
+                continue
+            for name, score in (("psnr", psnr), ("ssim", ssim)):
+                values[name].append(score(image, p.truth))
+                values[f"{name}_flame"].append(score(image, p.truth, p.mask))
+        finite = {name: [x for x in v if x is not None and np.isfinite(x)] for name, v in values.items()}
+        return {name: round(float(np.mean(v)), 4) if v else None for name, v in finite.items()}
+
+
+def _pictures(dataset: Dataset, training: bool) -> list[_Picture]:
+    result = []
+    for c, camera in enumerate(dataset.cameras):
+        plate, times = dataset.static(c), dataset.camera_times_s(c)
+        for k in dataset.test_frames:
+            truth, mask = dataset.image(c, k), dataset.mask(c, k)
+            mask = flame_mask(truth, plate).astype(np.float32) if mask is None else mask
+            result.append(_Picture(camera, c if training else None, float(times[k]), truth, plate, mask))
+    return result
