@@ -6,7 +6,13 @@ import importlib
 
 from gof.errors import GofError
 
-STUDIES = {"dve": "gof.evaluate.study", "generate": "benchmark.generate_study"}
+STUDIES = {
+    "dve": "gof.evaluate.study",
+    "generate": "benchmark.generate_study",
+    "reconstruct": "benchmark.reconstruct_study",
+    "ablations": "benchmark.reconstruct_study",
+}
+TAKES_ITS_NAME = ("dve", "reconstruct", "ablations")  # these modules read the study's name as their first argument
 
 
 def main(argv: list[str]) -> int:
@@ -20,5 +26,4 @@ def main(argv: list[str]) -> int:
             print(f"usage: gof study {{{','.join(STUDIES)}}} [OPTIONS]\n\n{__doc__}")
             return 0
         raise GofError(f"name what to study: gof study {{{','.join(STUDIES)}}}")
-    # The DVE study takes its own name as an argument.
-    return importlib.import_module(STUDIES[argv[0]]).main(argv if argv[0] == "dve" else argv[1:]) or 0
+    return importlib.import_module(STUDIES[argv[0]]).main(argv if argv[0] in TAKES_ITS_NAME else argv[1:]) or 0

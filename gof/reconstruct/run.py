@@ -97,7 +97,9 @@ def reconstruct(config: ReconstructConfig) -> Path:
         )
     lifetime_pictures = min(len(dataset.train_frames), 2.5 * LIFETIME_FRAMES)
     pixels = dataset.cameras[0].width * dataset.cameras[0].height
-    expected = config.iterations * step_ms(config.gaussians * lifetime_pictures / len(dataset.train_frames), pixels) / 1e3
+    expected = (
+        config.iterations * step_ms(config.gaussians * lifetime_pictures / len(dataset.train_frames), pixels) / 1e3
+    )
     print(f"{config.iterations} steps: about {max(expected / 60, 0.1):.1f} min on two free CPU cores", file=sys.stderr)
 
     with log.measure("motion") as figures, progress_bar("motion") as progress:
