@@ -50,6 +50,7 @@ def main(argv: list[str]) -> int:
     """`gof study reconstruct DATASET` and `gof study ablations DATASET`; see --help."""
     config = tyro.cli(StudyConfig, prog="gof study", args=argv)
     dataset = Dataset.open(config.dataset)
+    config.out.mkdir(parents=True, exist_ok=True)
     base = asdict(PRESETS[config.preset])
     base |= {name: value for name in base if (value := getattr(config, name, None)) is not None}
     study = study_ablations if config.what == "ablations" else study_settings
