@@ -49,6 +49,8 @@ class ReconstructConfig:
     """How the cameras' flows become one velocity: "full" uses both image components of every camera, "paper" its eq. 5-7."""
     smooth_voxels: float = 3.0
     """Emission-weighted smoothing of the fused flow, std-dev in voxels; 0 = none."""
+    flow_prior: bool = True
+    """Correct the fused flow, which follows texture, to the gas' own velocity, as learnt on simulated flames; z must be up."""
     opacity: float = 0.1
     """Opacity of a new Gaussian."""
     ablation: Ablation = "none"
@@ -82,6 +84,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
 
     from gof.reconstruct import ablations, pictures
     from gof.reconstruct.flow_field import fuse_frame
+    from gof.reconstruct.flow_prior import FlowPrior
     from gof.reconstruct.heldout import HeldOut
     from gof.reconstruct.motion import estimate_motion
     from gof.reconstruct.seeds import LIFETIME_FRAMES, sample_seeds
@@ -125,6 +128,11 @@ def reconstruct(config: ReconstructConfig) -> Path:
                 }
             )
             progress(f + 1, len(motion.frames))
+        if config.flow_prior:
+            seen = np.stack([frame["velocity"] for frame in frames])
+            gas = FlowPrior.load().correct(voxels, seen, np.stack([frame["emission"] for frame in frames]))
+            for frame, velocity in zip(frames, gas, strict=True):
+                frame["velocity"] = velocity
         pictures.save_flow_field(out / "stages", voxels, frames[len(frames) // 2])
         figures.update(
             voxels=len(voxels.center), voxel_size_m=round(voxels.voxel_size, 5), resolution=voxels.resolution.tolist()
