@@ -6,6 +6,7 @@ its own camera's time, and line by line when that camera has a rolling shutter.
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -227,9 +228,11 @@ def _save_checkpoint(path: Path, optimizer: Adam, step: int) -> None:
         for label, x in (("value", dr.detach(optimizer[name])), ("m", m), ("v", v)):
             arrays[f"{name}.{label}"] = np.array(x)
         arrays[f"{name}.t"] = np.array(t)
+    packed = io.BytesIO()
+    np.savez(packed, **arrays)
     try:
-        with atomic_path(path) as temporary, open(temporary, "wb") as f:
-            np.savez(f, **arrays)
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(packed.getbuffer())
     except OSError as e:
         print(
             f"{path}: no checkpoint at step {step} ({e.strerror or e}); the optimisation goes on, an interruption would "

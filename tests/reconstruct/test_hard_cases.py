@@ -1,0 +1,144 @@
+"""What cameras, clocks and flames do in practice: each case on a small flame whose truth is known."""
+
+import shutil
+
+import numpy as np
+import pytest
+from tests.reconstruct.rising_flame import DT, RISE, config, edit, held_out, mean_velocity, write_flame
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError, GofError
+from gof.gaussians import TransientGaussians
+from gof.reconstruct.motion import estimate_motion
+from gof.reconstruct.optimize import delivered
+from gof.reconstruct.run import reconstruct
+
+SMALL = {"gaussians": 1000, "iterations": 120, "voxels": 24}
+
+
+def run(dataset, out, **changes):
+    result = reconstruct(config(dataset, out, **SMALL | changes))
+    return held_out(result), TransientGaussians.load(result)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """The flame as it should be filmed, and its scores."""
+    folder = write_flame(tmp_path_factory.mktemp("plain") / "flame")
+    return folder, *run(folder, folder.parent / "out")
+
+
+def test_camera_clock_off_by_half_a_frame(tmp_path):
+    dt = 0.05  # 2 px a frame
+    late = write_flame(tmp_path / "late", dt=dt, late={1: dt / 2})
+    known, gaussians = run(late, tmp_path / "out")
+    np.testing.assert_allclose(mean_velocity(gaussians), RISE, atol=0.4)
+    together, _ = run(write_flame(tmp_path / "together", dt=dt), tmp_path / "together_out")
+    assert known["psnr_flame"] > together["psnr_flame"] - 0.5, "known clocks cost nothing"
+    wrong, _ = run(late, tmp_path / "wrong", ablation="no-sync")
+    assert wrong["psnr_flame"] < known["psnr_flame"] - 0.5, "wrong clocks do"
+
+
+def test_flow_uses_the_cameras_own_frame_times(tmp_path, plain):
+    """A camera whose clock runs at half speed sees half the speed in px/s."""
+    slow = shutil.copytree(plain[0], tmp_path / "slow")
+    edit(slow, lambda meta: meta["cameras"][1].update(time_s=[2 * t for t in meta["time_s"]]))
+    flow, base = (estimate_motion(Dataset.open(folder)).flow[:, 1] for folder in (slow, plain[0]))
+    np.testing.assert_allclose(flow, base / 2, rtol=1e-5)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_scene_in_other_units_is_the_same_scene(tmp_path, plain, factor):
+    scaled = shutil.copytree(plain[0], tmp_path / "scaled")
+
+    def change(meta):
+        for camera in meta["cameras"]:
+            for row in camera["world_to_camera"][:3]:
+                row[3] *= factor
+
+    scores, gaussians = run(edit(scaled, change), tmp_path / "out")
+    assert scores["psnr_flame"] == pytest.approx(plain[1]["psnr_flame"], abs=0.3)
+    np.testing.assert_allclose(mean_velocity(gaussians) / factor, mean_velocity(plain[2]), atol=0.03)
+
+
+def test_time_in_milliseconds_is_the_same_flame(tmp_path, plain):
+    scaled = shutil.copytree(plain[0], tmp_path / "scaled")
+    scores, gaussians = run(edit(scaled, lambda meta: meta.update(time_s=[1e3 * t for t in meta["time_s"]])), tmp_path / "out")
+    assert scores["psnr_flame"] == pytest.approx(plain[1]["psnr_flame"], abs=0.3)
+    np.testing.assert_allclose(mean_velocity(gaussians) * 1e3, mean_velocity(plain[2]), atol=0.03)
+
+
+def test_camera_lost_for_some_frames(tmp_path, plain):
+    def lose(images):
+        images[2:4, 0] = 0
+        images[6, 2] = 0
+        return images
+
+    folder = write_flame(tmp_path / "lost", change=lose)
+    missing = np.argwhere(~delivered(estimate_motion(Dataset.open(folder))))
+    assert missing.tolist() == [[2, 0], [3, 0], [5, 2]], "training frame 5 is frame 6, frame 4 is held out"
+    scores, gaussians = run(folder, tmp_path / "out")
+    assert scores["psnr_flame"] > plain[1]["psnr_flame"] - 1.5
+    np.testing.assert_allclose(mean_velocity(gaussians), RISE, atol=0.4)
+
+
+def test_frames_without_fire(tmp_path):
+    """The flame goes out for the last frames: empty masks, and nothing is seen there."""
+    def put_out(images):
+        images[6:] = np.median(images, axis=0) * 0 + 0.2
+        return images
+
+    folder = write_flame(tmp_path / "out_of_fuel", change=put_out)
+    shutil.rmtree(folder / "static")
+    for c in range(3):  # the same plain wall everywhere, so that the last frames equal the plates
+        (folder / "static").mkdir(exist_ok=True)
+        shutil.copy(folder / f"cameras/cam_{c}/rgb/000009.png", folder / f"static/cam_{c}.png")
+    motion = estimate_motion(Dataset.open(folder))
+    assert not motion.mask[-3:].any() and motion.mask[:4].any()
+    scores, gaussians = run(folder, tmp_path / "out")
+    assert np.isfinite(scores["psnr_flame"])
+    _, late = gaussians.at(9 * DT)
+    _, early = gaussians.at(2 * DT)
+    assert late.sum() < 0.5 * early.sum()
+
+
+def test_saturated_frames(tmp_path):
+    def overexpose(images):
+        images[3:6] = np.clip(images[3:6] * 4, 0, 1)
+        return images
+
+    scores, gaussians = run(write_flame(tmp_path / "bright", change=overexpose), tmp_path / "out")
+    assert np.isfinite(scores["psnr_flame"]) and np.isfinite(gaussians.velocity).all()
+
+
+def test_texture_in_one_camera_only(tmp_path):
+    """Two cameras see a featureless glow: there is nothing to follow in them, and nothing breaks."""
+    def glow(images):
+        images[:, 1:] = np.where(images[:, 1:, ..., :1] > 0.45, [1.0, 0.7, 0.2], images[:, 1:])
+        return images
+
+    _, gaussians = run(write_flame(tmp_path / "glow", change=glow), tmp_path / "out")
+    assert np.isfinite(gaussians.velocity).all() and np.linalg.norm(mean_velocity(gaussians)) < 2 * np.linalg.norm(RISE)
+
+
+def test_flame_across_the_border(tmp_path):
+    folder = write_flame(tmp_path / "near", focal_px=260.0)
+    dataset = Dataset.open(folder)
+    masks = estimate_motion(dataset).mask
+    assert masks[:, :, 0].any() and masks[:, :, -1].any(), "the flame leaves the picture at the top and at the bottom"
+    scores, gaussians = run(folder, tmp_path / "out")
+    assert scores["psnr_flame"] > 20
+    np.testing.assert_allclose(mean_velocity(gaussians), RISE, atol=0.5)
+
+
+def test_two_cameras(tmp_path):
+    scores, gaussians = run(write_flame(tmp_path / "two", cameras=2), tmp_path / "out")
+    assert scores["psnr_flame"] > 20
+    np.testing.assert_allclose(mean_velocity(gaussians), RISE, atol=0.5)
+
+
+def test_one_camera_and_one_frame_are_refused(tmp_path):
+    with pytest.raises(DataFormatError, match="at least 2 are needed"):
+        run(write_flame(tmp_path / "one", cameras=1), tmp_path / "out")
+    with pytest.raises(GofError, match="single frame has no motion"):
+        run(write_flame(tmp_path / "still", frames=1, test_frames=()), tmp_path / "out2")

@@ -1,0 +1,152 @@
+"""The optimiser's parts: shutter, checkpoints on a full disk, ablations, held-out scores, presets."""
+
+import json
+import resource
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.conftest import arc
+from tests.reconstruct.rising_flame import DT, column, config, edit, held_out, write_flame
+
+from gof.dataset import Dataset
+from gof.evaluate.image import psnr
+from gof.gaussians import TransientGaussians
+from gof.reconstruct import ablations, optimize
+from gof.reconstruct.heldout import HeldOut
+from gof.reconstruct.presets import PRESETS
+from gof.reconstruct.run import ReconstructConfig, reconstruct
+from gof.reconstruct.shrink import shrink
+from gof.render import render, render_splats
+
+
+@pytest.fixture(scope="module")
+def flame(tmp_path_factory):
+    return write_flame(tmp_path_factory.mktemp("rising") / "flame")
+
+
+@pytest.fixture(scope="module")
+def with_novel_view(flame):
+    """The middle camera is kept for novel views."""
+    import shutil
+
+    folder = shutil.copytree(flame, flame.parent / "novel")
+    return edit(folder, lambda meta: meta["cameras"][1].update(role="eval"))
+
+
+@pytest.mark.parametrize("row_time_s", [0.0, DT / 96])
+def test_the_optimiser_sees_what_the_renderer_draws(row_time_s):
+    gaussians = column(DT * np.arange(10))
+    gaussians.t_sigma[:] = 0.05
+    gaussians.scale = np.clip(gaussians.scale, 0.011, 0.2)
+    camera = replace(arc(1, width=48, height=96, focal_px=110.0)[0], row_time_s=row_time_s)
+    splats = optimize.activate(optimize._to_raw(gaussians, 0.1, 0.01), 0.1, 0.06 - 0.01, camera)
+    frame = render_splats(splats, camera)
+    drawn = np.stack([c.numpy() for c in frame.color], -1).reshape(96, 48, 3)
+    np.testing.assert_allclose(drawn, render(gaussians, camera, 0.06)["color"], atol=2e-3)
+    still = render(gaussians, replace(camera, row_time_s=0.0), 0.06)["color"]
+    assert (np.abs(drawn - still).max() > 0.02) == (row_time_s > 0), "the shutter makes a difference that can be seen"
+
+
+def test_rolling_shutter_is_undone(tmp_path):
+    """Pictures read over a whole frame time: fitting them as read explains held-out ones better than fitting snapshots."""
+    folder = write_flame(tmp_path / "rolling", row_time_s=DT / 96)
+    small = {"gaussians": 1000, "iterations": 150, "voxels": 24}
+    rolling = TransientGaussians.load(reconstruct(config(folder, tmp_path / "rolling_out", **small)))
+    truth = Dataset.open(write_flame(tmp_path / "global"))
+    edit(folder, lambda meta: [camera.update(row_time_s=0.0) for camera in meta["cameras"]])
+    ignored = TransientGaussians.load(reconstruct(config(folder, tmp_path / "ignored_out", **small)))
+
+    def error(gaussians):  # against snapshots, which no rolling shutter has touched
+        return np.mean([((render(gaussians, cam, truth.times_s[4], background=truth.static(c))["color"] - truth.image(c, 4)) ** 2).mean()
+                        for c, cam in enumerate(truth.cameras)])
+
+    assert error(rolling) < 0.8 * error(ignored)
+
+
+def test_a_full_disk_costs_the_checkpoint_not_the_run(flame, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(optimize, "CHECKPOINT_EVERY", 20)
+    small = {"gaussians": 3000, "iterations": 40, "voxels": 24}
+    real = optimize._save_checkpoint
+
+    def save_with_little_room(path, *args):
+        """The operating system refuses to write more than 64 kB to a file, as a full disk does."""
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2**16, hard))
+        try:
+            real(path, *args)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+    monkeypatch.setattr(optimize, "_save_checkpoint", save_with_little_room)
+    result = reconstruct(config(flame, tmp_path, **small))
+    message = capsys.readouterr().err
+    assert "checkpoint.npz: no checkpoint at step 20 (File too large)" in message and result.exists()
+    assert not list(tmp_path.glob("*partial*")), "no half-written file stays"
+
+
+def test_ablations_change_what_they_say(flame):
+    rng = np.random.default_rng(0)
+    times = np.zeros((3, 4))
+    assert ablations.change_times("no-sync", times, DT)[:, 0].tolist() == [0, DT / 2, 0]
+    seeds = column(DT * np.arange(10))
+    shuffled = ablations.change_seeds("rand-flow", seeds, rng)
+    np.testing.assert_allclose(np.linalg.norm(shuffled.velocity, axis=-1), np.linalg.norm(seeds.velocity, axis=-1), rtol=1e-5)
+    assert np.linalg.norm(shuffled.velocity.mean(0)) < 0.15 * np.linalg.norm(seeds.velocity.mean(0))
+    schedule = optimize.Schedule(10)
+    assert ablations.change_schedule("no-mask", schedule).alpha_loss == 0
+    assert ablations.change_schedule("joint-opt", schedule).plate > 0
+    for change, value in ((ablations.change_schedule, (schedule,)), (ablations.change_seeds, (seeds, rng)), (ablations.change_times, (times, DT))):
+        assert change("none", *value) is value[0]
+
+
+def test_joint_optimisation_moves_the_plates_and_is_scored_with_them(flame, tmp_path, monkeypatch):
+    plates = []
+    monkeypatch.setattr(HeldOut, "score", lambda self, g, p, near: plates.append(p) or {"psnr_flame": None})
+    for ablation in ("none", "joint-opt"):
+        reconstruct(config(flame, tmp_path / ablation, iterations=30, gaussians=500, voxels=24, ablation=ablation))
+    fixed, moved = plates
+    truth = Dataset.open(flame)
+    assert np.abs(fixed[0] - truth.static(0)).max() < 1e-6
+    assert 0.005 < np.abs(moved[0] - truth.static(0)).max() < 0.2
+
+
+def test_held_out_scores_are_those_of_the_pictures(flame, with_novel_view):
+    gaussians, data = column(DT * np.arange(10)), Dataset.open(with_novel_view)
+    held_out_pictures = HeldOut(data, 96)
+    plates = [data.static(c) for c in range(2)]
+    perfect = held_out_pictures.score(gaussians, plates, near=0.01)
+    assert perfect["psnr_flame"] > 45 and perfect["psnr_flame_novel"] > 45, "only 8-bit rounding is between them"
+    nothing = held_out_pictures.score(gaussians[:1], plates, near=0.01)
+    assert nothing["psnr_flame"] < 20 and nothing["psnr_flame_novel"] < 20
+    expected = np.mean([psnr(render(gaussians[:1], cam, data.times_s[4], background=plates[c])["color"], data.image(c, 4))
+                        for c, cam in enumerate(data.cameras)])  # fmt: skip
+    assert nothing["psnr"] == pytest.approx(expected, abs=1e-3)
+
+
+def test_the_curve_follows_the_optimisation(with_novel_view, tmp_path, monkeypatch):
+    monkeypatch.setattr(optimize, "EVALUATE_AT", (10, 40))
+    result = reconstruct(config(with_novel_view, tmp_path, iterations=80, gaussians=1000, voxels=24))
+    curve = json.loads((tmp_path / "curve.json").read_text())
+    assert [row["step"] for row in curve] == [10, 40, 80]
+    assert curve[0]["psnr_flame"] < curve[1]["psnr_flame"] < curve[2]["psnr_flame"]
+    assert curve[0]["seconds"] < curve[1]["seconds"] < curve[2]["seconds"]
+    assert held_out(result)["psnr_flame_novel"] > curve[0]["psnr_flame_novel"]
+
+
+def test_shrunk_datasets_see_the_same_scene(flame):
+    full = Dataset.open(flame)
+    assert shrink(full, 96) is full
+    half = shrink(full, 48)
+    assert half.image(0, 3).shape == (48, 24, 3) and half.static(1).shape == (48, 24, 3)
+    assert half.image(0, 3).mean() == pytest.approx(full.image(0, 3).mean(), abs=1e-4)
+    point = np.array([[0.1, 0.05, 1.2]])
+    np.testing.assert_allclose(half.cameras[0].project(point)[0], full.cameras[0].project(point)[0] / 2)
+    assert half.camera_times_s(0) is half.times_s and half.test_frames == [4]
+
+
+def test_presets_fill_what_is_not_given(tmp_path):
+    config = ReconstructConfig(tmp_path, preset="draft", iterations=7)
+    assert (config.iterations, config.gaussians, config.voxels) == (7, PRESETS["draft"].gaussians, PRESETS["draft"].voxels)
+    work = [(p.iterations, p.gaussians, p.voxels, p.longest_side) for p in PRESETS.values()]
+    assert work == sorted(work), "every preset does at least as much as the one before"
