@@ -5,12 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from tests.conftest import arc, write_dataset
 
 from gof.fields import VelocityField
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.run import ReconstructConfig
 from gof.render import render
+from tests.conftest import arc, write_dataset
 
 RISE = np.array([0.1, 0.0, 1.2])  # m/s
 DT = 0.02

@@ -4,7 +4,6 @@ import shutil
 
 import numpy as np
 import pytest
-from tests.reconstruct.rising_flame import DT, RISE, config, edit, held_out, mean_velocity, write_flame
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
@@ -12,6 +11,7 @@ from gof.gaussians import TransientGaussians
 from gof.reconstruct.motion import estimate_motion
 from gof.reconstruct.optimize import delivered
 from gof.reconstruct.run import reconstruct
+from tests.reconstruct.rising_flame import DT, RISE, config, edit, held_out, mean_velocity, write_flame
 
 SMALL = {"gaussians": 1000, "iterations": 120, "voxels": 24}
 

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.conftest import arc
-from tests.reconstruct.rising_flame import DT, column, config, edit, held_out, write_flame
 
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr
@@ -18,6 +16,8 @@ from gof.reconstruct.presets import PRESETS
 from gof.reconstruct.run import ReconstructConfig, reconstruct
 from gof.reconstruct.shrink import shrink
 from gof.render import render, render_splats
+from tests.conftest import arc
+from tests.reconstruct.rising_flame import DT, column, config, edit, held_out, write_flame
 
 
 @pytest.fixture(scope="module")
