@@ -134,7 +134,7 @@ def _image_scores(gaussians: TransientGaussians | Trajectory, dataset: Dataset, 
     total = len(dataset.test_frames) * len(dataset.cameras)
 
     def draw(number: int, frame: int, plate: np.ndarray) -> dict[str, np.ndarray]:
-        time_s = float(dataset.times_s[frame])
+        time_s = float(dataset.camera_times_s(number)[frame])
         with _timed(costs, "render"):
             return render(state_at(gaussians, time_s), dataset.cameras[number], time_s, background=(0, 0, 0) if own_background else plate)
 
