@@ -30,15 +30,17 @@ from gof.io.files import read_json, write_json
 # Measured on Blender 4.5, see docs/costs.md.
 BAKE_MB, BAKE_BYTES_PER_CELL = 260.0, 270.0
 RENDER_MB, RENDER_BYTES_PER_CELL, RENDER_BYTES_PER_PIXEL = 330.0, 60.0, 700.0
-CACHE_BYTES_PER_CELL_STEP, VELOCITY_BYTES_PER_CELL_FRAME = 8.0, 4.5
-PICTURE_BYTES_PER_PIXEL = 12.0
+CACHE_BYTES_PER_CELL_STEP, VELOCITY_BYTES_PER_CELL_FRAME = 14.0, 6.0
+PICTURE_BYTES_PER_PIXEL = 10.0
 NOISE_BAKE, NOISE_MEMORY = 0.22, 0.3  # of the coarse bake, per fine cell that a coarse cell is divided into
-SMOKE_PICTURE = 2.5  # the whole scene is traced in every picture, not the fire's light alone
+LEAST_POWER = 1.13  # from 64 to 128 cells along the longest side 1.13 to 1.16; smaller grids hide it in the caches
+CORES = os.cpu_count() or 1
+SMOKE_SAMPLE = 20  # times a sample without smoke: all lamps, through the soot; 6 where it has just begun, 24 in a full domain
 
 
 @dataclass(frozen=True)
 class Machine:
-    """Coefficients of the model, seconds; `error` is the relative prediction error measured with them."""
+    """Coefficients of the model, processor seconds over cores; `error` is the relative prediction error measured with them."""
 
     start: float
     bake_scale: float
@@ -52,13 +54,14 @@ class Machine:
     measured_on: str
 
 
-REFERENCE = Machine(2.0, 1.6e-6, 1.1, 0.25, 2.0e-6, 2.2e-7, 3e-9, 1.3e-7, 1.0, "another machine")
+REFERENCE = Machine(0.8, 4.5e-7, 1.13, 0.05, 1.5e-6, 1.8e-6, 0.0, 1.2e-7, 1.0, "another machine")
 """Two cores of a cloud server; for machines that have not been measured."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Seconds of processor-bound work per stage; their sum is the wall time where one picture fills all cores."""
+    """Processor seconds per stage divided by the cores; their sum is the wall time where all cores are busy, as they
+    are but for the start and the end: pictures are rendered during the bake. A machine with other work takes longer."""
 
     bake_s: float
     render_s: float
@@ -161,7 +164,7 @@ def calibrate() -> Machine:
         empty, small, large = measured
         start = empty["bake_s"]
         per_step = [(m["bake_s"] - start) / m["steps"] for m in (small, large)]
-        power = float(np.clip(np.log(per_step[1] / per_step[0]) / np.log(large["cells"] / small["cells"]), 1.0, 1.4))
+        power = float(np.clip(np.log(per_step[1] / per_step[0]) / np.log(large["cells"] / small["cells"]), LEAST_POWER, 1.4))
         rows = [(1.0, p, p * s, p * s * m["resolution"]) for m in (small, large) for p, s, _ in m["pictures"]]
         times = [t for m in (small, large) for _, _, t in m["pictures"]]
         from scipy.optimize import nnls
@@ -194,15 +197,15 @@ def _measure(demo: SceneSpec, root: Path, resolution: int, steps: int, pictures:
         this = replace(spec, render=replace(spec.render, percentage=percentage, samples=samples, denoise=True))
         layout = Layout(root / str(index))
         claim(layout, this)
-        seconds = run_stage("bake", layout.root)["seconds"]
+        seconds = run_stage("bake", layout.root)["cpu_s"] / CORES
         if index == 0:
             result["bake_s"] = seconds
             if pictures:
-                result["velocity_s"] = run_stage("ground-truth", layout.root)["seconds"]
+                result["velocity_s"] = run_stage("ground-truth", layout.root)["cpu_s"] / CORES
         if pictures:
             times = []
             for _ in range(4):
-                times.append(Renderer.render(layout.root, 1, 1)["seconds"])
+                times.append(Renderer.render(layout.root, 1, 1)["cpu_s"] / CORES)
                 for path in vars(layout.frame("cam_1", 1)).values():
                     path.unlink()
             Renderer.close(layout.root)
@@ -215,6 +218,7 @@ def _frame_s(spec: SceneSpec, machine: Machine) -> float:
     """Seconds of one picture, with all the solver steps that its shutter sees."""
     _, weights = shutter.step_weights(spec, 0, 0)
     samples = max(1, round(spec.render.samples * float(weights.max())))
+    samples *= SMOKE_SAMPLE if "smoke" in spec.effect_names else 1
     margin = 0 if len(weights) == 1 else 16
     parts = [min((np.count_nonzero(weight) + margin) / len(weight), 1.0) for weight in weights]
     return sum(_picture_s(spec, machine, part, samples) for part in parts)
@@ -222,8 +226,7 @@ def _frame_s(spec: SceneSpec, machine: Machine) -> float:
 
 def _picture_s(spec: SceneSpec, machine: Machine, part: float, samples: int) -> float:
     width, height = (side * spec.render.percentage // 100 for side in spec.cameras.sensor_px)
-    absorbs = "smoke" in spec.effect_names
-    return (SMOKE_PICTURE if absorbs else 1.0) * _seconds(machine, part * width * height, samples, spec.domain.resolution)
+    return _seconds(machine, part * width * height, samples, spec.domain.resolution)
 
 
 def _seconds(machine: Machine, pixels: float, samples: int, resolution: int) -> float:

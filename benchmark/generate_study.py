@@ -19,6 +19,7 @@ from benchmark import line_chart
 from benchmark.blender_process import Renderer, run_stage
 from benchmark.generate import claim, load_scene
 from blender_addon.layout import Layout
+from blender_addon.presets import PRESETS
 from blender_addon.spec import SceneSpec
 from gof.fields import VelocitySequence
 from gof.io.files import atomic_path, read_json, write_json
@@ -32,9 +33,9 @@ class StudyConfig:
     """Folder for tables, plots and the runs behind them."""
     scene: str = "demo"
     """Built-in scene or spec file."""
-    resolutions: tuple[int, ...] = (24, 32, 48, 64, 96)
+    resolutions: tuple[int, ...] = (24, 32, 40, 64, 96)
     """Cells along the longest side; the last one is the truth."""
-    samples: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 256)
+    samples: tuple[int, ...] = (1, 2, 4, 6, 8, 16, 32, 256)
     """Paths per pixel; the last one is the reference."""
     frames: int = 12
     """Frames compared."""
@@ -177,10 +178,11 @@ def _read(path: Path) -> np.ndarray:
 def _report(figures: dict, out: Path) -> None:
     charts = {
         "resolution": ("Velocity error against time", "CPU seconds of the bake", "relative error", {
-            "instants": [(r["cpu_s"], r["error"], str(r["resolution"])) for r in figures["resolution"]],
+            "instants": [(r["cpu_s"], r["error"], _label("domain", "resolution", r)) for r in figures["resolution"]],
             "mean over the clip": [(r["cpu_s"], r["error_mean"], str(r["resolution"])) for r in figures["resolution"]]}),
         "samples": ("Picture error against time", "CPU seconds per picture", "mean error in the flame, 8-bit steps", {
-            name: [(r["cpu_s"], r["error"], str(r["samples"])) for r in figures["samples"] if r["denoise"] == denoise]
+            name: [(r["cpu_s"], r["error"], _label("render", "samples", r) if denoise else str(r["samples"]))
+                   for r in figures["samples"] if r["denoise"] == denoise]
             for name, denoise in (("denoised", True), ("as traced", False))}),
         "storage": ("Size of the velocity store against reading time", "seconds to read the core", "MB per frame", {
             dtype: [(r["read_core_s"], r["mb"], str(r["chunk"])) for r in figures["storage"] if r["dtype"] == dtype]
@@ -195,6 +197,11 @@ def _report(figures: dict, out: Path) -> None:
         parts.append("\n".join([f"## {name}", "", *table, "", f"![{name}]({name}.svg)"]))
     with atomic_path(out / "study.md") as path:
         path.write_text("\n\n".join(parts) + "\n")
+
+
+def _label(section: str, field: str, row: dict) -> str:
+    """The setting of a point, and the presets that use it."""
+    return " ".join([str(row[field]), *(name for name, values in PRESETS.items() if values[section].get(field) == row[field])])
 
 
 def _text(value) -> str:
