@@ -20,7 +20,7 @@ from gof.errors import GofError
 from gof.stages import StageLog, progress_bar
 
 RETRIES = 3
-POLL_S = 0.1
+POLL_S = 0.3
 
 
 @contextmanager
@@ -83,21 +83,25 @@ class Generation:
         spec, baked = self._spec, self._layout.bake_marker.is_file()
         if not baked:
             self._submit("bake", run_stage, "bake")
-        waiting = list(range(spec.clip.frames))
+        waiting = [(frame, camera) for frame in range(spec.clip.frames) for camera in range(len(spec.cameras.names))]
         truth_pending = True
         with progress_bar("generate") as update:
             while waiting or truth_pending or self._running:
                 baked = self._layout.bake_marker.is_file()
-                while waiting and (baked or (fresh_bake and self._is_ready(waiting[0]))):
-                    frame = waiting.pop(0)
-                    for camera in range(len(spec.cameras.names)):
-                        self._submit("render", _render, frame, camera, priority=-frame)
+                while waiting and (baked or (fresh_bake and self._is_ready(waiting[0][0]))):
+                    if not self._has_plates() and "render" in self._running.values():
+                        break  # the renderer of the first picture makes the plates; a second one would make them too
+                    frame, camera = waiting.pop(0)
+                    self._submit("render", _render, frame, camera, priority=-frame)
                 if truth_pending and baked and "bake" not in self._running.values():
                     truth_pending = False
                     self._submit("ground-truth", run_stage, "ground-truth", priority=1)
                 self._collect()
                 update(*self._progress())
                 time.sleep(POLL_S)
+
+    def _has_plates(self) -> bool:
+        return all(self._layout.static_exr(name).is_file() for name in self._spec.cameras.names)
 
     def _is_ready(self, frame: int) -> bool:
         """Whether the solver has passed every step that a picture of this frame sees."""
