@@ -87,7 +87,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
     from gof.reconstruct.flow_prior import FlowPrior
     from gof.reconstruct.heldout import HeldOut
     from gof.reconstruct.motion import estimate_motion
-    from gof.reconstruct.seeds import LIFETIME_FRAMES, sample_seeds
+    from gof.reconstruct.seeds import sample_seeds
     from gof.reconstruct.shrink import shrink
     from gof.reconstruct.voxels import carve, tomography
 
@@ -98,11 +98,8 @@ def reconstruct(config: ReconstructConfig) -> Path:
             f"{dataset.path}: a single frame has no motion; at least 2 training frames are needed, "
             f"splits.train has {len(dataset.train_frames)}"
         )
-    lifetime_pictures = min(len(dataset.train_frames), 2.5 * LIFETIME_FRAMES)
     pixels = dataset.cameras[0].width * dataset.cameras[0].height
-    expected = (
-        config.iterations * step_ms(config.gaussians * lifetime_pictures / len(dataset.train_frames), pixels) / 1e3
-    )
+    expected = config.iterations * step_ms(config.gaussians, pixels) / 1e3
     print(f"{config.iterations} steps: about {max(expected / 60, 0.1):.1f} min on two free CPU cores", file=sys.stderr)
 
     with log.measure("motion") as figures, progress_bar("motion") as progress:
