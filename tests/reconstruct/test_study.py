@@ -1,0 +1,49 @@
+"""`gof study ablations` and `gof study reconstruct` on a small flame, as a user runs them."""
+
+import json
+
+import pytest
+
+from benchmark.reconstruct_study import ABLATIONS
+from gof.cli import main
+from gof.reconstruct.run import ReconstructConfig
+from tests.reconstruct.rising_flame import write_flame
+
+SMALL = ["--gaussians", "600", "--longest-side", "96"]
+
+
+def test_every_ablation_has_a_name_in_the_table():
+    from typing import get_args, get_type_hints
+
+    assert set(ABLATIONS) == set(get_args(get_type_hints(ReconstructConfig)["ablation"]))
+
+
+@pytest.mark.slow
+def test_ablations_study(tmp_path, capsys):
+    folder = write_flame(tmp_path / "flame")
+    command = ["study", "ablations", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]
+    assert main(command) == 0
+    rows = {row["name"]: row for row in json.loads((tmp_path / "out" / "ablations.json").read_text())}
+    assert list(rows) == list(ABLATIONS)
+    assert rows["rand-flow"]["cos_sim"] < rows["none"]["cos_sim"] - 0.3
+    text = (tmp_path / "out" / "ablations.md").read_text()
+    assert all(name in text for name in ("full method", "NoSync", "RandFlow", "JointOpt", "NoMask"))
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/*/result.npz")}
+    assert len(before) == 5 and main(command) == 0
+    assert before == {path: path.stat().st_mtime_ns for path in before}, "finished reconstructions are kept"
+
+
+@pytest.mark.slow
+def test_settings_study(tmp_path, monkeypatch):
+    from benchmark import reconstruct_study
+
+    monkeypatch.setattr(reconstruct_study, "FACTORS", (0.5, 1))
+    monkeypatch.setattr(reconstruct_study, "PRESETS", {"preview": reconstruct_study.PRESETS["preview"].__class__(20, 400, 24, 96)})
+    folder = write_flame(tmp_path / "flame")
+    assert main(["study", "reconstruct", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]) == 0
+    rows = json.loads((tmp_path / "out" / "reconstruct.json").read_text())
+    assert [row["group"] for row in rows] == ["presets", *(g for g in ("iterations", "gaussians", "longest_side") for _ in range(2))]
+    few, many = (row["psnr_flame"] for row in rows if row["group"] == "iterations")
+    assert few < many
+    for name in ("l2", "cos_sim", "psnr_flame"):
+        assert (tmp_path / "out" / f"{name}.svg").read_text().count("<circle") == len(rows)
