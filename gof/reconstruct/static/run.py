@@ -10,11 +10,11 @@ import numpy as np
 import tyro
 
 from gof.cameras import Camera
-from gof.dataset import SCHEMA, VERSION
+from gof.dataset import SCHEMA, VERSION, Dataset
 from gof.errors import DataFormatError, GofError
 from gof.io.files import atomic_path, read_json, write_json
 from gof.reconstruct.motion import flame_mask
-from gof.reconstruct.static import place, plates
+from gof.reconstruct.static import depth, place, plates
 from gof.reconstruct.static.clock import Clock, read_clock
 from gof.reconstruct.static.footage import (
     ROLL_DEG,
@@ -25,6 +25,7 @@ from gof.reconstruct.static.footage import (
     prepare,
     read_clip,
 )
+from gof.reconstruct.static.stereo import stereo_depth
 from gof.stages import StageLog
 
 
@@ -69,6 +70,10 @@ class StaticConfig:
     """Width of the dataset's pictures in pixels; poses are always solved at full size."""
     frames: int | None = None
     """Use only so many frames."""
+    depth: bool = False
+    """Also write depth/cam_0.npy ... (H, W, camera depth in metres) by stereo on the plates, completed, and points.ply."""
+    depth_weights: Path | None = None
+    """Folder of a Depth-Anything-V2 checkpoint that completes the stereo depth; without it edges of the plate do."""
     start: int = 0
     """First frame of the first camera to use."""
     json: Path | None = None
@@ -123,7 +128,33 @@ def make_dataset(config: StaticConfig) -> Path:
             for c, (name, lens, pose) in enumerate(zip(names, upright, placed.world_to_camera, strict=True))
         ]
         write_dataset(config, cameras, clips, made, clock, placed)
+    if config.depth:
+        with log.measure("depth") as figures:
+            figures.update(write_depth(config.out, made, cameras, placed.points, config.depth_weights))
     return config.out
+
+
+def write_depth(folder: Path, made, cameras: list[Camera], points: np.ndarray, weights: Path | None) -> dict:
+    """Depth maps and the fused point cloud of a finished dataset, matched on the plates `made` at full size.
+
+    Returns:
+        each camera's share of pixels with stereo depth.
+    """
+    import cv2
+
+    dataset, clouds, share = Dataset.open(folder), [], []
+    for c, (camera, partial) in enumerate(
+        zip(dataset.cameras, stereo_depth(made, cameras, points), strict=True)
+    ):
+        partial = cv2.resize(partial, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
+        picture = np.uint8(np.rint(255 * dataset.static(c)))
+        whole = depth.whole_depth(partial, picture, weights)
+        with atomic_path(folder / "depth" / f"{camera.name}.npy") as temporary:
+            np.save(temporary, whole)
+        clouds.append(depth.back_project(whole, picture, camera))
+        share.append(round(float(np.isfinite(partial).mean()), 3))
+    depth.write_points(folder / "points.ply", *(np.concatenate(x) for x in zip(*clouds, strict=True)))
+    return {"stereo_share": share}
 
 
 def read_lenses(config: StaticConfig) -> tuple[list[Lens], list[np.ndarray] | None]:

@@ -192,8 +192,13 @@ def test_known_cameras_are_taken_as_they_are(tmp_path):
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps({"cameras": [c.to_dict() for c in rig]}))
     dataset = Dataset.open(
-        make_dataset(StaticConfig(videos, tmp_path / "set", cameras=path, fps=50.0, board="none"))
+        make_dataset(StaticConfig(videos, tmp_path / "set", cameras=path, fps=50.0, board="none", depth=True))
     )
+    for c, camera in enumerate(rig):
+        found, truth = np.load(tmp_path / "set" / "depth" / f"cam_{c}.npy"), draw(camera)[1]
+        seen = np.isfinite(truth)
+        assert np.isfinite(found).all() and (np.abs(found - truth)[seen] < 0.05 * truth[seen]).mean() > 0.75
+    assert (tmp_path / "set" / "points.ply").stat().st_size > 3 * HEIGHT * WIDTH * 15
     for got, camera in zip(dataset.cameras, rig, strict=True):
         np.testing.assert_allclose(got.world_to_camera, camera.world_to_camera)
 
