@@ -176,10 +176,12 @@ def _read(path: Path) -> np.ndarray:
 
 
 def _report(figures: dict, out: Path) -> None:
+    finest = max(r["resolution"] for r in figures["resolution"])
+    coarser = [r for r in figures["resolution"] if r["resolution"] < finest]  # the reference has no error to draw
     charts = {
         "resolution": ("Velocity error against time", "CPU seconds of the bake", "relative error", {
-            "instants": [(r["cpu_s"], r["error"], _label("domain", "resolution", r)) for r in figures["resolution"]],
-            "mean over the clip": [(r["cpu_s"], r["error_mean"], str(r["resolution"])) for r in figures["resolution"]]}),
+            "instants": [(r["cpu_s"], r["error"], _label("domain", "resolution", r)) for r in coarser],
+            "mean over the clip": [(r["cpu_s"], r["error_mean"], str(r["resolution"])) for r in coarser]}),
         "samples": ("Picture error against time", "CPU seconds per picture", "mean error in the flame, 8-bit steps", {
             name: [(r["cpu_s"], r["error"], _label("render", "samples", r) if denoise else str(r["samples"]))
                    for r in figures["samples"] if r["denoise"] == denoise]
