@@ -2,3 +2,27 @@
 
 Runs inside Blender and headless with the ``bpy`` wheel. Needs numpy and nothing else from outside Blender.
 """
+
+bl_info = {  # for Blender before 4.2; later versions read blender_manifest.toml
+    "name": "Gaussians on Fire",
+    "author": "Gaussians on Fire contributors",
+    "version": (0, 1, 0),
+    "blender": (3, 4, 0),
+    "location": "3D View > Sidebar > Gaussians on Fire",
+    "description": "Fire benchmarks with exact ground-truth velocity, and reconstructions of fire as animated Gaussians",
+    "category": "Import-Export",
+}
+
+
+def register() -> None:
+    """Add the panels, the operators and ``scene.gof`` to Blender."""
+    from . import ui  # here, so that the parts without bpy can be imported anywhere
+
+    ui.register()
+
+
+def unregister() -> None:
+    """Remove everything that ``register`` added."""
+    from . import ui
+
+    ui.unregister()

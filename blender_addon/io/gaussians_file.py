@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from blender_addon.io import FileFormatError
+from . import FileFormatError
 
 NPZ_SCHEMA = "gof-linear/1"
 SH_C0 = 0.5 / np.sqrt(np.pi)  # the constant spherical harmonic; display colour = 0.5 + SH_C0 * coefficient

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from blender_addon.io import FileFormatError
+from . import FileFormatError
 
 CHUNK = 64  # cells per chunk side: 1.5 MB of float16, small enough to read a flame out of a large domain
 GZIP_LEVEL = 5

@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from blender_addon.io.gaussians_file import GaussianCloud
+from ..io.gaussians_file import GaussianCloud
 
 STOPS = np.linspace(-14.0, 8.0, 1024)  # linear greys measured, in powers of two
 DIRECTIONS = 4  # horizontal views that W and c are taken from

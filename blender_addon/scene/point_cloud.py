@@ -17,8 +17,7 @@ from typing import Literal
 import bpy
 import numpy as np
 
-from blender_addon.io.gaussians_file import GaussianCloud
-
+from ..io.gaussians_file import GaussianCloud
 from . import display
 
 Mode = Literal["ellipsoids", "points"]

@@ -21,7 +21,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from blender_addon.io.velocity_store import Block, VelocityWriter
+from ..io.velocity_store import Block, VelocityWriter
 
 SOLVER_UNITS_PER_SECOND = 2.5
 
