@@ -40,7 +40,7 @@ def enable() -> None:
 
     Raises RuntimeError if the loaded bpy library cannot be found.
     """
-    if not bpy.app.module or any(isinstance(finder, _MantaFinder) for finder in sys.meta_path):
+    if not getattr(bpy.app, "module", False) or any(isinstance(finder, _MantaFinder) for finder in sys.meta_path):
         return
     package = Path(bpy.__file__).resolve().parents[4]  # <package>/<version>/scripts/modules/bpy/__init__.py
     libraries = [package / f"__init__{suffix}" for suffix in (".so", ".pyd")]

@@ -129,7 +129,13 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     for frame in (1, spec.last_frame):
         flow.texture_offset = offset + 4.0 * spec.solver_step_s * (frame - 1)
         emitter.keyframe_insert(f'modifiers["{modifier.name}"].flow_settings.texture_offset', frame=frame)
-    for layer in emitter.animation_data.action.fcurves:
-        for key in layer.keyframe_points:
+    for curve in _curves(emitter.animation_data.action):
+        for key in curve.keyframe_points:
             key.interpolation = "LINEAR"
     return emitter
+
+
+def _curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
+    if hasattr(action, "fcurves"):  # until Blender 4.5
+        return list(action.fcurves)
+    return [curve for layer in action.layers for strip in layer.strips for bag in strip.channelbags for curve in bag.fcurves]

@@ -19,6 +19,16 @@ except ModuleNotFoundError:  # the bpy wheel does not put Blender's own Python p
 EXR_CHANNELS = ("R", "G", "B", "A", "Z", "flame.R", "flame.G", "flame.B")
 
 
+MEDIA = {"OPEN_EXR_MULTILAYER": "MULTI_LAYER_IMAGE", "FFMPEG": "VIDEO"}
+
+
+def set_format(settings: bpy.types.ImageFormatSettings, file_format: str) -> None:
+    """Choose the file format of renders; from Blender 5.0 on its kind of media has to be chosen first."""
+    if hasattr(settings, "media_type"):
+        settings.media_type = MEDIA.get(file_format, "IMAGE")
+    settings.file_format = file_format
+
+
 def read_exr(path: Path) -> dict[str, np.ndarray]:
     """Channels of an EXR by name, each float32 (H, W). Raises OSError if the file cannot be read."""
     pixels, names = _read(path)
@@ -89,11 +99,14 @@ def _read(path: Path, kind=oiio.FLOAT) -> tuple[np.ndarray, list[str]]:
     image = oiio.ImageInput.open(str(path))
     if image is None:
         raise OSError(f"{path}: {oiio.geterror()}")
+    parts, names = [], []
     try:
-        pixels, names = image.read_image(format=kind), list(image.spec().channelnames)
-        if pixels is None:
-            raise OSError(f"{path}: {image.geterror()}")
-        return pixels, names
+        while image.seek_subimage(len(parts), 0):  # Blender 5.0 on writes one part a pass, of equal sizes
+            parts.append(image.read_image(len(parts), 0, 0, image.spec().nchannels, kind))
+            names += image.spec().channelnames
+            if parts[-1] is None:
+                raise OSError(f"{path}: {image.geterror()}")
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1), names
     finally:
         image.close()
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from .. import shutter
 from ..layout import Layout
+from ..records import SpecError
 from ..spec import SceneSpec
 from . import effects, images, rig
 from .fire import find_domain
@@ -44,14 +45,13 @@ def configure(spec: SceneSpec) -> None:
     )
     cycles.volume_bounces = 0
     cycles.volume_step_rate = spec.render.volume_step_rate
+    if hasattr(cycles, "volume_biased"):  # Blender 5.0 on: march in steps, as before
+        cycles.volume_biased = True
     cycles.caustics_reflective = cycles.caustics_refractive = False
     cycles.sample_clamp_indirect = 10.0
     cycles.use_denoising = spec.render.denoise
-    cycles.denoiser = "OPENIMAGEDENOISE"
-    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
-    # At these image sizes the accurate prefilter costs more than the paths themselves.
-    cycles.denoising_prefilter = "FAST"
-    cycles.denoising_quality = "FAST"
+    if spec.render.denoise:
+        _set_up_denoiser(cycles)
     layer = scene.view_layers[0]
     layer.use_pass_z = True
     layer.use_pass_emit = True
@@ -59,6 +59,24 @@ def configure(spec: SceneSpec) -> None:
     view = scene.view_settings
     view.view_transform, view.look = display.view_transform, display.look
     view.exposure, view.gamma = display.exposure, display.gamma
+
+
+def can_denoise() -> bool:
+    """Whether this Blender was built with Open Image Denoise; those of some Linux distributions are not."""
+    import _cycles
+
+    return _cycles.with_openimagedenoise
+
+
+def _set_up_denoiser(cycles) -> None:
+    if not can_denoise():
+        raise SpecError("render.denoise must be false: this Blender was built without Open Image Denoise")
+    cycles.denoiser = "OPENIMAGEDENOISE"
+    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
+    # At these image sizes the accurate prefilter costs more than the paths themselves.
+    cycles.denoising_prefilter = "FAST"
+    if hasattr(cycles, "denoising_quality"):  # since Blender 4.2
+        cycles.denoising_quality = "FAST"
 
 
 def plates(spec: SceneSpec, layout: Layout) -> None:
@@ -212,7 +230,7 @@ def _render(camera: bpy.types.Object, beside: Path) -> dict[str, np.ndarray]:
     scene = bpy.context.scene
     draft = images.temporary(beside.with_suffix(".passes.exr"))
     settings = scene.render.image_settings
-    settings.file_format = "OPEN_EXR_MULTILAYER"
+    images.set_format(settings, "OPEN_EXR_MULTILAYER")
     settings.color_depth = "32"
     settings.exr_codec = "NONE"
     scene.camera = camera
@@ -228,14 +246,15 @@ def _beauty(passes: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def _flame(passes: dict[str, np.ndarray]) -> np.ndarray:
-    return np.stack([passes[f"Emit.{channel}"] for channel in "RGB"], axis=-1)
+    name = "Emit" if "Emit.R" in passes else "Emission"  # from Blender 5.0 on
+    return np.stack([passes[f"{name}.{channel}"] for channel in "RGB"], axis=-1)
 
 
 def _write_png(path: Path, light: np.ndarray) -> None:
     """Write linear (H, W, 3) light as display sRGB through the scene's view transform, atomically."""
     scene = bpy.context.scene
     settings = scene.render.image_settings
-    settings.file_format = "PNG"
+    images.set_format(settings, "PNG")
     settings.color_mode = "RGB"
     settings.color_depth = "8"
     settings.compression = 15

@@ -43,7 +43,7 @@ def through_codec(spec: SceneSpec, layout: Layout, camera: str, settings: Settin
 
     scene = _sequence(width + width % 2, height + height % 2, spec)
     scene.sequence_editor.strips.new_movie("Video", str(layout.video(camera)), 1, 1, fit_method="ORIGINAL")
-    scene.render.image_settings.file_format = "PNG"
+    images.set_format(scene.render.image_settings, "PNG")
     scene.render.image_settings.color_mode = "RGB"
     for frame, path in zip(frames, finished, strict=True):
         scene.frame_set(frame + 1)
@@ -71,7 +71,7 @@ def _sequence(width: int, height: int, spec: SceneSpec) -> bpy.types.Scene:
 
 
 def _write_video(scene: bpy.types.Scene, path, settings: Settings) -> None:
-    scene.render.image_settings.file_format = "FFMPEG"
+    images.set_format(scene.render.image_settings, "FFMPEG")
     codec = scene.render.ffmpeg
     codec.format, codec.codec = "MPEG4", "H264"
     codec.constant_rate_factor = settings.quality.upper()
