@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.capture.footage import sample, white
+from gof.capture.brightness import sample, white
 from gof.capture.template import BoardTemplate
 from gof.errors import GofError
 
@@ -48,7 +48,7 @@ class Summary:
         self.count = 0
 
     def add(self, frame: np.ndarray) -> None:
-        """Add a BGR frame.
+        """Add an RGB or grey frame.
 
         Raises: BoardNotFound: its size differs from the first frame's.
         """
@@ -63,7 +63,7 @@ class Summary:
             np.minimum(self.low, w, out=self.low)
             np.maximum(self.high, w, out=self.high)
         if self.count % 16 == 0 and len(self.pictures) < 9:
-            self.pictures.append(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame)
+            self.pictures.append(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) if frame.ndim == 3 else frame)
         self.count += 1
 
 

@@ -19,16 +19,19 @@ def plot_camera(times: CameraTimes, title: str, slot: np.ndarray, period_us: flo
     import cv2
 
     image = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
-    text = lambda s, x, y, colour=(40, 40, 40), size=0.45: cv2.putText(
-        image, s, (int(x), int(y)), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
+    def text(s, x, y, colour=(40, 40, 40), size=0.45):
+        return cv2.putText(
+            image, s, (int(x), int(y)), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
     text(f"{title}: rms {times.rms_us:.2f} us, max {times.max_us:.1f} us over {int(times.used.sum())} of {len(times.used)} "
          f"frames; {times.interval_us:.3f} us per frame; rows {times.row_time_us:.3f} us per pixel, {times.readout}",
          LEFT, 24, size=0.5)
     residual = times.measured_us - times.time_us
     limit = max(10.0, np.ceil(times.max_us / 5) * 5 + 5)
     top, bottom = 45, 330
-    x_of = lambda k: LEFT + (WIDTH - LEFT - RIGHT) * k / max(len(residual) - 1, 1)
-    y_of = lambda r: (top + bottom) / 2 - (bottom - top) / 2 * np.clip(r / limit, -1, 1)
+    def x_of(k):
+        return LEFT + (WIDTH - LEFT - RIGHT) * k / max(len(residual) - 1, 1)
+    def y_of(r):
+        return (top + bottom) / 2 - (bottom - top) / 2 * np.clip(r / limit, -1, 1)
     for level in (-limit, -times.rms_us, 0, times.rms_us, limit):
         y = int(y_of(level))
         cv2.line(image, (LEFT, y), (WIDTH - RIGHT, y), (190, 190, 190) if level else (120, 120, 120), 1)

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.capture.footage import frames, sample, white
+from gof.capture.brightness import sample, white
 from gof.capture.locate import BoardInImage, Summary, locate
 from gof.capture.template import BoardTemplate
+from gof.footage import stored_frames
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,10 @@ def read_signals(video: Path, template: BoardTemplate, locate_frames: int = 160,
     bytes), then sample those and all that follow.
 
     Raises:
-        BoardNotFound, DataFormatError: see `locate` and `frames`.
+        BoardNotFound, DataFormatError: see `locate` and `stored_frames`.
     """
     summary, held = Summary(), []
-    stream = frames(video)
+    stream = stored_frames(video)
     for frame in stream:
         summary.add(frame)
         held.append(white(frame))
@@ -53,7 +54,7 @@ def read_signals(video: Path, template: BoardTemplate, locate_frames: int = 160,
         strips.append(strip)
         leds.append(led)
         if progress and count % 64 == 0:
-            progress(count, None)
+            progress(count)
     height, width = summary.low.shape
     return make_signals(np.stack(strips), np.stack(leds), (width, height), board)
 

@@ -220,7 +220,8 @@ def _evaluate(curve, s_at, u, period):
 def _search(v, curve, s_at, time, delay, period, step=40.0):
     """Better times within half a period of the given ones, by least absolute residual on a grid. A frame moves only when
     that explains it much better: a frame without an edge in view fits many times about equally."""
-    cost = lambda shift: np.abs(v - _evaluate(curve, s_at, (time + shift)[:, None] + delay, period)[0]).mean(1)
+    def cost(shift):
+        return np.abs(v - _evaluate(curve, s_at, (time + shift)[:, None] + delay, period)[0]).mean(1)
     here = cost(0.0)
     best, out = 0.6 * here - 0.005, time.copy()
     for shift in np.arange(-period / 2, period / 2, step):
@@ -278,7 +279,8 @@ def _edges(curve, period):
     if len(downs) < len(ups):
         downs = np.append(downs, bins - 1)
     longest = int(np.argmax(downs - ups))
-    cross = lambda i: i + rolled[i] / (rolled[i] - rolled[(i + 1) % bins] or 1e-9)
+    def cross(i):
+        return i + rolled[i] / (rolled[i] - rolled[(i + 1) % bins] or 1e-9)
     return tuple((cross(int(i)) + start) * period / bins for i in (ups[longest], downs[longest]))
 
 

@@ -11,11 +11,11 @@ import numpy as np
 import tyro
 
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
-from gof.capture.footage import nominal_fps
 from gof.capture.plot import plot_camera
 from gof.capture.signals import read_signals
 from gof.capture.template import BoardTemplate
 from gof.errors import GofError
+from gof.footage import stated_fps, stated_frames
 from gof.io.files import write_json
 from gof.stages import progress_bar
 
@@ -86,7 +86,8 @@ def synchronise(videos: list[Path], template: BoardTemplate, options: list[Decod
         start = time.perf_counter()
         try:
             with progress_bar(f"read {name}") as update:
-                signals = read_signals(video, template, progress=lambda done, total, u=update: u(done, total or done))
+                total = stated_frames(video)
+                signals = read_signals(video, template, progress=lambda done, u=update, n=total: u(done, max(done, n or 0)))
             read_s = time.perf_counter() - start
             times = decode(signals, template, option)
         except GofError as e:
@@ -94,7 +95,7 @@ def synchronise(videos: list[Path], template: BoardTemplate, options: list[Decod
             continue
         seconds = time.perf_counter() - start
         camera |= {
-            "width": signals.image_size[0], "height": signals.image_size[1], "container_fps": nominal_fps(video),
+            "width": signals.image_size[0], "height": signals.image_size[1], "container_fps": stated_fps(video),
             "marker_px": round(float(np.linalg.norm(np.diff(signals.board.corners, axis=0), axis=1).mean()), 1),
             "cost": {"read_s": round(read_s, 2), "decode_s": round(seconds - read_s, 2),
                      "frames_per_second": round(len(times.time_us) / seconds, 1)},
@@ -157,7 +158,8 @@ def _nearest(decoded: dict[str, CameraTimes]) -> dict[str, Any]:
 def _describe(t: CameraTimes) -> dict[str, Any]:
     repeated = np.concatenate([[False], np.diff(t.clock_index) == 0])
     gaps = np.flatnonzero(np.diff(t.clock_index) > 1)
-    number = lambda x, digits=3: None if x is None else round(float(x), digits)
+    def number(x, digits=3):
+        return None if x is None else round(float(x), digits)
     return {
         "fps": number(1e6 / t.interval_us, 5), "frame_interval_us": number(t.interval_us, 4),
         "row_time_us": number(t.row_time_us, 4), "readout": t.readout, "exposure_us": number(t.exposure_us, 0),

@@ -94,11 +94,13 @@ def render(shot: SyntheticShot, template: BoardTemplate, frames: int) -> Iterato
 
     rng = np.random.default_rng(shot.seed)
     H = shot.homography()
-    project = lambda p: cv2.perspectiveTransform(np.asarray(p, np.float64).reshape(-1, 1, 2), H).reshape(np.shape(p))
+    def project(p):
+        return cv2.perspectiveTransform(np.asarray(p, np.float64).reshape(-1, 1, 2), H).reshape(np.shape(p))
     ground = cv2.GaussianBlur(rng.normal(0, 1, (shot.height, shot.width)).astype(np.float32), (0, 0), 2)
     picture = 70 + 25 * ground / ground.std()
     fine = 8  # subpixel bits of the polygons
-    fill = lambda img, p, value: cv2.fillPoly(img, [np.round((project(p) - 0.5) * 2**fine).astype(np.int32)], value, cv2.LINE_AA, fine)
+    def fill(img, p, value):
+        return cv2.fillPoly(img, [np.round((project(p) - 0.5) * 2**fine).astype(np.int32)], value, cv2.LINE_AA, fine)
     fill(picture, template.outline, 18)
     cells = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), template.marker_id, 6) > 0
     for (row, column), white in np.ndenumerate(cells):
@@ -147,7 +149,7 @@ def _box(low, high, shape):
 def _strip_mask(project, ends, shape, blur):
     """Light of a strip, 1 on its axis: a soft band with the optics' blur."""
     a, b = project(ends)
-    unit = np.linalg.norm(project(ends[:1] + [[0, 0.1]]) - a) * 10
+    unit = np.linalg.norm(project(np.add(ends[:1], [0, 0.1])) - a) * 10
     sigma = np.hypot(0.03 * unit, blur)
     low, high = np.minimum(a, b) - 4 * sigma, np.maximum(a, b) + 4 * sigma
     box = _box(low, high, shape)

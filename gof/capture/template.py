@@ -89,7 +89,8 @@ def draw_svg(template: BoardTemplate, marker_side_mm: float) -> str:
     cells = cv2.aruco.generateImageMarker(dictionary, template.marker_id, 6) > 0  # one pixel per cell
     points = np.vstack([template.outline, template.strip_ends.reshape(-1, 2), template.led_xy, [[0, 0], [1, 1]]])
     low, high = points.min(0) - 0.2, points.max(0) + 0.2
-    mm = lambda p: (np.asarray(p) - low) * marker_side_mm
+    def mm(p):
+        return (np.asarray(p) - low) * marker_side_mm
     width, height = (high - low) * marker_side_mm
     light, dark = "#fff", "#111"
     out = [

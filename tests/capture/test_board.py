@@ -30,7 +30,7 @@ def test_a_session_with_the_emulator(start_emulator):
         # One count per ten ticks, through the wrap 32767 -> 0.
         assert status.count == (32767 + status.ticks // 10) % 32768 and status.phase == status.ticks % 10
         assert status.earliest_ns <= status.latest_ns and status.mean_abs_ns >= 0
-        with pytest.raises(ProtocolError, match="refused SET_TICK.*stop"):
+        with pytest.raises(ProtocolError, match=r"refused SET_TICK.*stop"):
             board.set_tick(400)
         board.stop()
         assert board.status().state is State.STOPPED
@@ -72,7 +72,7 @@ def test_a_board_pulled_out_in_the_middle(start_emulator):
     with Board(port, timeout_s=0.3) as board:
         process.kill()
         process.wait()
-        with pytest.raises(BoardError, match="went away in the middle|no LED board answers"):
+        with pytest.raises(BoardError, match=r"went away in the middle|no LED board answers"):
             for _ in range(3):
                 board.status()
 

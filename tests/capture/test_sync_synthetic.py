@@ -146,7 +146,7 @@ def test_what_cannot_be_decoded_is_explained(tmp_path, capsys):
     summary = Summary()
     for _ in range(4):
         summary.add(rng.integers(0, 255, (200, 200), dtype=np.uint8))
-    with pytest.raises(BoardNotFound, match="marker 0 .inverted DICT_4X4_50. is not in the picture"):
+    with pytest.raises(BoardNotFound, match=r"marker 0 .inverted DICT_4X4_50. is not in the picture"):
         locate(summary, BOARD)
     stopped = next(render(SMALL, BOARD, 1))
     summary = Summary()
@@ -155,7 +155,7 @@ def test_what_cannot_be_decoded_is_explained(tmp_path, capsys):
     with pytest.raises(BoardNotFound, match="is the board running"):
         locate(summary, BOARD)
     # 250 frames per second meet a 4 ms board always at the same phase.
-    with pytest.raises((NotDecodable, BoardNotFound), match="phases of its period|running|flicker"):
+    with pytest.raises((NotDecodable, BoardNotFound), match=r"phases of its period|running|flicker"):
         decode(shoot(replace(SMALL, fps=250.0)), BOARD, DecodeOptions())
     assert gof(["capture", "sync", str(tmp_path / "none.mp4"), "--out", str(tmp_path / "o")]) == 1
     assert "no camera could be decoded" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
-from gof.reconstruct.static.footage import Lens
+from gof.lens import Lens
 from gof.reconstruct.static.sfm import Features, PoseError, Poses, epipolar_distance
 
 GATES_PX = (25.0, 8.0, 4.0, 2.5)  # epipolar gates, each followed by a bundle adjustment

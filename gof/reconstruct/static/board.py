@@ -28,7 +28,7 @@ def board_points(
     for c, clip in enumerate(clips):
         summary = Summary()
         for frame in clip:
-            summary.add(frame[..., ::-1])
+            summary.add(frame)
         try:
             corners, leds = find_marker(summary, template), {}
         except BoardNotFound as e:

@@ -8,9 +8,9 @@ import numpy as np
 
 from gof.capture.template import BoardTemplate
 from gof.errors import DataFormatError, GofError
+from gof.lens import Lens
 from gof.reconstruct.static import adjust, sfm
 from gof.reconstruct.static.board import board_points, board_region
-from gof.reconstruct.static.footage import Lens
 
 STILL_RANGE = 60  # of 255: pixels that change more over the clip show fire or LEDs and get no features
 MAX_POINT_PX = (

@@ -12,19 +12,13 @@ import tyro
 from gof.cameras import Camera
 from gof.dataset import SCHEMA, VERSION, Dataset
 from gof.errors import DataFormatError, GofError
+from gof.footage import count_frames, first_frame
 from gof.io.files import atomic_path, read_json, write_json
+from gof.lens import ROLL_DEG, Lens, Turn, prepare
 from gof.reconstruct.motion import flame_mask
 from gof.reconstruct.static import depth, place, plates
 from gof.reconstruct.static.clock import Clock, read_clock
-from gof.reconstruct.static.footage import (
-    ROLL_DEG,
-    Lens,
-    Turn,
-    count_frames,
-    first_frame,
-    prepare,
-    read_clip,
-)
+from gof.reconstruct.static.footage import read_clip
 from gof.reconstruct.static.stereo import stereo_depth
 from gof.stages import StageLog
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError, GofError, MissingDependencyError
-from gof.reconstruct.static.footage import Lens
+from gof.lens import Lens
 
 MIN_CONSISTENT = 0.6  # share of a pair's raw matches within GATE_PX of their epipolar lines, below which poses are not believed
 GATE_PX = 3.0

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from gof.cameras import Camera
-from gof.reconstruct.static.footage import Lens
+from gof.lens import Lens
 from tests.conftest import look_at
 
 WIDTH, HEIGHT, FOCAL = 240, 320, 260.0

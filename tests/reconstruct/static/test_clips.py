@@ -8,9 +8,11 @@ import pytest
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
+from gof.footage import first_frame
+from gof.lens import Lens, prepare
 from gof.reconstruct.static import plates
 from gof.reconstruct.static.clock import read_clock
-from gof.reconstruct.static.footage import Lens, first_frame, prepare, read_clip
+from gof.reconstruct.static.footage import read_clip
 from gof.reconstruct.static.run import StaticConfig, make_dataset
 from gof.reconstruct.static.sfm import PoseError
 from tests.reconstruct.static.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
