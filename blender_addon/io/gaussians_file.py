@@ -1,68 +1,90 @@
-"""Reader of reconstruction results, with numpy only: `result.npz` (schema gof-linear/1) and `result.ply`.
+"""Reader of reconstructions, with numpy only.
 
-The PLY holds 3DGS attributes raw (scale_* natural logs, opacity a logit, f_dc spherical-harmonics coefficients, rot
-wxyz) plus t_mu, t_sigma (s), vx, vy, vz (m/s) and is_dynamic; the npz holds the same values activated.
+- `result.npz` (schema gof-linear/1) and `result.ply` of this project;
+- FTGS-PLY version 1 (FreeTimeGS): time runs from 0 to 1 over the clip;
+- a 3DGS PLY (a still), or numbered ones (one per frame; what deformation methods export).
+
+PLY files hold 3DGS attributes raw (scale_* natural logs, opacity a logit, f_dc spherical-harmonics coefficients, rot
+wxyz); a cloud holds activated values.
 """
 
 from __future__ import annotations
 
 import zipfile
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from . import FileFormatError
+from . import FileFormatError, ftgs_file, ply_sequence
+from .cloud import SH_C0, GaussianCloud, checked, splats
+from .ply_file import PlyVertices, columns
 
 NPZ_SCHEMA = "gof-linear/1"
-SH_C0 = 0.5 / np.sqrt(np.pi)  # the constant spherical harmonic; display colour = 0.5 + SH_C0 * coefficient
-PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-             "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-             "double": "f8", "float64": "f8"}
-PLY_FORMATS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+NPZ_NAMES = {"position": "x0", "velocity": "v", "t_mu": "t_mu_s", "t_sigma": "t_sigma_s", "scale": "scale",
+             "rotation": "rotation", "opacity": "alpha", "dynamic": "dynamic"}
+OWN_PROPERTIES = ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")
 
 
 @dataclass(frozen=True)
-class GaussianCloud:
-    """N transient Gaussians, activated, float32; world frame of the dataset (Z up, metres, seconds).
+class Clock:
+    """What the files of other methods do not say about time.
 
-    x(t) = position + (t - t_mu) velocity and alpha(t) = opacity exp(-0.5 ((t - t_mu) / t_sigma)^2); rows that are not
-    dynamic ignore time.
+    Attributes:
+        fps: numbers per second of a PLY sequence, frames per second of an FTGS-PLY's clip.
+        clip_s: seconds from the first to the last frame of an FTGS-PLY; None = from its number of frames and fps.
     """
 
-    position: np.ndarray  # (N, 3) m, at t_mu
-    velocity: np.ndarray  # (N, 3) m/s
-    t_mu: np.ndarray  # (N,) s on the dataset clock
-    t_sigma: np.ndarray  # (N,) s, > 0, inf = always on
-    scale: np.ndarray  # (N, 3) m, standard deviations, > 0
-    rotation: np.ndarray  # (N, 4) unit quaternion wxyz
-    opacity: np.ndarray  # (N,) in [0, 1]
-    color: np.ndarray  # (N, 3) display values, as seen from all sides (the constant term of spherical harmonics)
-    dynamic: np.ndarray  # (N,) bool
-
-    def __len__(self) -> int:
-        return len(self.position)
+    fps: float = 24.0
+    clip_s: float | None = None
 
 
-def load(path: str | Path) -> GaussianCloud:
-    """Read a result by its suffix.
+def load(source: str | Path | Sequence[Path], clock: Clock | None = None, step: int = 1) -> GaussianCloud:
+    """Read a result; what it is follows from its content.
+
+    Args:
+        source: a file, a folder of numbered PLYs, or a list of numbered PLYs.
+        clock: see Clock.
+        step: read every step-th Gaussian only.
 
     Raises:
         FileFormatError: no such file, wrong suffix, schema or layout, missing field, truncated, no points, NaN or Inf,
-            or a value outside its range.
+            a value outside its range, or a time without a unit.
     """
-    path = Path(path)
-    readers = {".npz": _read_npz, ".ply": _read_ply}
-    if path.suffix not in readers:
-        raise FileFormatError(f"{path}: unknown suffix '{path.suffix}'; a result is .npz or .ply")
+    clock = clock or Clock()
+    paths = files_of(source)
+    if len(paths) > 1:
+        return ply_sequence.read(paths, clock.fps, step)
+    if paths[0].suffix.lower() == ".npz":
+        return checked(_read_npz(paths[0], step), paths[0])
+    return checked(_read_ply(paths[0], clock, step), paths[0])
+
+
+def count(source: str | Path | Sequence[Path]) -> int:
+    """Number of Gaussians that `load` would make, from the files' headers alone. Raises: as `load`."""
+    return sum(_count_npz(path) if path.suffix.lower() == ".npz" else PlyVertices(path).count for path in files_of(source))
+
+
+def files_of(source: str | Path | Sequence[Path]) -> list[Path]:
+    """The files that a source stands for, numbered ones in order. Raises: FileFormatError."""
+    if not isinstance(source, (str, Path)):
+        return ply_sequence.numbered([Path(path) for path in source]) if len(source) > 1 else files_of(source[0])
+    path = Path(source)
+    if path.is_dir():
+        found = ply_sequence.numbered(sorted(path.glob("*.ply")))
+        if not found:
+            raise FileFormatError(f"{path}: no numbered .ply files in this folder; choose result.npz or result.ply")
+        return found
+    if path.suffix.lower() not in (".npz", ".ply"):
+        raise FileFormatError(f"{path}: unknown suffix '{path.suffix}'; a result is .npz or .ply. Checkpoints of other "
+                              "methods: `gof convert` makes a result of them")
     if not path.is_file():
         raise FileFormatError(f"{path}: no such file")
-    return _checked(readers[path.suffix](path), path)
+    return [path]
 
 
-def _read_npz(path: Path) -> dict[str, np.ndarray]:
-    names = {"position": "x0", "velocity": "v", "t_mu": "t_mu_s", "t_sigma": "t_sigma_s", "scale": "scale",
-             "rotation": "rotation", "opacity": "alpha", "dynamic": "dynamic"}
+def _read_npz(path: Path, step: int) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as data:
             found = {key: data[key] for key in data.files}
@@ -71,100 +93,45 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
     schema = str(found.get("schema", "none"))
     if schema != NPZ_SCHEMA:
         raise FileFormatError(f"{path}: schema is '{schema}', expected '{NPZ_SCHEMA}'; write it with `gof convert`")
-    missing = [key for key in names.values() if key not in found]
+    missing = [key for key in NPZ_NAMES.values() if key not in found]
     if not {"rgb", "sh"} & set(found):
         missing.append("rgb or sh")
     if missing:
         raise FileFormatError(f"{path}: fields {missing} are missing")
-    values = {field: found[key] for field, key in names.items()}
     if "rgb" in found:
-        return values | {"color": found["rgb"]}
-    sh = found["sh"]
-    if sh.ndim != 3 or not sh.shape[1]:
-        raise FileFormatError(f"{path}: 'sh' has shape {sh.shape}, expected (N, K, 3)")
-    return values | {"color": 0.5 + SH_C0 * sh[:, 0]}
+        color = found["rgb"]
+    elif found["sh"].ndim == 3 and found["sh"].shape[1]:
+        color = 0.5 + SH_C0 * found["sh"][:, 0]
+    else:
+        raise FileFormatError(f"{path}: 'sh' has shape {found['sh'].shape}, expected (N, K, 3)")
+    values = {field: found[key] for field, key in NPZ_NAMES.items()} | {"color": color}
+    return {field: array[::step] if array.ndim else array for field, array in values.items()}
 
 
-def _read_ply(path: Path) -> dict[str, np.ndarray]:
-    data = path.read_bytes()
-    vertex = _ply_vertices(data, path)
-
-    def columns(*names: str) -> np.ndarray:
-        missing = [name for name in names if name not in vertex.dtype.names]
-        if missing:
-            raise FileFormatError(f"{path}: properties {missing} are missing; a plain 3DGS PLY has no time and velocity, "
-                                  "use the result of a transient reconstruction")
-        return np.stack([vertex[name].astype(np.float64) for name in names], -1)
-
-    with np.errstate(over="ignore"):  # an absurd logit is opacity 0 or 1, an absurd log-scale fails the finite check
-        return {
-            "position": columns("x", "y", "z"), "velocity": columns("vx", "vy", "vz"),
-            "t_mu": columns("t_mu")[:, 0], "t_sigma": columns("t_sigma")[:, 0],
-            "scale": np.exp(columns("scale_0", "scale_1", "scale_2")),
-            "rotation": columns("rot_0", "rot_1", "rot_2", "rot_3"),
-            "opacity": 1 / (1 + np.exp(-columns("opacity")[:, 0])),
-            "color": 0.5 + SH_C0 * columns("f_dc_0", "f_dc_1", "f_dc_2"),
-            "dynamic": columns("is_dynamic")[:, 0] != 0,
-        }
-
-
-def _ply_vertices(data: bytes, path: Path) -> np.ndarray:
-    """The vertex element as a structured array; it must be the first element of a binary file."""
-    head, end, body = data.partition(b"end_header\n")
+def _count_npz(path: Path) -> int:
     try:
-        lines = [line.split() for line in head.decode("ascii").splitlines()]
-    except UnicodeDecodeError:
-        lines = []
-    if not end or not lines or lines[0] != ["ply"]:
-        raise FileFormatError(f"{path}: not a PLY file (no complete header)")
-    formats = [PLY_FORMATS.get(line[1]) for line in lines if line[:1] == ["format"] and len(line) > 1]
-    if formats not in (["<"], [">"]):
-        raise FileFormatError(f"{path}: not a binary PLY; convert it to binary_little_endian")
-    elements = [line for line in lines if line[:1] in (["element"], ["property"])]
-    if not elements or elements[0][:2] != ["element", "vertex"] or not elements[0][-1].isdigit():
-        raise FileFormatError(f"{path}: the first element of the PLY is not 'vertex' with a count")
-    count, names = int(elements[0][2]), []
-    for line in elements[1:]:
-        if line[0] == "element":
-            break
-        if len(line) != 3 or line[1] not in PLY_TYPES:
-            raise FileFormatError(f"{path}: vertex property '{' '.join(line[1:])}' is not a plain number")
-        names.append((line[2], formats[0] + PLY_TYPES[line[1]]))
+        with zipfile.ZipFile(path) as archive, archive.open("x0.npy") as member:
+            version = np.lib.format.read_magic(member)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape = read(member)[0]
+    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, OSError):
+        return 0  # `load` says what is wrong
+    return shape[0] if shape else 0
+
+
+def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:
+    ply = PlyVertices(path)
+    if ftgs_file.matches(ply):
+        return ftgs_file.read(ply, clock.clip_s, clock.fps, step)
+    rows = ply.rows(step)
+    values = splats(rows, path)
+    if not any(ply.has(name) for name in OWN_PROPERTIES):  # a plain 3DGS PLY is a still
+        n = len(rows)
+        return values | {"velocity": np.zeros((n, 3)), "t_mu": np.zeros(n), "t_sigma": np.full(n, np.inf),
+                         "dynamic": np.zeros(n, bool)}
     try:
-        dtype = np.dtype(names)
-    except ValueError as error:
-        raise FileFormatError(f"{path}: vertex properties are broken ({error})") from None
-    if len(body) < count * dtype.itemsize:
-        raise FileFormatError(f"{path}: truncated: {count} points need {count * dtype.itemsize} bytes, "
-                              f"{len(body)} are left after the header")
-    return np.frombuffer(body, dtype, count)
-
-
-def _checked(values: dict[str, np.ndarray], path: Path) -> GaussianCloud:
-    n = len(values["position"]) if values["position"].ndim else 0
-    if not n:
-        raise FileFormatError(f"{path}: holds 0 points; did the reconstruction end well?")
-    widths = {"position": (3,), "velocity": (3,), "scale": (3,), "rotation": (4,), "color": (3,)}
-    for field in fields(GaussianCloud):
-        array = values[field.name]
-        if array.shape != (n, *widths.get(field.name, ())):
-            raise FileFormatError(f"{path}: '{field.name}' has shape {array.shape} for {n} points")
-        if array.dtype.kind not in "fiub":
-            raise FileFormatError(f"{path}: '{field.name}' holds {array.dtype}, expected numbers")
-        with np.errstate(over="ignore"):
-            values[field.name] = array = array.astype(bool if field.name == "dynamic" else np.float32)
-        unbounded = field.name == "t_sigma"
-        _require(np.isfinite(array) | (unbounded & np.isposinf(array)), field.name, "finite (NaN or Inf found)", path)
-    _require(values["t_sigma"] > 0, "t_sigma", "> 0", path)
-    _require(values["scale"] > 0, "scale", "> 0", path)
-    _require((values["opacity"] >= 0) & (values["opacity"] <= 1), "opacity", "in [0, 1]", path)
-    length = np.linalg.norm(values["rotation"].astype(np.float64), axis=1, keepdims=True)
-    _require(length > 1e-12, "rotation", "a quaternion that is not zero", path)
-    values["rotation"] = (values["rotation"] / length).astype(np.float32)
-    return GaussianCloud(**values)
-
-
-def _require(good: np.ndarray, name: str, rule: str, path: Path) -> None:
-    rows = np.unique(np.argwhere(~good)[:, 0])
-    if len(rows):
-        raise FileFormatError(f"{path}: '{name}' must be {rule}; rows {rows[:5].tolist()} of {len(good)} are not")
+        return values | {"velocity": columns(rows, "vx", "vy", "vz"), "t_mu": columns(rows, "t_mu")[:, 0],
+                         "t_sigma": columns(rows, "t_sigma")[:, 0], "dynamic": columns(rows, "is_dynamic")[:, 0] != 0}
+    except KeyError as error:
+        raise FileFormatError(f"{path}: properties {error.args[0]} are missing; the other properties of a transient "
+                              "reconstruction are there, so write the file again") from None

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from blender_addon.io import FileFormatError
-from blender_addon.io.gaussians_file import SH_C0, load
+from blender_addon.io.cloud import SH_C0
+from blender_addon.io.gaussians_file import Clock, count, load
 from gof.gaussians import TransientGaussians
 
 N = 40
@@ -126,3 +127,111 @@ def test_wrong_name(tmp_path):
         load(tmp_path / "result.pth")
     with pytest.raises(FileFormatError, match="no such file"):
         load(tmp_path / "result.npz")
+
+
+def plain_ply(path, cloud):
+    """A 3DGS PLY as trainers write it, without time."""
+    from plyfile import PlyData, PlyElement
+
+    vertex = PlyData.read(str(cloud.save(path)))["vertex"].data
+    names = [n for n in vertex.dtype.names if n not in ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")]
+    PlyData([PlyElement.describe(vertex[names].astype([(n, "f4") for n in names]), "vertex")]).write(str(path))
+    return path
+
+
+def test_ftgs_ply_against_the_library(tmp_path):
+    from gof.io.importers import ImportOptions, read_result
+    from gof.io.importers.freetime import save
+
+    file = save(gaussians(), tmp_path / "a.ftgs.ply", start_s=0.0, end_s=1.5, frames=37)
+    wanted = read_result(file, ImportOptions(time_unit_s=1.5)).gaussians
+    for clock in (Clock(fps=24), Clock(fps=30, clip_s=1.5)):  # 36 steps at 24 per second are 1.5 s
+        cloud = load(file, clock)
+        for name in ("position", "velocity", "t_mu", "t_sigma", "scale", "rotation", "opacity"):
+            assert np.allclose(getattr(cloud, name), getattr(wanted, name), rtol=1e-5, atol=1e-6), name
+        assert cloud.dynamic.all()
+
+
+def test_ftgs_ply_without_seconds(tmp_path):
+    from gof.io.importers.freetime import save
+
+    file = save(gaussians(), tmp_path / "a.ftgs.ply", start_s=0.0, end_s=1.5)
+    with pytest.raises(FileFormatError, match="set Clip Length"):
+        load(file)
+    file.write_bytes(file.read_bytes().replace(b"time_units normalized", b"time_units fortnights", 1))
+    with pytest.raises(FileFormatError, match="fortnights; expected 1, normalized"):
+        load(file, Clock(clip_s=1.0))
+
+
+def test_plain_splats_are_a_still(tmp_path):
+    wanted = gaussians()
+    cloud = load(plain_ply(tmp_path / "still.ply", wanted))
+    assert np.array_equal(cloud.position, wanted.position) and not cloud.dynamic.any()
+    assert (cloud.velocity == 0).all() and np.isinf(cloud.t_sigma).all() and cloud.begin is None
+
+
+@pytest.mark.parametrize("as_folder", [True, False])
+def test_sequence_of_plys(tmp_path, as_folder):
+    """Numbers 3, 5, 10 at 10 per second: rows move straight from file to file, each seen until the next."""
+    states, files = {}, []
+    rng = np.random.default_rng(0)
+    for number in (10, 3, 5):
+        states[number] = gaussians()
+        states[number].position[:] = rng.normal(size=(N, 3))
+        files.append(plain_ply(tmp_path / f"out_v2_{number}.ply", states[number]))
+    cloud = load(tmp_path if as_folder else files, Clock(fps=10))
+    assert len(cloud) == 3 * N == count(tmp_path)
+    assert np.allclose(cloud.begin[::N], [0.3, 0.5, 1.0]) and np.allclose(cloud.end[::N], [0.5, 1.0, 1.5])
+    first = slice(0, N)
+    halfway = cloud.position[first] + 0.1 * cloud.velocity[first]
+    assert np.allclose(halfway, (states[3].position + states[5].position) / 2, atol=1e-6)
+    assert np.array_equal(cloud.position[N:2 * N], states[5].position)
+    assert (cloud.end[:N] == cloud.begin[N:2 * N]).all()  # never two at once, never none
+
+
+def test_sequence_whose_gaussians_change(tmp_path):
+    plain_ply(tmp_path / "1.ply", gaussians())
+    plain_ply(tmp_path / "2.ply", gaussians()[:9])
+    cloud = load(tmp_path)
+    assert len(cloud) == N + 9 and (cloud.velocity == 0).all()
+
+
+def test_broken_sequences(tmp_path):
+    with pytest.raises(FileFormatError, match="no numbered"):
+        load(tmp_path)
+    plain_ply(tmp_path / "1.ply", gaussians())
+    plain_ply(tmp_path / "01.ply", gaussians())
+    with pytest.raises(FileFormatError, match="same number"):
+        load(tmp_path)
+    (tmp_path / "01.ply").rename(tmp_path / "cloud.ply")
+    with pytest.raises(FileFormatError, match=r"cloud\.ply: not a numbered"):
+        load(tmp_path)
+    plain_ply(tmp_path / "cloud.ply", gaussians()).rename(tmp_path / "2.ply")
+    (tmp_path / "2.ply").write_bytes((tmp_path / "2.ply").read_bytes()[:-5])
+    with pytest.raises(FileFormatError, match=r"2\.ply: truncated"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".ply"])
+def test_count_and_every_third(tmp_path, suffix):
+    wanted = gaussians()
+    file = wanted.save(tmp_path / f"result{suffix}")
+    assert count(file) == N
+    cloud = load(file, step=3)
+    assert np.array_equal(cloud.position, wanted.position[::3]) and np.array_equal(cloud.dynamic, wanted.dynamic[::3])
+
+
+def test_count_of_a_file_that_is_no_result(tmp_path):
+    (tmp_path / "result.npz").write_bytes(b"nothing")
+    assert count(tmp_path / "result.npz") == 0
+    np.savez(tmp_path / "result.npz", other=np.zeros(3))
+    assert count(tmp_path / "result.npz") == 0
+
+
+def test_a_mesh_is_no_reconstruction(tmp_path):
+    from plyfile import PlyData, PlyElement
+
+    vertex = np.zeros(4, [(n, "f4") for n in "xyz"])
+    PlyData([PlyElement.describe(vertex, "vertex")]).write(str(tmp_path / "mesh.ply"))
+    with pytest.raises(FileFormatError, match="not a Gaussian splat PLY"):
+        load(tmp_path / "mesh.ply")
