@@ -2,6 +2,7 @@
 # a virtual environment, pinned packages.
 #   make demo    a small real fire: simulated, rendered, reconstructed, scored, shown (out/demo/report.html)
 #   make test    the test suite
+#   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python 3.11
 # TORCH: which PyTorch to install; a CUDA build of your own is kept if it is in the environment already.
 PYTHON ?= python3.11
 TORCH  ?= torch==2.13.0
@@ -9,13 +10,16 @@ OUT    ?= out/demo
 VENV   := .venv
 READY  := $(VENV)/.ready
 
-.PHONY: demo test setup lint clean
+.PHONY: demo test addon setup lint clean
 
 demo: setup
 	$(VENV)/bin/gof demo --out $(OUT)
 
 test: setup
 	$(VENV)/bin/python -m pytest $(ARGS)
+
+addon:
+	$(PYTHON) tools/build_addon.py
 
 setup: $(READY)
 
