@@ -7,6 +7,7 @@ zeros share one empty brick, which is what a plume leaves of a 640^3 grid.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -69,21 +70,25 @@ class StoredField:
         return sum(np.float32(weight) * cells.astype(np.float32) for cells, weight in stored)
 
     def sample(self, points: np.ndarray) -> np.ndarray:
-        """As `VelocityField.sample`; reads the chunks around the points, all at once."""
+        """As `VelocityField.sample`; reads the chunks around the points, POOL_BYTES of them at a time."""
         index = self.to_index(points)
         inside = ((index >= 0) & (index <= self.resolution)).all(-1)
-        out = np.zeros((len(index), 3), np.float32)
+        values = np.zeros((int(inside.sum()), 3), np.float32)
         coordinate = np.clip(index[inside] - 0.5, 0, np.array(self.resolution) - 1)
         low = coordinate.astype(np.int64)
         fraction = (coordinate - low).astype(np.float32)
-        pool = pool_of(self, touched_chunks(self, low, low))
         brick, local = np.divmod(low, CHUNK)
-        slot = pool.table[tuple(brick.T)]
         step = (low + 1 < self.resolution).astype(np.int64)
-        for corner in np.ndindex(2, 2, 2):
-            weight = np.prod(np.where(corner, fraction, 1 - fraction), axis=1)
-            at = local + np.array(corner) * step
-            out[inside] += weight[:, None] * pool.cells[slot, at[:, 0], at[:, 1], at[:, 2], :3]
+        for rows, needed in parts(self, low, low, np.arange(len(low))):
+            pool = pool_of(self, needed)
+            slot = pool.table[tuple(brick[rows].T)]
+            for corner in np.ndindex(2, 2, 2):
+                weight = np.prod(np.where(corner, fraction[rows], 1 - fraction[rows]), axis=1)
+                at = local[rows] + np.array(corner) * step[rows]
+                values[rows] += weight[:, None] * pool.cells[slot, at[:, 0], at[:, 1], at[:, 2], :3]
+            del pool  # before the next one is made
+        out = np.zeros((len(index), 3), np.float32)
+        out[inside] = values
         return out
 
 
@@ -116,28 +121,45 @@ def touched_chunks(field: VelocityField | StoredField, low: np.ndarray, high: np
     if bricks.prod() <= FEW:
         return np.ones(bricks, bool)
     meets = ((high + MARGIN >= 0) & (low - MARGIN < size)).all(1)
-    first = np.clip(low[meets] - MARGIN, 0, size - 1).astype(np.int64) // CHUNK
-    after = np.clip(high[meets] + MARGIN, 0, size - 1).astype(np.int64) // CHUNK + 1
+    first = np.clip(low[meets] - MARGIN, 0, size - 1) // CHUNK
+    after = np.clip(high[meets] + MARGIN, 0, size - 1) // CHUNK + 1
+    # a million Gaussians share a few thousand ranges
+    pairs = np.unique(_flat(first, bricks + 1) * np.prod(bricks + 1) + _flat(after, bricks + 1))
+    first, after = (np.stack(np.unravel_index(half, bricks + 1), 1) for half in np.divmod(pairs, np.prod(bricks + 1)))
     marks = np.zeros(bricks + 1, np.int64)  # +1 and -1 at the corners of every range; running sums fill the ranges
     for corner in np.ndindex(2, 2, 2):
-        at = np.ravel_multi_index(tuple(np.where(corner, after, first).T), marks.shape)
+        at = _flat(np.where(corner, after, first), marks.shape)
         marks += (-1) ** sum(corner) * np.bincount(at, minlength=marks.size).reshape(marks.shape)
     return marks.cumsum(0).cumsum(1).cumsum(2)[:-1, :-1, :-1] > 0
 
 
-def pool_bytes(field: VelocityField | StoredField, chunks: int) -> int:
-    return chunks * EDGE**3 * 4 * np.dtype(_dtype(field)).itemsize
+def _flat(number: np.ndarray, shape) -> np.ndarray:
+    """(M,) position of (M, 3) numbers in an array of this shape."""
+    return np.ravel_multi_index(tuple(number.T), tuple(shape))
+
+
+def parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """`rows` with the chunks they touch, halved along the longest side until the chunks of each part fit into the pool."""
+    needed = touched_chunks(field, low[rows], high[rows])
+    if int(needed.sum()) * EDGE**3 * 4 * np.dtype(_dtype(field)).itemsize > POOL_BYTES:
+        middle = low[rows] + (high[rows] - low[rows]) // 2
+        spread = np.ptp(middle, axis=0)
+        if spread.max() >= CHUNK:  # below, halving cannot help
+            for half in np.array_split(rows[np.argsort(middle[:, spread.argmax()], kind="stable")], 2):
+                yield from parts(field, low, high, half)
+            return
+    yield rows, needed
 
 
 def pool_of(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
     """The pool for the chunks of `touched_chunks`; the last pool of a stored field is kept, since its frame is asked for twice."""
-    kept = field.__dict__.get("_pool") if isinstance(field, StoredField) else None
-    if kept is not None and not (needed & ~kept.held).any():
-        return kept
-    pool = _fill(field, needed)
-    if isinstance(field, StoredField):
-        field.__dict__["_pool"] = pool
-    return pool
+    if not isinstance(field, StoredField):
+        return _fill(field, needed)
+    state = field.__dict__
+    if "_pool" not in state or (needed & ~state["_pool"].held).any():
+        state.pop("_pool", None)  # first: both at once would be the peak of the memory
+        state["_pool"] = _fill(field, needed)
+    return state["_pool"]
 
 
 def _dtype(field) -> type:
@@ -154,27 +176,27 @@ def _aligned_zeros(shape: tuple[int, ...], dtype: type) -> np.ndarray:
 
 def _fill(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
     numbers = [tuple(n) for n in np.argwhere(needed).tolist()]
-    with ThreadPoolExecutor(os.cpu_count()) as threads:  # decompression runs without Python's lock
-        batch = 4 * (os.cpu_count() or 1)
-        cells = _aligned_zeros((1 + len(numbers), EDGE, EDGE, EDGE, 4), _dtype(field))
-        full: dict[tuple[int, int, int], int] = {}
-        for start in range(0, len(numbers), batch):
-            part = numbers[start:start + batch]
-            for number, chunk in zip(part, threads.map(field.chunk, part), strict=True):
-                if chunk is not None:
-                    full[number] = len(full) + 1
-                    x, y, z = chunk.shape[:3]
-                    cells[full[number], :x, :y, :z, :3] = chunk
-    slots = dict(full)
-    upper = [d for d in np.ndindex(2, 2, 2) if any(d)]
-    for number in numbers:  # the last layer of a brick comes from its upper neighbours
-        for d in upper:
-            neighbour = tuple(a + b for a, b in zip(number, d, strict=True))
-            if neighbour in full:
-                own = slots.setdefault(number, len(slots) + 1)
-                to = tuple(CHUNK if k else slice(CHUNK) for k in d)
-                cells[(own, *to)] = cells[(full[neighbour], *(0 if k else slice(CHUNK) for k in d))]
+    cells = _aligned_zeros((1 + len(numbers), EDGE, EDGE, EDGE, 4), _dtype(field))  # slots that stay empty take no memory
+
+    def load(slot: int) -> bool:
+        chunk = field.chunk(numbers[slot - 1])
+        if chunk is not None:
+            x, y, z = chunk.shape[:3]
+            for k in range(3):  # three times as fast as all components at once
+                cells[slot, :x, :y, :z, k] = chunk[..., k]
+        return chunk is not None
+
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # decompression and copying run without Python's lock
+        full = list(threads.map(load, range(1, len(numbers) + 1)))
+    slot_of = {number: slot for slot, number in enumerate(numbers, 1)}
+    filled = {number for number, has_flow in zip(numbers, full, strict=True) if has_flow}
     table = np.zeros(needed.shape, np.uint32)
-    for number, slot in slots.items():
-        table[number] = slot
-    return Pool(cells[:len(slots) + 1], table, needed)
+    upper = [d for d in np.ndindex(2, 2, 2) if any(d)]
+    for number, slot in slot_of.items():  # the last layer of a brick comes from its upper neighbours
+        neighbours = [(d, n) for d in upper if (n := tuple(a + b for a, b in zip(number, d, strict=True))) in filled]
+        for d, neighbour in neighbours:
+            to, source = (tuple(edge if k else slice(CHUNK) for k in d) for edge in (CHUNK, 0))
+            cells[(slot, *to)] = cells[(slot_of[neighbour], *source)]
+        if neighbours or number in filled:
+            table[number] = slot
+    return Pool(cells, table, needed)

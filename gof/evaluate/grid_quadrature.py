@@ -5,13 +5,10 @@ Its plain twin is `quadrature.expected_velocity_plain`; both agree to float32 ro
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import drjit as dr
 import numpy as np
 
-from gof.evaluate import bricks
-from gof.evaluate.bricks import EDGE, FAR, Pool, StoredField, cell_ranges, pool_bytes, pool_of, touched_chunks
+from gof.evaluate.bricks import EDGE, FAR, Pool, StoredField, cell_ranges, parts, pool_of
 from gof.evaluate.quadrature import Expectation, product_rule
 from gof.fields import CHUNK, VelocityField
 from gof.render.backend import Array4f, Float, Int, UInt, floats
@@ -35,7 +32,7 @@ def expected_velocity_on_grid(field: VelocityField | StoredField, position: np.n
     index = np.clip(field.to_index(position) - 0.5, -FAR, FAR)  # whole numbers are cell centres
     cell = np.floor(index).astype(np.int32)
     low, high = cell_ranges(field, position, scale, np.abs(nodes).max())
-    for part, needed in _parts(field, low, high, np.arange(len(position))):
+    def evaluate(part: np.ndarray, needed: np.ndarray) -> None:
         pool = pool_of(field, needed)
         cells = _to_device(pool.cells)
         part = part[np.argsort(_brick_order(cell[part], field.resolution), kind="stable")]  # neighbours share the cache
@@ -47,20 +44,10 @@ def expected_velocity_on_grid(field: VelocityField | StoredField, position: np.n
             dr.eval(mean, centre, outside)
             result.mean[rows], result.centre[rows] = mean.numpy()[:3].T, centre.numpy()[:3].T
             result.inside[rows] = np.maximum(1 - outside.numpy().astype(np.float64), 0)
+
+    for part, needed in parts(field, low, high, np.arange(len(position))):
+        evaluate(part, needed)  # a function, so that its pool is gone before the next one is made
     return result
-
-
-def _parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """`rows` with the chunks they touch, halved along the longest side until the chunks of each part fit into the pool."""
-    needed = touched_chunks(field, low[rows], high[rows])
-    if pool_bytes(field, int(needed.sum())) > bricks.POOL_BYTES:
-        middle = low[rows] + (high[rows] - low[rows]) // 2
-        spread = np.ptp(middle, axis=0)
-        if spread.max() >= CHUNK:  # below, halving cannot help
-            for half in np.array_split(rows[np.argsort(middle[:, spread.argmax()], kind="stable")], 2):
-                yield from _parts(field, low, high, half)
-            return
-    yield rows, needed
 
 
 def _brick_order(cell: np.ndarray, resolution) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
 from gof.errors import GofError
-from gof.evaluate.bricks import StoredField, cell_ranges, pool_of, touched_chunks
+from gof.evaluate.bricks import StoredField, cell_ranges, parts, pool_of
 from gof.fields import VelocityField
 
 ORDERS = (1, 3, 5, 7)
@@ -54,6 +54,10 @@ def product_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
     return nodes, weights
 
 
+def _nothing(count: int) -> Expectation:
+    return Expectation(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count))
+
+
 def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
     """Unit quaternions wxyz (N, 4) to rotation matrices (N, 3, 3); columns are the Gaussian's own axes in the world."""
     q = quaternion.astype(np.float64)
@@ -79,18 +83,14 @@ def expected_velocity(field: VelocityLike, position: np.ndarray, scale: np.ndarr
 
         return expected_velocity_on_grid(field, position, scale, rotation, order)
     if isinstance(field, StoredField):
+        result = _nothing(len(position))
         ranges = cell_ranges(field, position, scale, np.abs(product_rule(order)[0]).max())
-        pool_of(field, touched_chunks(field, *ranges))  # read once, not in pieces
+        for rows, needed in parts(field, *ranges, np.arange(len(position))):
+            pool_of(field, needed)  # read once, not for every batch of points
+            for whole, part in zip(result, expected_velocity_plain(field, position[rows], scale[rows], rotation[rows], order), strict=True):
+                whole[rows] = part
+        return result
     return expected_velocity_plain(field, position, scale, rotation, order)
-
-
-def sample(field: VelocityLike, points: np.ndarray) -> np.ndarray:
-    """`field.sample(points)`, compiled for many points on a grid: (M, 3) world m to (M, 3) m/s."""
-    if isinstance(field, (VelocityField, StoredField)) and len(points) >= COMPILED_FROM:
-        from gof.evaluate.grid_quadrature import expected_velocity_on_grid
-
-        return expected_velocity_on_grid(field, points, np.zeros((len(points), 3)), np.tile([1.0, 0, 0, 0], (len(points), 1)), 1).centre
-    return field.sample(points)
 
 
 def expected_velocity_plain(field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray,
@@ -98,7 +98,7 @@ def expected_velocity_plain(field: VelocityLike, position: np.ndarray, scale: np
     """`expected_velocity` in numpy float64, for any field; holds about CHUNK_POINTS points at a time, whatever M is."""
     nodes, weights = product_rule(order)
     count = len(position)
-    result = Expectation(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count))
+    result = _nothing(count)
     corners = np.flatnonzero((np.abs(nodes) == np.abs(nodes).max()).all(1))
     step = max(1, CHUNK_POINTS // len(nodes))
     for start in range(0, count, step):

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.evaluate.quadrature import VelocityLike, rotation_matrices, sample
+from gof.evaluate.quadrature import VelocityLike, rotation_matrices
 
 LIMIT_RAD = 1.5
 SAMPLE = 128  # Gaussians looked at per frame; the share's standard error is below 4.5 %, pooled over 30 frames 0.8 %
@@ -43,7 +43,7 @@ def phase_spread(field: VelocityLike, position: np.ndarray, scale: np.ndarray, r
     inside = field.contains(flat - h) & field.contains(flat + h)
     offsets = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]
                              + [[(s * np.eye(3)[a] + r * np.eye(3)[b])] for a, b in _PAIRS if a != b for s in (1, -1) for r in (1, -1)])
-    values = sample(field, (flat[inside, None, :] + h * offsets).reshape(-1, 3)).reshape(-1, len(offsets), 3).astype(np.float64)
+    values = field.sample((flat[inside, None, :] + h * offsets).reshape(-1, 3)).reshape(-1, len(offsets), 3).astype(np.float64)
     gradient = (values[:, 1:4] - values[:, 4:7]) / (2 * h)  # (K, 3 axes, 3 components)
     hessian = np.empty((len(values), 3, 3, 3))
     mixed = 7

@@ -62,6 +62,10 @@ def test_parts_do_not_change_the_answer(store, monkeypatch):
     for a, b in zip(whole, expected_velocity_on_grid(StoredField(store, 0.0), *shape_of(g), 3), strict=True):
         np.testing.assert_array_equal(a, b)
     assert len(sizes) > 3
+    points, read = np.random.default_rng(2).uniform(-0.8, 0.8, (2000, 3)), len(sizes)
+    monkeypatch.setattr(bricks, "pool_of", lambda *a: sizes.append(pool_of(*a)) or sizes[-1])
+    np.testing.assert_allclose(StoredField(store, 0.0).sample(points), store.at(0.0).sample(points), atol=1e-6)
+    assert len(sizes) > read + 3 and max(p.held.sum() for p in sizes) < 18
 
 
 def test_only_touched_chunks_are_read(store, monkeypatch):
