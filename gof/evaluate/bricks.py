@@ -78,15 +78,18 @@ class StoredField:
         low = coordinate.astype(np.int64)
         fraction = (coordinate - low).astype(np.float32)
         brick, local = np.divmod(low, CHUNK)
-        step = (low + 1 < self.resolution).astype(np.int64)
+        stride = (low + 1 < self.resolution) * np.array([EDGE * EDGE, EDGE, 1])
         for rows, needed in parts(self, low, low, np.arange(len(low))):
             pool = pool_of(self, needed)
-            slot = pool.table[tuple(brick[rows].T)]
-            for corner in np.ndindex(2, 2, 2):
-                weight = np.prod(np.where(corner, fraction[rows], 1 - fraction[rows]), axis=1)
-                at = local[rows] + np.array(corner) * step[rows]
-                values[rows] += weight[:, None] * pool.cells[slot, at[:, 0], at[:, 1], at[:, 2], :3]
-            del pool  # before the next one is made
+            records = pool.cells.reshape(-1, 4)
+            first = pool.table[tuple(brick[rows].T)].astype(np.int64) * EDGE**3 + local[rows] @ np.array([EDGE * EDGE, EDGE, 1])
+            blend, to_next = [(1 - f, f) for f in fraction[rows].T], [(0, s) for s in stride[rows].T]
+            total = np.zeros((len(rows), 3), np.float32)
+            for i, j, k in np.ndindex(2, 2, 2):
+                at = first + to_next[0][i] + to_next[1][j] + to_next[2][k]
+                total += (blend[0][i] * blend[1][j] * blend[2][k])[:, None] * records.take(at, axis=0)[:, :3]
+            values[rows] = total
+            del records, pool  # before the next one is made
         out = np.zeros((len(index), 3), np.float32)
         out[inside] = values
         return out
