@@ -17,12 +17,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..io.gaussians_file import GaussianCloud
+from ..io.cloud import GaussianCloud
+from . import compat
 
 STOPS = np.linspace(-14.0, 8.0, 1024)  # linear greys measured, in powers of two
 DIRECTIONS = 4  # horizontal views that W and c are taken from
 MOST_SLICES = 64
 LEAST_COVERAGE = 1e-4
+LEAST_OPACITY = 1e-3  # of a Gaussian that still counts in a picture
+MOST_PIXELS = 1 << 22  # of a picture that is summed as an array
 
 
 @dataclass(frozen=True)
@@ -55,46 +58,63 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
     """
     spread = cloud.scale.astype(np.float64).prod(1) ** (2 / 3)  # product of the two standard deviations seen in a view
     pixel = 2 * float(np.median(np.sqrt(spread)))
-    fading = cloud.dynamic & np.isfinite(cloud.t_sigma)
+    first, last = _seen(cloud)
+    bounded = np.isfinite(first)
+    brightest = np.where(bounded, cloud.t_mu, 0.0)
     lifetime = 1.0
-    if fading.any():
-        lifetime = max(float(np.median(cloud.t_sigma[fading])), float(np.ptp(cloud.t_mu[fading])) / MOST_SLICES)
-    slices = np.round(np.where(fading, cloud.t_mu, 0.0) / lifetime)
-    light = np.full((len(cloud), 3), np.inf)
+    if bounded.any():
+        lifetime = max(float(np.median((last - first)[bounded])) / 7, float(np.ptp(brightest[bounded])) / MOST_SLICES, 1e-9)
+    slices = np.round(brightest / lifetime)
+    light = np.full((len(cloud), 3), np.inf, np.float32)
     for number in np.unique(slices):
-        age = np.where(cloud.dynamic, number * lifetime - cloud.t_mu.astype(np.float64), 0.0)
-        alpha = cloud.opacity * np.exp(-0.5 * (age / cloud.t_sigma) ** 2)
-        alive = np.flatnonzero((alpha > 1e-3) | (slices == number))
-        asked = slices[alive] == number
-        place = cloud.position[alive] + age[alive, None] * cloud.velocity[alive]
-        depth = 2 * np.pi * (alpha * spread)[alive] / pixel**2
+        time = np.float32(number * lifetime)
+        alive = np.flatnonzero(((first <= time) & (time <= last)) | (slices == number))
+        asked = np.flatnonzero(slices[alive] == number)
+        age = np.where(cloud.dynamic[alive], time - cloud.t_mu[alive], np.float32(0))
+        alpha = cloud.opacity[alive] * np.exp(-0.5 * np.minimum(np.abs(age) / cloud.t_sigma[alive], 40) ** 2)
+        place = (cloud.position[alive] + age[:, None] * cloud.velocity[alive]) / np.float32(pixel)
+        depth = (2 * np.pi * alpha * spread[alive]) / pixel**2
+        weighted = [depth] + [depth * cloud.color[alive, channel] for channel in range(3)]
+        dimmest = np.full((len(asked), 3), np.inf)
         for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
-            across = place[:, :2] @ [np.cos(angle), np.sin(angle)]
-            shown, covered = _pixels(np.floor(np.column_stack([across, place[:, 2]]) / pixel), depth, cloud.color[alive])
-            here = (curve.light(shown) / covered[:, None])[asked]
-            light[alive[asked]] = np.minimum(light[alive[asked]], here)
-    return light.astype(np.float32)
+            across = place[:, 0] * np.float32(np.cos(angle)) + place[:, 1] * np.float32(np.sin(angle))
+            owner = _pixel_numbers(across, place[:, 2])
+            shown, covered = _picture(*(np.bincount(owner, values) for values in weighted))
+            dimmest = np.minimum(dimmest, (curve.light(shown) / covered[:, None])[owner[asked]])
+        light[alive[asked]] = dimmest
+    return light
 
 
-def _pixels(index: np.ndarray, depth: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Display value W c (N, 3) and coverage W (N,) of the pixel that each Gaussian falls into.
+def _seen(cloud: GaussianCloud) -> tuple[np.ndarray, np.ndarray]:
+    """First and last time (N,), (N,) at which each Gaussian counts in a picture; infinite where it always does."""
+    if cloud.begin is not None:
+        return cloud.begin, cloud.end
+    lifetimes = np.sqrt(2 * np.log(np.maximum(cloud.opacity / LEAST_OPACITY, 1)))
+    reach = np.where(cloud.dynamic & np.isfinite(cloud.t_sigma), cloud.t_sigma * lifetimes, np.inf)
+    return cloud.t_mu - reach, cloud.t_mu + reach
 
-    Args:
-        index: (N, 2) whole pixel coordinates; depth: (N,) optical depth of each Gaussian spread over a pixel;
-        color: (N, 3) display values.
-    """
-    _, owner = np.unique(index, axis=0, return_inverse=True)
-    total = np.bincount(owner, depth)
-    covered = np.clip(-np.expm1(-total), LEAST_COVERAGE, 1.0)
-    sums = np.column_stack([np.bincount(owner, depth * color[:, channel]) for channel in range(3)])
-    mean = sums / np.maximum(total, 1e-12)[:, None]  # a pixel of vanished Gaussians only: dark
-    return (np.clip(mean, 0, 1) * covered[:, None])[owner], covered[owner]
+
+def _pixel_numbers(across: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Which pixel of a picture each of N places falls into, (N,) from 0 on; coordinates in pixels."""
+    column, row = np.floor(across).astype(np.int64), np.floor(up).astype(np.int64)
+    column -= column.min()
+    row -= row.min()
+    numbers = column * (row.max() + 1) + row
+    # Runaways far from the flame would make the picture huge: then only pixels with something inside are numbered.
+    return numbers if numbers.max() < MOST_PIXELS else np.unique(numbers, return_inverse=True)[1]
+
+
+def _picture(depth: np.ndarray, *color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Display values W c (P, 3) and coverage W (P,) of pixels, from their sums of optical depth and of depth times colour."""
+    covered = np.clip(-np.expm1(-depth), LEAST_COVERAGE, 1.0)
+    mean = np.column_stack(color) / np.maximum(depth, 1e-12)[:, None]  # a pixel of vanished Gaussians only: dark
+    return np.clip(mean, 0, 1) * covered[:, None], covered
 
 
 def display_values(linear: np.ndarray, scene: bpy.types.Scene) -> np.ndarray:
     """Display values (N,) in [0, 1] that the scene's view transform gives linear greys (N,)."""
     ramp = bpy.data.images.new("tone curve", len(linear), 1, float_buffer=True, is_data=False)
-    ramp.colorspace_settings.name = "Linear Rec.709"
+    compat.set_linear(ramp)
     ramp.pixels.foreach_set(np.column_stack([linear] * 3 + [np.ones(len(linear))]).ravel().astype(np.float32))
     settings = scene.render.image_settings
     kept = {key: getattr(settings, key) for key in ("file_format", "color_mode", "color_depth")}

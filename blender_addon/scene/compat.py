@@ -1,0 +1,62 @@
+"""Where Blender's versions differ, decided by what the running one has. Nothing else asks for a version."""
+
+from __future__ import annotations
+
+import bpy
+
+HAS_DROP = hasattr(bpy.types, "FileHandler")  # files dropped on a window: 4.1 and later
+LINEAR_COLOR_SPACES = ("Linear Rec.709", "Linear")  # the second up to 3.6
+
+
+def add_socket(tree: bpy.types.NodeTree, name: str, kind: str, output: bool = False) -> bpy.types.bpy_struct:
+    """A new input (or output) of a node group; `kind` such as "NodeSocketFloat"."""
+    if hasattr(tree, "interface"):
+        return tree.interface.new_socket(name, in_out="OUTPUT" if output else "INPUT", socket_type=kind)
+    return (tree.outputs if output else tree.inputs).new(kind, name)
+
+
+def input_sockets(tree: bpy.types.NodeTree) -> dict[str, bpy.types.bpy_struct]:
+    """Inputs of a node group by name; a modifier keeps its values under their `identifier`."""
+    if hasattr(tree, "interface"):
+        return {item.name: item for item in tree.interface.items_tree
+                if item.item_type == "SOCKET" and item.in_out == "INPUT"}
+    return {item.name: item for item in tree.inputs}
+
+
+def scene_variable(driver: bpy.types.Driver, name: str, path: str, scene: bpy.types.Scene) -> None:
+    """A driver variable that reads `path` of the scene.
+
+    The scene in use where Blender has that, so that the object can be appended elsewhere without pulling its first scene
+    along; else this very scene.
+    """
+    variable = driver.variables.new()
+    variable.name = name
+    if "CONTEXT_PROP" in variable.bl_rna.properties["type"].enum_items:
+        variable.type = "CONTEXT_PROP"
+        variable.targets[0].context_property = "ACTIVE_SCENE"
+    else:
+        variable.targets[0].id_type = "SCENE"
+        variable.targets[0].id = scene
+    variable.targets[0].data_path = path
+
+
+def set_linear(image: bpy.types.Image) -> None:
+    """The image's pixels are scene-linear light."""
+    known = image.colorspace_settings.bl_rna.properties["name"].enum_items
+    image.colorspace_settings.name = next(name for name in LINEAR_COLOR_SPACES if name in known)
+
+
+def see_through(material: bpy.types.Material) -> None:
+    """EEVEE shows the material's transparency, by chance per sample, in any order of surfaces."""
+    if hasattr(material, "surface_render_method"):
+        material.surface_render_method = "DITHERED"
+    else:
+        material.blend_method = "HASHED"
+
+
+def align_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
+    """The node with inputs Factor and Vector that turns the z axis towards a vector, output Rotation."""
+    kind = "FunctionNodeAlignRotationToVector"
+    node = tree.nodes.new(kind if hasattr(bpy.types, kind) else "FunctionNodeAlignEulerToVector")
+    node.axis = "Z"
+    return node

@@ -1,0 +1,87 @@
+"""Materials of a cloud: each Gaussian looks as in splatting; arrows and streaks just glow.
+
+On the surface of the ellipsoid at EXTENT standard deviations, a ray that passes the centre at b standard deviations gets
+the opacity alpha(t) exp(-b^2 / 2).
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from . import compat
+from .nodes import Nodes
+
+EXTENT = 2.5  # radius of the shown ellipsoid in standard deviations; the splat has faded to 4 % there
+
+
+def points(name: str) -> bpy.types.Material:
+    """Balls: the normal is the place on the unit ball."""
+    material, nodes = _new(name)
+    hit = nodes.add("ShaderNodeNewGeometry").outputs
+    _splat(nodes, hit, hit["Incoming"], nodes.vector("SCALE", hit["Normal"], Scale=EXTENT))
+    return material
+
+
+def ellipsoids(name: str) -> bpy.types.Material:
+    """Ellipsoids: in the Gaussian's own whitened space it is a ball, and lengths count standard deviations."""
+    material, nodes = _new(name)
+    hit = nodes.add("ShaderNodeNewGeometry").outputs
+    ray = nodes.add("ShaderNodeVectorTransform", {"Vector": hit["Incoming"]}, vector_type="VECTOR",
+                    convert_from="WORLD", convert_to="OBJECT").outputs[0]
+    turned = nodes.add("ShaderNodeVectorRotate", {"Vector": ray, "Rotation": _attribute(nodes, "gs_euler")["Vector"]},
+                       rotation_type="EULER_XYZ", invert=True).outputs[0]
+    whitened = nodes.vector("DIVIDE", turned, _attribute(nodes, "gs_scale")["Vector"])
+    _splat(nodes, hit, whitened, _attribute(nodes, "gs_local")["Vector"])
+    return material
+
+
+def lines(name: str) -> bpy.types.Material:
+    """Arrows and streaks."""
+    material, nodes = _new(name)
+    nodes.add("ShaderNodeOutputMaterial", {"Surface": _glow(nodes)})
+    return material
+
+
+def _new(name: str) -> tuple[bpy.types.Material, Nodes]:
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    material.node_tree.nodes.clear()
+    compat.see_through(material)
+    if hasattr(material, "cycles"):
+        # A path towards each of thousands of small lights is slow and noisy; other surfaces still see the flame's glow.
+        material.cycles.emission_sampling = "NONE"
+    return material, Nodes(material.node_tree)
+
+
+def _attribute(nodes: Nodes, name: str) -> bpy.types.bpy_prop_collection:
+    return nodes.add("ShaderNodeAttribute", attribute_name=name, attribute_type="GEOMETRY").outputs
+
+
+def _glow(nodes: Nodes) -> bpy.types.NodeSocket:
+    """Emission of gs_color as the camera sees it; its fourth value scales the light that falls on everything else."""
+    color = _attribute(nodes, "gs_color")
+    camera = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
+    others = nodes.math("MULTIPLY", nodes.math("SUBTRACT", 1.0, camera), color["Alpha"])
+    return nodes.add("ShaderNodeEmission", {"Color": color["Color"], "Strength": nodes.math("ADD", camera, others)}).outputs[0]
+
+
+def _splat(nodes: Nodes, hit, ray, place) -> None:
+    """Opacity by the distance of a ray from the centre: exact wherever on a faceted ball it has hit.
+
+    Args:
+        ray: its direction, of any length, and `place`: where it hit, both with lengths in standard deviations.
+    """
+    along = nodes.vector("DOT_PRODUCT", nodes.vector("NORMALIZE", ray), place, output="Value")
+    length = nodes.vector("LENGTH", place, output="Value")
+    squared = nodes.math("SUBTRACT", nodes.math("MULTIPLY", length, length), nodes.math("MULTIPLY", along, along))
+    falloff = nodes.math("EXPONENT", nodes.math("MULTIPLY", squared, -0.5))
+    alpha = _attribute(nodes, "gs_alpha")["Fac"]
+    front = nodes.math("SUBTRACT", 1.0, hit["Backfacing"])
+    opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), front)
+    # Each sample either sees this Gaussian or passes, by chance: the same picture on average, but a ray ends after a few
+    # layers instead of crossing all of them, and dense parts have no noise because every sample ends in the flame.
+    chance = nodes.add("ShaderNodeTexWhiteNoise", {"Vector": hit["Position"], "W": alpha}, noise_dimensions="4D").outputs["Value"]
+    seen = nodes.math("LESS_THAN", chance, opacity)
+    clear = nodes.add("ShaderNodeBsdfTransparent").outputs[0]
+    mixed = nodes.add("ShaderNodeMixShader", {0: seen, 1: clear, 2: _glow(nodes)}).outputs[0]
+    nodes.add("ShaderNodeOutputMaterial", {"Surface": mixed})

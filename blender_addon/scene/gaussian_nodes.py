@@ -1,0 +1,186 @@
+"""The node group of a cloud: where every Gaussian is at the scene's time, how opaque, in which colour and shape.
+
+    t = (frame - start frame) / frame rate * time scale,   x(t) = x0 + (t - t_mu) v,
+    alpha(t) = opacity exp(-0.5 ((t - t_mu) / t_sigma)^2), seen while begin <= t < end where a cloud has these
+
+Nothing is stored per frame. What is drawn carries the attributes gs_alpha, gs_color and velocity (m/s on the scene's
+clock; Cycles takes motion blur from it, also for Gaussians that appear or vanish while the shutter is open).
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from . import compat, gaussian_material
+from .gaussian_material import EXTENT
+from .nodes import Nodes, pick
+
+NAME = "Transient Gaussians"
+LAYOUT = 1  # raise it when the inputs change: clouds of an older add-on keep their own node group
+MODES = ("points", "ellipsoids", "arrows", "streaks")
+COLORS = ("image", "speed", "age", "lifetime", "error")
+VECTORS = ("velocity", "true velocity", "error")
+CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
+
+FLOAT, WHOLE = "NodeSocketFloat", "NodeSocketInt"
+INPUTS = (  # name, kind, default, least, largest, description
+    ("Mode", WHOLE, 0, 0, 3, "0 points, 1 ellipsoids, 2 arrows, 3 streaks"),
+    ("Start Frame", FLOAT, 1.0, -1e6, 1e6, "Scene frame that is time 0 of the reconstruction"),
+    ("Time Scale", FLOAT, 1.0, -1e3, 1e3, "1 plays as fast as it was filmed, 0.1 ten times slower"),
+    ("Opacity Cut", FLOAT, CUT_OFF, 0.0, 1.0, "Gaussians fainter than this are not drawn"),
+    ("Share", FLOAT, 1.0, 0.0, 1.0, "Share of the Gaussians that is drawn; fewer arrows are easier to read"),
+    ("Color By", WHOLE, 0, 0, 4, "0 image colour, 1 speed, 2 age, 3 lifetime, 4 velocity error"),
+    ("Color Min", FLOAT, 0.0, -1e6, 1e6, "Value at the dark end of the colour map (m/s or s)"),
+    ("Color Max", FLOAT, 1.0, -1e6, 1e6, "Value at the bright end of the colour map (m/s or s)"),
+    ("Emission", FLOAT, 1.0, 0.0, 1e6, "Brightness of the flame; 1 looks as in the footage"),
+    ("Light on Scene", FLOAT, 1.0, 0.0, 1e6, "Factor on the light that the flame throws on everything else"),
+    ("Line Time", FLOAT, 0.02, 0.0, 1e3, "Length of arrows and streaks: the way of this many seconds"),
+    ("Arrows Show", WHOLE, 0, 0, 2, "0 velocity, 1 true velocity, 2 velocity error; the last two once scored"),
+    ("Frame Rate", FLOAT, 24.0, 0.001, 1e6, "Follows the scene"),
+)  # fmt: skip
+VIRIDIS = ((0.267, 0.005, 0.329), (0.254, 0.265, 0.530), (0.164, 0.471, 0.558), (0.134, 0.659, 0.518),
+           (0.478, 0.821, 0.318), (0.993, 0.906, 0.144))  # display sRGB
+
+
+def node_group() -> bpy.types.NodeTree:
+    """The file's node group of this layout; made when there is none."""
+    for tree in bpy.data.node_groups:
+        if tree.get("gof_layout") == LAYOUT and tree.library is None:
+            return tree
+    tree = bpy.data.node_groups.new(NAME, "GeometryNodeTree")
+    tree["gof_layout"] = LAYOUT
+    if hasattr(tree, "is_modifier"):
+        tree.is_modifier = True
+    compat.add_socket(tree, "Geometry", "NodeSocketGeometry")
+    for name, kind, default, least, largest, description in INPUTS:
+        socket = compat.add_socket(tree, name, kind)
+        socket.min_value, socket.max_value = least, largest
+        socket.default_value, socket.description = default, description
+    compat.add_socket(tree, "Geometry", "NodeSocketGeometry", output=True)
+    _write(Nodes(tree))
+    return tree
+
+
+def _write(nodes: Nodes) -> None:
+    given = nodes.add("NodeGroupInput").outputs
+    frame = nodes.add("GeometryNodeInputSceneTime").outputs["Frame"]
+    seconds = nodes.math("DIVIDE", nodes.math("SUBTRACT", frame, given["Start Frame"]), given["Frame Rate"])
+    time = nodes.math("MULTIPLY", seconds, given["Time Scale"])
+    age = nodes.math("SUBTRACT", time, nodes.named("gs_t_mu", "FLOAT"))
+    alpha = _opacity(nodes, time, age)
+    radius = nodes.math("MULTIPLY", _mean_scale(nodes), EXTENT)
+    visible = nodes.math("GREATER_THAN", given["Share"], _number_of_its_own(nodes))
+    opaque = nodes.math("SUBTRACT", 1.0, nodes.math("LESS_THAN", alpha, given["Opacity Cut"]))
+    points = nodes.add("GeometryNodeMeshToPoints", {"Mesh": given["Geometry"], "Radius": radius,
+                                                    "Selection": nodes.math("MULTIPLY", visible, opaque)}).outputs[0]
+    velocity = nodes.named("gs_velocity", "FLOAT_VECTOR")
+    # Fields are evaluated on the geometry that reaches a node: nothing below is computed for what is not drawn.
+    points = nodes.store(points, "gs_alpha", "FLOAT", alpha)
+    points = nodes.store(points, "gs_color", "FLOAT_COLOR", _color(nodes, given, velocity, age))
+    points = nodes.store(points, "velocity", "FLOAT_VECTOR", nodes.vector("SCALE", velocity, Scale=given["Time Scale"]))
+    points = nodes.add("GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}).outputs[0]
+    for name in ("gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light"):  # used up: less to copy
+        points = nodes.add("GeometryNodeRemoveAttribute", {"Geometry": points, "Name": name}).outputs[0]
+    lines = gaussian_material.lines(f"{NAME} Lines")
+    nodes.add("NodeGroupOutput", {"Geometry": nodes.choose(
+        "GEOMETRY", given["Mode"],
+        _dressed(nodes, points, gaussian_material.points(f"{NAME} Points")),
+        _dressed(nodes, _ellipsoids(nodes, points), gaussian_material.ellipsoids(f"{NAME} Ellipsoids")),
+        _dressed(nodes, _arrows(nodes, points, given), lines),
+        _dressed(nodes, _streaks(nodes, points, given, velocity), lines))})
+
+
+def _opacity(nodes: Nodes, time, age) -> bpy.types.NodeSocket:
+    relative = nodes.math("MULTIPLY", age, nodes.named("gs_inverse_t_sigma", "FLOAT"))
+    window = nodes.math("EXPONENT", nodes.math("MULTIPLY", nodes.math("MULTIPLY", relative, relative), -0.5))
+    begin, end = nodes.named("gs_begin", "FLOAT"), nodes.named("gs_end", "FLOAT")
+    # Neighbours share the very number: at no time are two seen, or none. Without the attributes both are 0.
+    inside = nodes.math("SUBTRACT", nodes.math("LESS_THAN", time, end), nodes.math("LESS_THAN", time, begin))
+    endless = nodes.math("SUBTRACT", 1.0, nodes.math("LESS_THAN", begin, end))
+    shown = nodes.math("MAXIMUM", inside, endless)
+    return nodes.math("MULTIPLY", nodes.math("MULTIPLY", nodes.named("gs_opacity", "FLOAT"), window), shown)
+
+
+def _mean_scale(nodes: Nodes) -> bpy.types.NodeSocket:
+    """Standard deviation of the ball of the same volume."""
+    sides = nodes.add("ShaderNodeSeparateXYZ", {"Vector": nodes.named("gs_scale", "FLOAT_VECTOR")}).outputs
+    return nodes.math("POWER", nodes.math("MULTIPLY", nodes.math("MULTIPLY", sides[0], sides[1]), sides[2]), 1 / 3)
+
+
+def _number_of_its_own(nodes: Nodes) -> bpy.types.NodeSocket:
+    """A number in [0, 1) that stays with a Gaussian at all times."""
+    return pick(nodes.add("FunctionNodeRandomValue", data_type="FLOAT").outputs, "Value")
+
+
+def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
+    """Emitted light, and in the fourth value its factor for all that is not the camera."""
+    lifetime = nodes.math("DIVIDE", 1.0, nodes.math("MAXIMUM", nodes.named("gs_inverse_t_sigma", "FLOAT"), 1e-9))
+    speed = nodes.vector("LENGTH", velocity, output="Value")
+    error = nodes.vector("DISTANCE", velocity, nodes.named("gs_true_velocity", "FLOAT_VECTOR"), output="Value")
+    value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error)
+    span = nodes.math("MAXIMUM", nodes.math("SUBTRACT", given["Color Max"], given["Color Min"]), 1e-9)
+    ramp = nodes.add("ShaderNodeValToRGB", {"Fac": nodes.math("DIVIDE", nodes.math("SUBTRACT", value, given["Color Min"]), span)})
+    for k, display in enumerate(VIRIDIS):
+        place = k / (len(VIRIDIS) - 1)
+        stop = ramp.color_ramp.elements[k] if k < 2 else ramp.color_ramp.elements.new(place)
+        stop.position = place
+        stop.color = (*(((c + 0.055) / 1.055) ** 2.4 if c > 0.04045 else c / 12.92 for c in display), 1.0)
+    mapped = nodes.math("MINIMUM", given["Color By"], 1.0)
+    shown = nodes.choose("VECTOR", mapped, nodes.named("gs_light", "FLOAT_VECTOR"), ramp.outputs["Color"])
+    light = nodes.vector("SCALE", shown, Scale=given["Emission"])
+    sides = nodes.add("ShaderNodeSeparateXYZ", {"Vector": light}).outputs
+    return nodes.add("FunctionNodeCombineColor", {"Red": sides[0], "Green": sides[1], "Blue": sides[2],
+                                                  "Alpha": given["Light on Scene"]}).outputs[0]
+
+
+def _dressed(nodes: Nodes, geometry, material: bpy.types.Material) -> bpy.types.NodeSocket:
+    return nodes.add("GeometryNodeSetMaterial", {"Geometry": geometry, "Material": material}).outputs[0]
+
+
+def _instances(nodes: Nodes, points, mesh, rotation, scale) -> bpy.types.NodeSocket:
+    instances = nodes.add("GeometryNodeInstanceOnPoints", {"Points": points, "Instance": mesh, "Rotation": rotation,
+                                                           "Scale": scale}).outputs[0]
+    # One mesh: a ray crosses dozens of Gaussians, and Cycles finds overlapping instances far more slowly.
+    return nodes.add("GeometryNodeRealizeInstances", {"Geometry": instances}).outputs[0]
+
+
+def _ellipsoids(nodes: Nodes, points) -> bpy.types.NodeSocket:
+    ball = nodes.add("GeometryNodeMeshIcoSphere", {"Radius": EXTENT, "Subdivisions": 2}).outputs["Mesh"]
+    place = nodes.add("GeometryNodeInputPosition").outputs[0]
+    ball = nodes.store(ball, "gs_local", "FLOAT_VECTOR", place)
+    return _instances(nodes, points, ball, nodes.named("gs_euler", "FLOAT_VECTOR"), nodes.named("gs_scale", "FLOAT_VECTOR"))
+
+
+def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
+    """From the centre, as long as the way of Line Time seconds."""
+    velocity, true = nodes.named("gs_velocity", "FLOAT_VECTOR"), nodes.named("gs_true_velocity", "FLOAT_VECTOR")
+    shown = nodes.choose("VECTOR", given["Arrows Show"], velocity, true, nodes.vector("SUBTRACT", velocity, true))
+    shaft = _cone(nodes, bottom=0.03, top=0.03, depth=0.7)
+    head = nodes.add("GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.09, top=0.0, depth=0.3),
+                                               "Translation": (0, 0, 0.7)}).outputs[0]
+    mesh = nodes.add("GeometryNodeJoinGeometry")
+    for part in (shaft, head):
+        nodes.plug(mesh, "Geometry", part)
+    length = nodes.math("MULTIPLY", nodes.vector("LENGTH", shown, output="Value"), given["Line Time"])
+    scale = nodes.add("ShaderNodeCombineXYZ", {"X": length, "Y": length, "Z": length}).outputs[0]
+    return _instances(nodes, points, mesh.outputs[0], _towards(nodes, shown), scale)
+
+
+def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
+    """The way behind the centre that took Line Time seconds, as thick as the Gaussian."""
+    mesh = nodes.add("GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.0, top=1.0, depth=1.0),
+                                               "Translation": (0, 0, -1.0)}).outputs[0]
+    thick = _mean_scale(nodes)
+    length = nodes.math("MULTIPLY", nodes.vector("LENGTH", velocity, output="Value"), given["Line Time"])
+    scale = nodes.add("ShaderNodeCombineXYZ", {"X": thick, "Y": thick, "Z": length}).outputs[0]
+    return _instances(nodes, points, mesh, _towards(nodes, velocity), scale)
+
+
+def _cone(nodes: Nodes, bottom: float, top: float, depth: float) -> bpy.types.NodeSocket:
+    return nodes.add("GeometryNodeMeshCone", {"Vertices": 5, "Radius Bottom": bottom, "Radius Top": top, "Depth": depth}).outputs["Mesh"]
+
+
+def _towards(nodes: Nodes, direction) -> bpy.types.NodeSocket:
+    node = compat.align_node(nodes.tree)
+    nodes.plug(node, "Vector", direction)
+    return node.outputs["Rotation"]
