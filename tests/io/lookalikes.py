@@ -11,6 +11,10 @@ import torch
 from plyfile import PlyData, PlyElement
 
 
+def logistic(x):
+    return 1 / (1 + np.exp(-x.astype(np.float64)))
+
+
 def capture(rng, n, sh_rest=15):
     """Shared raw tensors of a 3DGS descendant, as nn.Parameters."""
     def parameter(*shape, scale=1.0, shift=0.0):
@@ -55,6 +59,20 @@ def yang(path: Path, n=30, seed=0, rot_4d=True):
     return {k: v.detach().numpy() for k, v in (p | extra).items()}
 
 
+def yang_covariance(raw):
+    """The method's covariance, one Gaussian at a time, written out from its definition."""
+    out = []
+    for i in range(len(raw["xyz"])):
+        a, b, c, d = raw["rotation"][i].astype(float) / np.linalg.norm(raw["rotation"][i])
+        p, q, r, s = raw["rotation_r"][i].astype(float) / np.linalg.norm(raw["rotation_r"][i])
+        left = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
+        right = np.array([[p, q, r, s], [-q, p, -s, r], [-r, s, p, -q], [-s, -r, q, p]])
+        turn = np.flip(left @ right, (0, 1))
+        half = turn @ np.diag(np.exp([*raw["scaling"][i].astype(float), float(raw["scaling_t"][i, 0])]))
+        out.append(half @ half.T)
+    return np.array(out)
+
+
 def freetime(path: Path, n=30, seed=0, drop=()):
     rng = np.random.default_rng(seed)
     raw = {"means": rng.normal(size=(n, 3)), "scales": rng.normal(-4, 0.3, (n, 3)), "quats": rng.normal(size=(n, 4)), "opacities": rng.normal(size=n),
@@ -78,6 +96,20 @@ def splat_ply(path: Path, raw: dict, extra: dict | None = None, comments=()):
         vertex[k] = v
     path.parent.mkdir(parents=True, exist_ok=True)
     PlyData([PlyElement.describe(vertex, "vertex")], comments=list(comments)).write(str(path))
+
+
+def ftgs_ply(path: Path, n=30, seed=0, n_frames=61):
+    """FTGS-PLY version 1 with random content; returns the raw values under the checkpoint's names."""
+    rng = np.random.default_rng(seed)
+    raw = {"means": rng.normal(size=(n, 3)), "scales": rng.normal(-4, 0.3, (n, 3)), "quats": rng.normal(size=(n, 4)), "opacities": rng.normal(size=n),
+           "sh0": rng.normal(size=(n, 1, 3)), "shN": rng.normal(0, 0.2, (n, 3, 3)), "times": rng.uniform(0, 1, (n, 1)),
+           "durations": np.log(rng.uniform(0.005, 0.3, (n, 1))), "velocities": rng.normal(size=(n, 3))}
+    raw = {k: v.astype(np.float32) for k, v in raw.items()}
+    splat_ply(path, {"xyz": raw["means"], "f_dc": raw["sh0"], "f_rest": raw["shN"], "opacity": raw["opacities"][:, None], "scaling": raw["scales"],
+                     "rotation": raw["quats"]},
+              {"time": raw["times"][:, 0], "log_duration": raw["durations"][:, 0], **{f"velocity_{i}": raw["velocities"][:, i] for i in range(3)}},
+              ["ftgs_version 1", "time_units normalized", "sh_degree 1", "use_velocity 1", "min_duration 0.02", "opacity_floor 0.0001", f"n_frames {n_frames}"])
+    return raw
 
 
 def wu(path: Path, n=5):

@@ -16,11 +16,7 @@ from gof.io.importers.freetime import save as save_ftgs  # noqa: E402
 from gof.io.importers.similarity import align_cameras, normalisation, read_colmap, transformed  # noqa: E402
 from tests.conftest import arc, random_gaussians  # noqa: E402
 from tests.io import lookalikes  # noqa: E402
-
-
-def logistic(x):
-    return 1 / (1 + np.exp(-x.astype(np.float64)))
-
+from tests.io.lookalikes import logistic, yang_covariance  # noqa: E402
 
 # ---------------------------------------------------------------- the paper's code
 
@@ -61,20 +57,6 @@ def test_authors_ply_has_no_velocity(tmp_path):
 
 
 # ---------------------------------------------------------------- Yang
-
-
-def yang_covariance(raw):
-    """The method's covariance, one Gaussian at a time, written out from its definition."""
-    out = []
-    for i in range(len(raw["xyz"])):
-        a, b, c, d = raw["rotation"][i].astype(float) / np.linalg.norm(raw["rotation"][i])
-        p, q, r, s = raw["rotation_r"][i].astype(float) / np.linalg.norm(raw["rotation_r"][i])
-        left = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
-        right = np.array([[p, q, r, s], [-q, p, -s, r], [-r, s, p, -q], [-s, -r, q, p]])
-        turn = np.flip(left @ right, (0, 1))
-        half = turn @ np.diag(np.exp([*raw["scaling"][i].astype(float), float(raw["scaling_t"][i, 0])]))
-        out.append(half @ half.T)
-    return np.array(out)
 
 
 def test_yang_against_the_density_in_space_time(tmp_path):

@@ -1,0 +1,212 @@
+"""A look-alike result of every foreign method through `gof evaluate` itself, in a flow where its DVE is known in closed form.
+
+The true velocity is linear in space, so a Gaussian's expectation is the value at its centre and the grid holds it exactly; what
+remains to be known is each method's weight, centre and velocity at a time, which every test writes out from the raw numbers of
+the file it made.
+"""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from gof.cli import main
+from gof.fields import VelocityField
+from gof.io.importers import Trajectory
+from gof.io.importers.similarity import normalisation
+from tests.conftest import arc, write_dataset
+from tests.io import lookalikes
+from tests.io.lookalikes import logistic, yang_covariance
+
+TIMES, SAME = 0.02 * np.arange(9), np.eye(4)
+A, B = np.array([[0.2, -0.5, 0.1], [0.4, 0.1, 0.0], [-0.1, 0.3, -0.3]]), np.array([0.3, -0.2, 1.0])
+
+
+def flow(x, t):
+    return (1 + 5 * t) * (x @ A.T + B)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """3 cameras, 9 frames 20 ms apart, a 48 m box of 2 m cells."""
+    cameras = arc(3, width=18, height=32, focal_px=30.0)
+    grid = VelocityField.from_array(np.zeros((24, 24, 24, 3)), (-24, -24, -24), 2.0)
+    fields = [VelocityField.from_array(flow(grid.cell_centers(), t).astype(np.float32), (-24, -24, -24), 2.0, t) for t in TIMES]
+    pictures = np.random.default_rng(0).random((9, 3, 32, 18, 3))
+    return write_dataset(tmp_path_factory.mktemp("linear") / "data", cameras, pictures, pictures[0], TIMES, fields,
+                         masks=pictures[..., 0] > 0.5, test_frames=[4])
+
+
+def evaluate(result, dataset, out, *options) -> dict:
+    assert main(["evaluate", str(result), "--truth", str(dataset), "--json", str(out), *map(str, options)]) == 0
+    return json.loads(out.read_text())
+
+
+def closed_form(state) -> tuple[float, float]:
+    """L2 and CosSim over all frames of state(t) -> (weight (N,), position (N, 3), velocity (N, 3)), in float64."""
+    error = power = cosine = total = 0.0
+    for t in TIMES:
+        w, x, v = state(t)
+        truth = flow(x, t)
+        error += float((w * ((v - truth) ** 2).sum(1)).sum())
+        power += float((w * (truth**2).sum(1)).sum())
+        cosine += float((w * (v * truth).sum(1) / np.linalg.norm(v, axis=1) / np.linalg.norm(truth, axis=1)).sum())
+        total += float(w.sum())
+    return np.sqrt(error / power), cosine / total
+
+
+def check(scores, method, state):
+    l2, cos_sim = closed_form(state)
+    assert scores["import"]["method"] == method and scores["dve"]["frames_scored"] == len(TIMES)
+    assert scores["dve"]["l2"] == pytest.approx(l2, rel=2e-5) and scores["dve"]["cos_sim"] == pytest.approx(cos_sim, abs=2e-5)
+    assert scores["dve"]["weight_outside"] == 0 and scores["controls"]["true_centre"]["l2"] == pytest.approx(0, abs=1e-5)
+    assert scores["controls"]["zero"]["l2"] == 1 and scores["psnr"] > 0 and scores["ssim_flame"] is not None
+
+
+def authors_state(raw, linear=SAME[:3, :3], shift=0.0):
+    """Weights, centres and velocities of the paper's checkpoint at t s, in a world x -> linear x + shift."""
+    d = raw["dynamic"]
+    volume = (0.001 + 0.029 * logistic(raw["scaling"][d])).prod(1)
+
+    def state(t):
+        dt = 1000 * t - raw["t_mu"][d].astype(float)
+        alpha = logistic(raw["opacity"][d]) * np.exp(-(dt**2) / (2 * raw["t_sigma"][d].astype(float) ** 2))
+        return volume * alpha[:, 0], (raw["xyz"][d] + dt * raw["velocity"][d]) @ linear.T + shift, 1000 * raw["velocity"][d].astype(float) @ linear.T
+
+    return state
+
+
+def test_the_papers_checkpoint(dataset, tmp_path, capsys):
+    _, raw = lookalikes.authors(tmp_path / "model")
+    scores = evaluate(tmp_path / "model", dataset, tmp_path / "s.json")
+    check(scores, "authors", authors_state(raw))
+    assert scores["dynamic_gaussians"] == raw["dynamic"].sum()
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "scale bounds from" in printed and "control: constant" in printed
+
+
+def test_4dgs_of_yang(dataset, tmp_path):
+    raw = lookalikes.yang(tmp_path / "chkpnt30000.pth")
+    S = yang_covariance(raw)
+    volume = np.exp(raw["scaling"].astype(float).sum(1) + raw["scaling_t"][:, 0]) / np.sqrt(S[:, 3, 3])
+    velocity = S[:, :3, 3] / S[:, 3, 3, None]
+
+    def state(t):
+        dt = t - raw["t"].astype(float)
+        return volume * logistic(raw["opacity"][:, 0]) * np.exp(-(dt[:, 0] ** 2) / (2 * S[:, 3, 3])), raw["xyz"] + dt * velocity, velocity
+
+    check(evaluate(tmp_path / "chkpnt30000.pth", dataset, tmp_path / "s.json"), "yang", state)
+
+
+def freetime_state(raw, to_world=SAME):
+    """FreeTimeGS: times 0..1 over 61 frames, 1.2 s here; its world is the training's."""
+    volume = np.exp(raw["scales"].astype(float)).prod(1)
+
+    def state(t):
+        dt = t / 1.2 - raw["times"].astype(float)
+        window = np.exp(-0.5 * (dt / np.maximum(np.exp(raw["durations"].astype(float)), 0.02)) ** 2)[:, 0]
+        return (volume * logistic(raw["opacities"]) * window, (raw["means"] + dt * raw["velocities"]) @ to_world[:3, :3].T + to_world[:3, 3],
+                raw["velocities"] @ to_world[:3, :3].T / 1.2)
+
+    return state
+
+
+@pytest.mark.parametrize("kind", ["checkpoint", "ftgs_ply"])
+def test_freetimegs_with_its_normalisation_undone(dataset, tmp_path, kind):
+    rng = np.random.default_rng(3)
+    poses = {f"cam_{i}.png": c.world_to_camera for i, c in enumerate(arc(3))}
+    points = rng.normal(size=(200, 3)) * [2, 1, 0.5] + [0, 0, 1]
+    lookalikes.colmap_binary(tmp_path / "colmap/sparse/0", poses, points)
+    if kind == "checkpoint":
+        result, raw = tmp_path / "results", lookalikes.freetime(tmp_path / "results/ckpts/ckpt_29999.pt")
+    else:
+        result, raw = tmp_path / "a.ftgs.ply", lookalikes.ftgs_ply(tmp_path / "a.ftgs.ply")
+    scores = evaluate(result, dataset, tmp_path / "s.json", "--world", tmp_path / "colmap")
+    check(scores, "freetime", freetime_state(raw, np.linalg.inv(normalisation(poses, points))))
+    left = evaluate(result, dataset, tmp_path / "t.json", "--no-images")  # in the training's world it is another score, and a note says so
+    assert left["dve"]["l2"] == pytest.approx(closed_form(freetime_state(raw))[0], rel=2e-5)
+    assert any("normalises" in note for note in left["import"]["notes"])
+
+
+def test_a_sequence_of_plys_at_half_steps(dataset, tmp_path):
+    """Deformation methods: accelerated motion, for which three-point differences are exact, with changing sizes and opacities."""
+    rng = np.random.default_rng(5)
+    x0, v0, a = rng.normal(size=(3, 40, 3)) * np.array([1, 1, 4])[:, None, None]
+    raw = {k: v.detach().numpy() for k, v in lookalikes.capture(rng, 40).items()}
+
+    def values(t):
+        return x0 + v0 * t + 0.5 * a * t**2, raw["scaling"] + t * np.array([1, -1, 2.0]), raw["opacity"] + 3 * t * np.sign(raw["opacity"])
+
+    for number in range(17):
+        x, scaling, opacity = values(0.01 * number)
+        lookalikes.splat_ply(tmp_path / f"gaussian_pertimestamp/time_{number:05d}.ply", raw | {"xyz": x, "scaling": scaling, "opacity": opacity})
+
+    def state(t):
+        x, scaling, opacity = values(t)
+        return np.exp(scaling.sum(1)) * logistic(opacity[:, 0]), x, v0 + a * t
+
+    scores = evaluate(tmp_path / "gaussian_pertimestamp", dataset, tmp_path / "s.json", "--time-unit", 0.01)
+    check(scores, "ply-sequence", state)
+    assert any("differences" in note for note in scores["import"]["notes"])
+
+
+def test_a_trajectory_with_its_own_velocities(dataset, tmp_path):
+    rng = np.random.default_rng(6)
+    centre, radius, phase, rate = rng.normal(size=(50, 3)), rng.uniform(0.1, 1, 50), rng.uniform(0, 6, 50), rng.uniform(5, 20, 50)
+    scale, alpha = rng.uniform(0.02, 0.2, (50, 3)), rng.uniform(0.1, 1, 50)
+
+    def state(t):
+        angle = rate * t + phase
+        x = centre + radius[:, None] * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+        v = (radius * rate)[:, None] * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], 1)
+        return scale.prod(1) * alpha * np.exp(-5 * t), x, v
+
+    states = [state(t) for t in TIMES]
+    Trajectory(TIMES, np.stack([x for _, x, _ in states]), np.stack([w for w, _, _ in states]) / scale.prod(1), scale, rng.normal(size=(50, 4)),
+               velocity=np.stack([v for _, _, v in states])).save(tmp_path / "t.npz")
+    scores = evaluate(tmp_path / "t.npz", dataset, tmp_path / "s.json")
+    check(scores, "trajectory", state)
+    assert "velocities as stored" in scores["import"]["notes"]
+
+
+@pytest.fixture
+def own_world(dataset, tmp_path):
+    """A world 0.4 times as large and turned, and the dataset's cameras in it, as its COLMAP model would hold them."""
+    s, R, shift = 0.4, np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), np.array([5.0, -2, 1])
+    meta = json.loads((dataset / "dataset.json").read_text())
+    poses = {}
+    for c in meta["cameras"]:
+        pose = np.linalg.inv(c["world_to_camera"])
+        pose[:3, :3], pose[:3, 3] = R @ pose[:3, :3], s * R @ pose[:3, 3] + shift
+        poses[f"{c['name']}/000001.png"] = np.linalg.inv(pose)
+    return s * R, shift, poses
+
+
+def test_alignment_from_cameras(dataset, tmp_path, own_world, capsys):
+    """Trained in its own COLMAP world: the similarity from the cameras brings it back, and what is left is reported."""
+    linear, shift, poses = own_world
+    _, raw = lookalikes.authors(tmp_path / "model")
+    lookalikes.colmap_binary(tmp_path / "colmap", poses, np.zeros((3, 3)))
+    scores = evaluate(tmp_path / "model", dataset, tmp_path / "s.json", "--align", tmp_path / "colmap")
+    back = np.linalg.inv(linear)
+    check(scores, "authors", authors_state(raw, back, -back @ shift))
+    found = scores["import"]["alignment"]
+    assert found["scale"] == pytest.approx(2.5) and found["position_rms_m"] < 1e-6 and found["rotation_max_deg"] < 1e-3
+    assert "moved by the similarity" in " ".join(capsys.readouterr().out.split())
+
+
+def test_what_an_alignment_leaves_is_reported(dataset, tmp_path, own_world):
+    """One camera of three measured 20 mm (of the dataset) beside its place: the fit cannot hide it."""
+    linear, _, poses = own_world
+    lookalikes.authors(tmp_path / "model")
+    moved = np.linalg.inv(poses["cam_1/000001.png"])
+    moved[:3, 3] += linear @ [0, 0, 0.02]
+    lookalikes.colmap_binary(tmp_path / "colmap", poses | {"cam_1/000001.png": np.linalg.inv(moved)}, np.zeros((3, 3)))
+    scores = evaluate(tmp_path / "model", dataset, tmp_path / "s.json", "--align", tmp_path / "colmap", "--no-images")
+    left = scores["import"]["alignment"]["position_rms_m"]
+    # if all cameras share the blame evenly, sqrt(2) / 3 of the error is left; orientations hold the rest in place
+    assert 0.02 * np.sqrt(2) / 3 * 0.9 < left < 0.02 / np.sqrt(3) * 1.01
+    assert f"{left * 1000:.2g} mm" in " ".join(scores["import"]["notes"])
+    assert main(["evaluate", str(tmp_path / "model"), "--truth", str(dataset), "--align", str(tmp_path / "nothing")]) == 1
