@@ -83,3 +83,10 @@ def _stated(path, what, number):
     value = video.get(getattr(cv2, f"CAP_PROP_{what}"))
     video.release()
     return number(value) if value and np.isfinite(value) and value > 0 else None
+
+
+def distinct_names(paths: list[Path]) -> list[str]:
+    """A name per footage: the stem, or parent and stem where stems repeat."""
+    stems = [p.stem for p in paths]
+    names = [s if stems.count(s) == 1 else f"{p.parent.name}_{s}" for s, p in zip(stems, paths, strict=True)]
+    return [n if names.count(n) == 1 else f"{n}_{i}" for i, n in enumerate(names)]

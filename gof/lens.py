@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.io.files import read_json
 
 Turn = Literal["none", "clockwise", "counterclockwise"]
 ROLL_DEG = {"none": 0, "clockwise": 90, "counterclockwise": -90}
@@ -95,6 +97,19 @@ class Lens:
             xy = cv2.projectPoints(rays.reshape(-1, 1, 3), still, still, self.K, self.distortion)[0].reshape(xy.shape)
         xy = np.stack(self._turn_point(xy[..., 0], xy[..., 1], turn), -1)
         return np.rot90(xy, {"none": 0, "clockwise": -1, "counterclockwise": 1}[turn])
+
+
+def read_cameras(path: Path, count: int) -> list[dict[str, Any]]:
+    """The `count` camera entries of a JSON file {"cameras": [...]}; one entry stands for all.
+
+    Raises:
+        DataFormatError: absent, not JSON, or another number of cameras.
+    """
+    d = read_json(path)
+    entries = d.get("cameras") if isinstance(d, dict) else None
+    if not isinstance(entries, list) or len(entries) not in (1, count):
+        raise DataFormatError(f"{path}: 'cameras' must list one entry, or one per video ({count})")
+    return entries * count if len(entries) == 1 else entries
 
 
 def prepare(picture: np.ndarray, lens: Lens, turn: Turn) -> np.ndarray:

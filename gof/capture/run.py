@@ -8,21 +8,28 @@ import sys
 PARTS = {
     "board": ("gof.capture.board_command", "find, set, start, stop, test and monitor the LED board"),
     "sync": ("gof.capture.sync", "footage of the board -> the time of every row of every frame (times.json, plots)"),
-    "accuracy": ("gof.capture.accuracy", "decode rendered footage with known times and table the error"),
-    "draw": ("gof.capture.template", "board template -> printable SVG"),
+    "calibrate": ("gof.capture.calibration", "footage of the ChArUco target -> intrinsics of every camera"),
+    "annotate": ("gof.capture.annotate", "dataset of gof static -> soft masks of the board, per-pixel row delays"),
+    "draw": ("gof.capture.template", "LED board template -> printable SVG"),
+    "target": ("gof.capture.charuco", "ChArUco target -> printable PDF or SVG"),
 }
 
 HELP = """\
-gof capture - the camera rig: LED board and sub-frame times from footage.
+gof capture - the camera rig: LED board, sub-frame times from footage, calibration.
 
 usage: gof capture PART [OPTIONS]        gof capture PART --help explains one part
 
 {parts}
 
 a session:
+  gof capture target charuco.pdf                              print at 100 %, glue on something flat
+  gof capture calibrate c0.mp4 c1.mp4 c2.mp4 --out cameras.json
   gof capture board find
   gof capture board start                                     the board runs; film it with every camera
   gof capture sync cam_0.mp4 cam_1.mp4 cam_2.mp4 --out sync   sync/times.json, sync/residuals_cam_0.png ...
+  gof static cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json --out data/fire
+  gof capture annotate data/fire --footage cam_0.mp4 cam_1.mp4 cam_2.mp4 --cameras cameras.json
+  gof reconstruct data/fire --out out/fire
 
 Every part writes its figures with --json FILE.
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,10 +12,11 @@ import tyro
 
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
 from gof.capture.plot import plot_camera
+from gof.capture.sensors import Sensor, sensor
 from gof.capture.signals import read_signals
 from gof.capture.template import BoardTemplate
 from gof.errors import GofError
-from gof.footage import stated_fps, stated_frames
+from gof.footage import distinct_names, stated_fps, stated_frames
 from gof.io.files import write_json
 from gof.stages import progress_bar
 
@@ -38,6 +39,8 @@ class SyncConfig:
     """True capture rate, one for all or one per video; read from the counter when not given."""
     row_time_us: float | None = None
     """Delay from one image line to the next; measured when not given."""
+    sensor: str | None = None
+    """Take the row time from the sensor table instead (gopro_hero13_720p400), for footage that shows all sensor rows."""
     readout: Literal["down", "up", "left", "right"] | None = None
     """Direction in which lines are read later, as the picture is stored; measured when not given."""
     clock: Literal["steady", "free"] = "steady"
@@ -49,6 +52,10 @@ class SyncConfig:
 def main(argv: list[str]) -> int:
     """Decode all videos; fails only when no camera can be decoded."""
     config = tyro.cli(SyncConfig, prog="gof capture sync", args=argv)
+    if (config.out / "times.json").exists():
+        raise GofError(f"{config.out}: already holds times.json; choose another --out or remove it")
+    if config.sensor and config.row_time_us is not None:
+        raise GofError("give either --sensor or --row-time-us")
     rates = config.fps or [None]
     if len(rates) not in (1, len(config.videos)):
         raise GofError(f"--fps: give one rate or one per video ({len(config.videos)}), got {len(rates)}")
@@ -56,7 +63,8 @@ def main(argv: list[str]) -> int:
         DecodeOptions(10 * config.tick_us, rates[min(i, len(rates) - 1)], config.row_time_us, config.readout, config.clock)
         for i in range(len(config.videos))
     ]
-    result = synchronise(config.videos, BoardTemplate.load(config.template), options, config.out)
+    known = sensor(config.sensor) if config.sensor else None
+    result = synchronise(config.videos, BoardTemplate.load(config.template), options, config.out, known)
     write_json(config.out / "times.json", result)
     for camera in result["cameras"]:
         print(_line(camera))
@@ -70,14 +78,14 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def synchronise(videos: list[Path], template: BoardTemplate, options: list[DecodeOptions], plots: Path | None = None
-                ) -> dict[str, Any]:
-    """Decode every video and put all on the board's clock.
+def synchronise(videos: list[Path], template: BoardTemplate, options: list[DecodeOptions], plots: Path | None = None,
+                known: Sensor | None = None) -> dict[str, Any]:
+    """Decode every video and put all on the board's clock; `known` gives the row time of pictures of any size.
 
     Returns:
         JSON-ready dict, schema "gof-times" (docs/capture.md). A camera that cannot be decoded has "error" instead of times.
     """
-    names = _names(videos)
+    names = distinct_names(videos)
     decoded: dict[str, CameraTimes] = {}
     cameras: list[dict[str, Any]] = []
     for name, video, option in zip(names, videos, options, strict=True):
@@ -89,6 +97,8 @@ def synchronise(videos: list[Path], template: BoardTemplate, options: list[Decod
                 total = stated_frames(video)
                 signals = read_signals(video, template, progress=lambda done, u=update, n=total: u(done, max(done, n or 0)))
             read_s = time.perf_counter() - start
+            if known:  # sensors are wider than high: their rows are the shorter side, whichever way it is turned
+                option = replace(option, row_time_us=known.image_row_time_us(min(signals.image_size)))
             times = decode(signals, template, option)
         except GofError as e:
             camera["error"] = str(e)
@@ -116,13 +126,6 @@ def synchronise(videos: list[Path], template: BoardTemplate, options: list[Decod
         "time": "mid-exposure of the picture's centre, seconds on the board's clock (count 0 = 0)",
         "cameras": cameras, "nearest_frames": _nearest(decoded), "warnings": warnings,
     }
-
-
-def _names(videos: list[Path]) -> list[str]:
-    """A distinct name per video: the stem, or parent and stem where stems repeat."""
-    stems = [v.stem for v in videos]
-    names = [s if stems.count(s) == 1 else f"{v.parent.name}_{s}" for s, v in zip(stems, videos, strict=True)]
-    return [n if names.count(n) == 1 else f"{n}_{i}" for i, n in enumerate(names)]
 
 
 def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:

@@ -13,8 +13,8 @@ from gof.cameras import Camera
 from gof.dataset import SCHEMA, VERSION, Dataset
 from gof.errors import DataFormatError, GofError
 from gof.footage import count_frames, first_frame
-from gof.io.files import atomic_path, read_json, write_json
-from gof.lens import ROLL_DEG, Lens, Turn, prepare
+from gof.io.files import atomic_path, write_json
+from gof.lens import ROLL_DEG, Lens, Turn, prepare, read_cameras
 from gof.reconstruct.motion import flame_mask
 from gof.reconstruct.static import depth, place, plates
 from gof.reconstruct.static.clock import Clock, read_clock
@@ -158,13 +158,7 @@ def read_lenses(config: StaticConfig) -> tuple[list[Lens], list[np.ndarray] | No
     if config.fov is not None:
         sizes = [first_frame(v).shape[1::-1] for v in config.videos]
         return [Lens.from_fov(*size, config.fov) for size in sizes], None
-    entries = read_json(config.cameras)
-    entries = entries.get("cameras") if isinstance(entries, dict) else None
-    if not isinstance(entries, list) or len(entries) not in (1, len(config.videos)):
-        raise DataFormatError(
-            f"{config.cameras}: 'cameras' must list one entry, or one per video ({len(config.videos)})"
-        )
-    entries = entries * len(config.videos) if len(entries) == 1 else entries
+    entries = read_cameras(config.cameras, len(config.videos))
     lenses = [Lens.from_dict(d, f"{config.cameras}: camera {c}") for c, d in enumerate(entries)]
     if not all("world_to_camera" in d for d in entries) or len(
         {str(d["world_to_camera"]) for d in entries}
