@@ -102,7 +102,7 @@ class Dataset:
         return self.times_s if own is None else np.asarray(own, np.float64)
 
     def file(self, camera: int, kind: str, frame: int = 0) -> Path:
-        """Path of a camera's "rgb", "exr", "mask" or "static" file for a frame."""
+        """Path of a camera's "rgb", "exr", "mask", "static" or "board_mask" file for a frame."""
         entry = self._entry(camera)
         if kind not in entry:
             raise DataFormatError(f"{self.path}/dataset.json: camera '{entry['name']}' has no '{kind}' files")
@@ -125,6 +125,15 @@ class Dataset:
         if "mask" not in entry:
             return None
         return self._read(self.file(camera, "mask", frame), camera)[..., 0]
+
+    def board_weight(self, camera: int) -> np.ndarray | None:
+        """(H, W) float32 in [0, 1]: what a pixel counts for in scores, 0 on the sync board, soft at its edge (1 - mask).
+
+        The board's LEDs are lit by the rig, not by the fire. None when the camera has no "board_mask": every pixel counts.
+        """
+        if "board_mask" not in self._entry(camera):
+            return None
+        return 1 - self._read(self.file(camera, "board_mask"), camera)[..., 0]
 
     @cached_property
     def velocity(self) -> VelocitySequence:

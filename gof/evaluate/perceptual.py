@@ -73,17 +73,22 @@ def _weights(folder: Path) -> tuple[dict, dict]:
     package = find_spec("lpips")
     if not heads.is_file() and package and package.origin:
         heads = Path(package.origin).parent / "weights" / "v0.1" / "alex.pth"
-    return (_load(folder / TRUNK, {f"features.{n}.weight": (o, c, k, k) for n, c, o, k, _, _ in LAYERS}
-                  | {f"features.{n}.bias": (o,) for n, _, o, _, _, _ in LAYERS}, "torchvision's AlexNet"),
-            _load(heads, {f"lin{i}.model.1.weight": (1, o, 1, 1) for i, (_, _, o, _, _, _) in enumerate(LAYERS)},
-                  "weights/v0.1/alex.pth of the lpips package, under this name"))
+    return (load_weights(folder / TRUNK, {f"features.{n}.weight": (o, c, k, k) for n, c, o, k, _, _ in LAYERS}
+                  | {f"features.{n}.bias": (o,) for n, _, o, _, _, _ in LAYERS}, "torchvision's AlexNet", "LPIPS"),
+            load_weights(heads, {f"lin{i}.model.1.weight": (1, o, 1, 1) for i, (_, _, o, _, _, _) in enumerate(LAYERS)},
+                  "weights/v0.1/alex.pth of the lpips package, under this name", "LPIPS"))
 
 
-def _load(path: Path, shapes: dict[str, tuple], what: str) -> dict:
+def load_weights(path: Path, shapes: dict[str, tuple], what: str, score: str) -> dict:
+    """Tensors of a PyTorch state file by name, float32, with exactly these shapes; others in the file are ignored.
+
+    Raises:
+        MissingDependencyError: the file is absent.   DataFormatError: it holds something else.
+    """
     import torch
 
     if not path.is_file():
-        raise MissingDependencyError(f"LPIPS: {path} is absent ({what}); put it there, gof downloads nothing")
+        raise MissingDependencyError(f"{score}: {path} is absent ({what}); put it there, gof downloads nothing")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         found = {name: tuple(state[name].shape) for name in shapes}
