@@ -1,0 +1,51 @@
+"""What a flame-only result is drawn over: plates of its own beside it (plates/CAMERA.png), else the dataset's fire-free ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError
+from gof.io.files import atomic_path
+
+LEVELS = 65535  # 16 bits: plates are optimised and lit in steps finer than 1/255
+
+
+def save_plates(folder: Path, names: list[str], plates: list[np.ndarray]) -> None:
+    """Write folder/plates/NAME.png, 16 bits, from (H, W, 3) display sRGB in [0, 1]."""
+    (folder / "plates").mkdir(parents=True, exist_ok=True)
+    for name, plate in zip(names, plates, strict=True):
+        ok, data = cv2.imencode(".png", np.rint(np.clip(plate[..., ::-1], 0, 1) * LEVELS).astype(np.uint16))
+        if not ok:
+            raise DataFormatError(f"{folder}/plates/{name}.png: OpenCV cannot encode a plate of shape {plate.shape}")
+        with atomic_path(folder / "plates" / f"{name}.png") as temporary:
+            temporary.write_bytes(data.tobytes())
+
+
+def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray:
+    """(H, W, 3) float32 display sRGB in [0, 1]: the view of a camera without flame, as the result knows it.
+
+    Args:
+        result: file or folder of the result, None when there is none. Its plates may be smaller than the dataset's pictures;
+            then what they add to the dataset's plate is enlarged, and the plate stays as sharp as it is.
+    Raises:
+        DataFormatError: a plate cannot be read.
+    """
+    static = dataset.static(camera)
+    if result is None:
+        return static
+    path = (result if result.is_dir() else result.parent) / "plates" / f"{dataset.cameras[camera].name}.png"
+    if not path.is_file():
+        return static
+    stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if stored is None or stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
+        raise DataFormatError(f"{path}: not a 16-bit RGB PNG; remove the file to use the dataset's plate, or reconstruct again")
+    plate = stored[..., ::-1].astype(np.float32) / LEVELS
+    if plate.shape == static.shape:
+        return plate
+    small, large = plate.shape[1::-1], static.shape[1::-1]
+    added = plate - cv2.resize(static, small, interpolation=cv2.INTER_AREA)
+    return np.clip(static + cv2.resize(added, large, interpolation=cv2.INTER_LINEAR), 0, 1)
