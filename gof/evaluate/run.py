@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import tyro
 
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, MissingDependencyError
+from gof.errors import DataFormatError
 from gof.evaluate import controls as control_module
-from gof.evaluate.depth import read_depth, rmse_depth
-from gof.evaluate.dve import dve_sequence, sanity_warnings, state_at
-from gof.evaluate.image import psnr, ssim
+from gof.evaluate.dve import dve_sequence, sanity_warnings
+from gof.evaluate.pictures import Extras, Progress, image_scores, timed
 from gof.gaussians import TransientGaussians
 from gof.io.convert import ForeignOptions
 from gof.io.files import write_json
 from gof.io.importers import ImportOptions, Trajectory, read_result
 from gof.io.importers.similarity import align_cameras, read_cameras, transformed
-
-Progress = Callable[..., None]  # progress(done, total, stage=...)
-
-
-@dataclass(frozen=True)
-class Extras:
-    """Material for scores that need more than the dataset."""
-
-    weights: Path | None = None  # folder of weight files, for LPIPS
-    depth: Path | None = None  # folder of CAMERA/FRAME.npy depth maps, for RMSE_depth
+from gof.plates import background
 
 
 def evaluate(result: Path | TransientGaussians | Trajectory, dataset: Dataset, order: int = 3,
@@ -40,9 +26,9 @@ def evaluate(result: Path | TransientGaussians | Trajectory, dataset: Dataset, o
              foreign: ImportOptions | None = None, align: Path | None = None, extras: Extras | None = None) -> dict[str, Any]:
     """All scores of a result.
 
-    Pictures: every held-out frame of every camera, rendered over the fire-free plate (over black when the result brings
-    static Gaussians of its own); `flame` scores count pixels of the true flame mask only. Velocities: DVE on every frame of
-    the clip that has a true velocity field.
+    Pictures: every held-out frame of every camera, rendered over the result's own plate (`gof.plates`), else the fire-free one
+    (over black when the result brings static Gaussians of its own); `flame` scores count pixels of the true flame mask only.
+    Pixels of the sync board do not count. Velocities: DVE on every frame of the clip that has a true velocity field.
 
     Args:
         result: file or folder of any known method (gof.io.importers), or the Gaussians.
@@ -53,28 +39,31 @@ def evaluate(result: Path | TransientGaussians | Trajectory, dataset: Dataset, o
         foreign: what a foreign result does not say; its frame time is the dataset's unless given.
         align: cameras of the method's own world (see `read_cameras`); the result is moved by the similarity that maps them onto
             the dataset's.
-        extras: material for LPIPS and RMSE_depth; without it they are named as absent.
+        extras: material for LPIPS, CGVQM and RMSE_depth; without it they are named as absent.
     Returns:
-        JSON-ready dict: "import" {"method", "path", "options", "notes", "alignment"}, "dve" (see DVESequence.to_dict), "controls" {name: {"l2", "cos_sim", "skill", ...}}, "psnr",
-        "psnr_flame", "psnr_plate", "psnr_flame_plate", "ssim", "ssim_flame", "ssim_plate", "ssim_flame_plate" (means over
-        pictures; None where undefined; likewise "flip" and "lpips" where available, "temporal_l2" and "rmse_depth"), "images" (spread,
-        every picture, and "absent": which scores are not there and why), "costs" {part: seconds}, "warnings".
+        JSON-ready dict: "import" {"method", "path", "options", "notes", "alignment"}, "dve" (see DVESequence.to_dict), "controls"
+        {name: {"l2", "cos_sim", "skill", ...}}, "psnr", "psnr_flame", "psnr_plate", "psnr_flame_plate", likewise "ssim" and, where
+        available, "flip" and "lpips", "temporal_l2", "rmse_depth", "cgvqm_2" and "cgvqm_5" (means over pictures; None where
+        undefined), "images" (spread, every picture, "board_share" of pixels that do not count, and "absent": which scores are
+        not there and why), "costs" {part: seconds}, "warnings".
     Raises:
         GofError: see `dve_sequence`.   DataFormatError: a file is damaged.
     """
     costs: dict[str, float] = {}
     progress = progress or (lambda *a, **k: None)
-    with _timed(costs, "load"):
+    with timed(costs, "load"):
         gaussians, origin = _load(result, dataset, foreign or ImportOptions(), align)
     scores: dict[str, Any] = {"gaussians": len(gaussians), "dynamic_gaussians": int(gaussians.dynamic.sum()), "import": origin, "warnings": []}
     if dataset.meta.get("velocity"):
-        with _timed(costs, "dve"):
+        with timed(costs, "dve"):
             scores |= _velocity_scores(gaussians, dataset, order, opacity, progress)
     else:
         scores |= {"dve": None, "controls": {}}
         scores["warnings"].append("the dataset has no true velocity field, so there is no DVE")
     if images:
-        scores |= _image_scores(gaussians, dataset, costs, extras or Extras(), progress)
+        own = result if isinstance(result, Path) else None
+        plates = [background(dataset, number, own) for number in range(len(dataset.cameras))]
+        scores |= image_scores(gaussians, dataset, plates, costs, extras or Extras(), progress)
     return scores | {"costs": {name: round(seconds, 3) for name, seconds in costs.items()}}
 
 
@@ -97,13 +86,6 @@ def _load(result, dataset: Dataset, foreign: ImportOptions, align: Path | None) 
     return moved, origin
 
 
-@contextmanager
-def _timed(costs: dict[str, float], name: str):
-    start = time.perf_counter()
-    yield
-    costs[name] = costs.get(name, 0.0) + time.perf_counter() - start
-
-
 def _velocity_scores(gaussians: TransientGaussians | Trajectory, dataset: Dataset, order: int, opacity: str,
                      progress: Progress) -> dict[str, Any]:
     truth = dataset.velocity
@@ -121,76 +103,6 @@ def _velocity_scores(gaussians: TransientGaussians | Trajectory, dataset: Datase
         controls[name].pop("frames")
         dve[f"skill_over_{name}"] = control_module.skill(score.pooled, control.pooled)
     return {"dve": dve, "controls": controls, "warnings": sanity_warnings(score)}
-
-
-def _image_scores(gaussians: TransientGaussians | Trajectory, dataset: Dataset, costs: dict[str, float], extras: Extras,
-                  progress: Progress) -> dict[str, Any]:
-    from gof.evaluate.image import temporal_l2
-    from gof.render import render
-
-    own_background = not gaussians.dynamic.all()
-    single, absent = _single_image_scores(extras)
-    rows: list[dict[str, Any]] = []
-    total = len(dataset.test_frames) * len(dataset.cameras)
-
-    def draw(number: int, frame: int, plate: np.ndarray) -> dict[str, np.ndarray]:
-        time_s = float(dataset.camera_times_s(number)[frame])
-        with _timed(costs, "render"):
-            return render(state_at(gaussians, time_s), dataset.cameras[number], time_s, background=(0, 0, 0) if own_background else plate)
-
-    for number, camera in enumerate(dataset.cameras):
-        plate = dataset.static(number)
-        for frame in dataset.test_frames:
-            drawn = draw(number, frame, plate)
-            after = frame + 1 if frame + 1 < len(dataset.times_s) else None
-            next_drawn = None if after is None else draw(number, after, plate)
-            with _timed(costs, "images"):
-                image, truth, mask = np.clip(drawn["color"], 0, 1), dataset.image(number, frame), dataset.mask(number, frame)
-                row = {"camera": camera.name, "frame": frame, "flame_share": None if mask is None else float(mask.mean())}
-                for suffix, picture in (("", image), ("_plate", plate)):
-                    for name, score in single.items():
-                        row[f"{name}{suffix}"] = score(picture, truth)
-                        if name != "lpips":
-                            row[f"{name}_flame{suffix}"] = None if mask is None else score(picture, truth, mask)
-                if next_drawn is not None:
-                    either = None if mask is None else np.maximum(mask, dataset.mask(number, after))
-                    row["temporal_l2"] = temporal_l2((image, np.clip(next_drawn["color"], 0, 1)), (truth, dataset.image(number, after)), either)
-                    row["temporal_l2_plate"] = 1.0 if row["temporal_l2"] is not None else None
-                if extras.depth is not None:
-                    seen = (drawn["alpha"] > 0.1) * (1.0 if mask is None else mask)
-                    found = rmse_depth(drawn["depth"], read_depth(extras.depth, camera.name, frame), seen)
-                    row["rmse_depth"] = None if found is None else found.rmse
-                rows.append(row)
-            progress(len(rows), total, stage="pictures")
-    out: dict[str, Any] = {}
-    spread = {}
-    for key in dict.fromkeys(k for row in rows for k in row if k not in ("camera", "frame", "flame_share")):
-        values = [r[key] for r in rows if r.get(key) is not None and np.isfinite(r[key])]
-        out[key] = float(np.mean(values)) if values else None
-        spread[f"{key}_std"] = float(np.std(values)) if values else None
-    for row in rows:  # identical pictures have an infinite PSNR, which JSON has no number for
-        row |= {k: None for k, v in row.items() if isinstance(v, float) and not np.isfinite(v)}
-    return out | {"images": {"count": len(rows), "absent": absent, **spread, "pictures": rows}}
-
-
-def _single_image_scores(extras: Extras) -> tuple[dict[str, Callable], list[str]]:
-    """Scores of one picture that can be computed here, and for each of the others why not."""
-    from gof.evaluate import perceptual
-
-    scores, absent = {"psnr": psnr, "ssim": ssim}, []
-    probe = np.zeros((64, 64, 3))
-    optional = {"flip": perceptual.flip}
-    if extras.weights is not None:
-        optional["lpips"] = lambda image, truth: perceptual.lpips(image, truth, extras.weights)
-    else:
-        absent.append("LPIPS: give --weights, the folder with its weight files")
-    for name, score in optional.items():
-        try:
-            score(probe, probe)
-            scores[name] = score
-        except MissingDependencyError as e:
-            absent.append(str(e))
-    return scores, absent
 
 
 def table(scores: dict[str, Any]):
@@ -217,7 +129,8 @@ def table(scores: dict[str, Any]):
         pictures.add_column(column, justify="left" if column == "score" else "right")
     for key, label, digits in (("psnr_flame", "PSNR flame (dB)", 2), ("ssim_flame", "SSIM flame", 4), ("flip_flame", "FLIP flame", 4),
                                ("psnr", "PSNR (dB)", 2), ("ssim", "SSIM", 4), ("flip", "FLIP", 4), ("lpips", "LPIPS", 4),
-                               ("temporal_l2", "change between frames, relative L2", 3), ("rmse_depth", "RMSE depth", 3)):
+                               ("temporal_l2", "change between frames, relative L2", 3),
+                               ("cgvqm_2", "CGVQM-2 of the whole video, 0..100", 2), ("cgvqm_5", "CGVQM-5 of the whole video, 0..100", 2), ("rmse_depth", "RMSE depth", 3)):
         if key in scores:
             pictures.add_row(label, number(scores[key], digits), number(scores.get(f"{key}_plate"), digits))
     return velocity, pictures
@@ -243,7 +156,7 @@ class EvaluateConfig:
     opacity: Literal["temporal", "base"] = "temporal"
     """Weight Gaussians by their opacity at each time, or by their peak opacity at all times."""
     weights: Path | None = None
-    """Folder with LPIPS weight files; without it LPIPS is left out."""
+    """Folder with weight files of LPIPS and CGVQM (docs/dve.md); what is not there is left out and named."""
     depth: Path | None = None
     """Folder of predicted or true depth maps CAMERA/FRAME.npy, for RMSE_depth."""
     images: bool = True

@@ -149,3 +149,37 @@ def test_absent_or_wrong_files_and_bad_pictures_are_named(model, tmp_path):
         cgvqm(1, lambda k: (np.full((8, 8, 3), np.nan), np.zeros((8, 8, 3))), 1, folder)
     with pytest.raises(DataFormatError, match="4 x 4"):
         cgvqm(1, lambda k: (np.zeros((3, 8, 3)),) * 2, 1, folder)
+
+
+def test_in_evaluate_with_the_board_faded_out(model, tmp_path):
+    """The whole clip of every camera; noise on the sync board alone costs nothing."""
+    import json
+
+    import cv2
+
+    from gof.dataset import Dataset
+    from gof.evaluate.run import Extras, evaluate
+    from tests.evaluate.synthetic_flame import flame_dataset
+
+    folder, _ = model
+    truth = flame_dataset(tmp_path / "data", velocity=False)
+    (tmp_path / "weights").mkdir()
+    for name in (TRUNK, "cgvqm-2.pickle"):
+        os.link(folder / name, tmp_path / "weights" / name)
+    extras = Extras(tmp_path / "weights")
+    clean = evaluate(truth, Dataset.open(tmp_path / "data"), extras=extras)
+    assert clean["cgvqm_2"] > 95 and "cgvqm_5" not in clean and clean["costs"]["video"] > 0
+    assert any(TRUNK not in reason and "LPIPS" in reason for reason in clean["images"]["absent"])
+    meta = json.loads((tmp_path / "data/dataset.json").read_text())
+    for camera in meta["cameras"]:
+        camera["board_mask"] = f"cameras/{camera['name']}/board_mask.png"
+        cv2.imwrite(str(tmp_path / "data" / camera["board_mask"]), np.pad(np.full((20, 48), 255, np.uint8), ((60, 0), (0, 0))))
+        for k in range(9):
+            path = str(tmp_path / "data" / camera["rgb"].format(frame=k))
+            picture = cv2.imread(path)
+            picture[60:] = np.random.default_rng(k).integers(0, 255, (20, 48, 3))
+            cv2.imwrite(path, picture)
+    noisy = evaluate(truth, Dataset.open(tmp_path / "data"), extras=extras)
+    (tmp_path / "data/dataset.json").write_text(json.dumps(meta))
+    masked = evaluate(truth, Dataset.open(tmp_path / "data"), extras=extras)
+    assert noisy["cgvqm_2"] < 95 < masked["cgvqm_2"]
