@@ -1,12 +1,131 @@
-"""Panel "Reconstruction"."""
+"""Panel "Reconstruction": import a result as an animated cloud, and change how it looks and plays."""
+
+import time
+from pathlib import Path
 
 import bpy
+from bpy_extras.io_utils import ImportHelper
 
+from ..io import FileFormatError, gaussians_file
+from ..scene import compat, gaussian_nodes, point_cloud
 from .panel import SidebarPanel
+
+MANY = 2_000_000  # Gaussians; from here on an import asks back
+SECONDS_EACH, BYTES_EACH, FRAME_SECONDS_EACH = 4e-6, 250, 0.2e-6  # measured: benchmark/addon_speed.py
+
+MODES = [("points", "Points", "Round points: quick"), ("ellipsoids", "Ellipsoids", "The Gaussians' true shapes"),
+         ("arrows", "Arrows", "Velocity arrows"), ("streaks", "Streaks", "The way just travelled, as sparks leave it")]
+COLORS = [("image", "Image Colour", "As in the footage"), ("speed", "Speed", "m/s"),
+          ("age", "Age", "Seconds since its brightest moment"), ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
+          ("error", "Velocity Error", "m/s against the true velocity; first use the panel Score")]
+VECTORS = [("velocity", "Velocity", "As reconstructed"), ("true velocity", "True Velocity", "At the Gaussian's centre"),
+           ("error", "Error", "Reconstructed minus true")]
+
+
+def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
+    """An enum that shows and sets one input of the active cloud."""
+    def read(self) -> int:
+        cloud = point_cloud.inputs(bpy.context.object)
+        return int(cloud[socket]) if cloud else 0
+
+    def write(self, number: int) -> None:
+        thing = bpy.context.object
+        if socket == "Color By":
+            point_cloud.color_by(thing, choices[number])
+        else:
+            point_cloud.inputs(thing)[socket] = number
+
+    return bpy.props.EnumProperty(items=items, get=read, set=write, **annotations)
 
 
 class GOF_PG_reconstruction(bpy.types.PropertyGroup):
-    """``scene.gof.reconstruction``."""
+    """``scene.gof.reconstruction``: settings of the active cloud that have names instead of numbers."""
+
+    mode: _enum("Mode", gaussian_nodes.MODES, MODES, name="Show As")
+    color: _enum("Color By", gaussian_nodes.COLORS, COLORS, name="Colour By")
+    vectors: _enum("Arrows Show", gaussian_nodes.VECTORS, VECTORS, name="Arrows")
+
+
+class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
+    """Add a reconstruction to the scene: result.npz or result.ply, an FTGS-PLY, a 3DGS PLY, or a folder of numbered PLYs"""
+
+    bl_idname = "gof.import_result"
+    bl_label = "Import Reconstruction"
+    bl_options = {"UNDO"}
+
+    filter_glob: bpy.props.StringProperty(default="*.npz;*.ply", options={"HIDDEN"})
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
+    mode: bpy.props.EnumProperty(name="Show As", items=MODES, default="points")
+    start_frame: bpy.props.FloatProperty(name="Start Frame", default=1.0, description="Scene frame that is time 0 of the reconstruction")
+    step: bpy.props.IntProperty(name="Every n-th", default=1, min=1, description="Import every n-th Gaussian only")
+    everything: bpy.props.BoolProperty(name="Import However Many", description="Do not ask back when there are millions", options={"SKIP_SAVE"})
+    fps: bpy.props.FloatProperty(name="Files per Second", default=0.0, min=0.0,
+                                 description="Numbers per second of a PLY sequence; 0 = one per frame of the scene")
+    clip_seconds: bpy.props.FloatProperty(name="Clip Length", default=0.0, min=0.0,
+                                          description="FTGS-PLY: seconds from the first to the last frame; 0 = by its number of frames")
+
+    def invoke(self, context, event):
+        if self.filepath or self.files:  # dropped on the window
+            return context.window_manager.invoke_props_dialog(self)
+        return super().invoke(context, event)
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        for name in ("mode", "start_frame", "step", "everything"):
+            layout.prop(self, name)
+        layout.label(text="Files of other methods")
+        for name in ("fps", "clip_seconds"):
+            layout.prop(self, name)
+
+    def execute(self, context):
+        started = time.perf_counter()
+        render = context.scene.render
+        clock = gaussians_file.Clock(self.fps or render.fps / render.fps_base, self.clip_seconds or None)
+        try:
+            source = self._source()
+            number = gaussians_file.count(source) // self.step
+            if number > MANY and not self.everything:
+                raise FileFormatError(
+                    f"{number:,} Gaussians: about {number * SECONDS_EACH:.0f} s to import, {number * BYTES_EACH / 1e9:.1f} GB of memory and "
+                    f"{number * FRAME_SECONDS_EACH:.1f} s per frame. Set Every n-th to {-(-number * self.step // MANY)} or more, "
+                    "or tick Import However Many")
+            cloud = gaussians_file.load(source, clock, self.step)
+        except (FileFormatError, OSError, MemoryError) as error:
+            self.report({"ERROR"}, str(error) or "not enough memory; set Every n-th")
+            return {"CANCELLED"}
+        thing = point_cloud.add_point_cloud(cloud, self.start_frame, self.mode, source[0].stem if len(source) == 1 else source[0].parent.name)
+        thing["gof_source"] = str(source[0] if len(source) == 1 else source[0].parent)
+        for other in context.selected_objects:
+            other.select_set(False)
+        thing.select_set(True)
+        context.view_layer.objects.active = thing
+        self.report({"INFO"}, f"{thing.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s")
+        return {"FINISHED"}
+
+    def _source(self) -> list[Path]:
+        chosen = [Path(self.directory) / file.name for file in self.files if file.name]
+        if not chosen:
+            chosen = [Path(bpy.path.abspath(self.filepath or self.directory))]
+        return gaussians_file.files_of(chosen)
+
+
+class GOF_OT_fit_colors(bpy.types.Operator):
+    """Set the colour map's range to that of the values, without the largest two percent"""
+
+    bl_idname = "gof.fit_colors"
+    bl_label = "Fit Range"
+    bl_options = {"UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        cloud = point_cloud.inputs(context.object)
+        return cloud is not None and cloud["Color By"] > 0
+
+    def execute(self, context):
+        point_cloud.color_by(context.object, context.scene.gof.reconstruction.color)
+        return {"FINISHED"}
 
 
 class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
@@ -14,8 +133,62 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
     bl_order = 3
 
     def draw(self, context):
-        pass
+        layout, settings = self.layout, context.scene.gof.reconstruction
+        layout.operator("gof.import_result", icon="IMPORT", text="Import Reconstruction...")
+        cloud = point_cloud.inputs(context.object)
+        if cloud is None:
+            layout.label(text="Select a reconstruction to change it", icon="INFO")
+            return
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+
+        def show(column, *names):
+            for name in names:
+                column.prop(cloud.modifier, f'["{cloud.identifier(name)}"]', text=name)
+
+        column = layout.column(align=True)
+        column.label(text=f"{context.object.name}: {len(context.object.data.vertices):,} Gaussians")
+        column.prop(settings, "mode")
+        if settings.mode in ("arrows", "streaks"):
+            show(column, "Line Time")
+        if settings.mode == "arrows" and "gs_true_velocity" in context.object.data.attributes:
+            column.prop(settings, "vectors")
+        show(column, "Opacity Cut", "Share")
+        column = layout.column(align=True)
+        column.prop(settings, "color")
+        if settings.color != "image":
+            show(column, "Color Min", "Color Max")
+            column.operator("gof.fit_colors")
+        column = layout.column(align=True)
+        show(column, "Start Frame", "Time Scale")
+        column = layout.column(align=True)
+        show(column, "Emission", "Light on Scene")
+
+
+def _menu(menu, context):
+    menu.layout.operator("gof.import_result", text="Gaussians on Fire (.npz, .ply)")
+
+
+def register() -> None:
+    bpy.types.TOPBAR_MT_file_import.append(_menu)
+
+
+def unregister() -> None:
+    bpy.types.TOPBAR_MT_file_import.remove(_menu)
 
 
 Settings = GOF_PG_reconstruction
-CLASSES = (GOF_PT_reconstruction,)
+CLASSES = (GOF_OT_import_result, GOF_OT_fit_colors, GOF_PT_reconstruction)
+if compat.HAS_DROP:
+
+    class GOF_FH_result(bpy.types.FileHandler):
+        bl_idname = "GOF_FH_result"
+        bl_label = "Gaussians on Fire"
+        bl_import_operator = "gof.import_result"
+        bl_file_extensions = ".npz;.ply"
+
+        @classmethod
+        def poll_drop(cls, context):
+            return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+
+    CLASSES = (*CLASSES, GOF_FH_result)
