@@ -28,18 +28,24 @@ COLUMNS = {
     "fluctuation_cos": ("fluctuation CosSim", ("dve", "fluctuation", "cos_sim"), 1, ".3f"),
     "skill": ("skill over constant", ("dve", "skill_over_constant"), 1, ".3f"),
     "speed_ratio": ("speed ratio", ("dve", "speed_ratio"), 0, ".2f"),
-    "psnr_flame": ("PSNR flame", ("psnr_flame",), 1, ".2f"),
+    "psnr_flame": ("PSNR flame (dB)", ("psnr_flame",), 1, ".2f"),
     "ssim_flame": ("SSIM flame", ("ssim_flame",), 1, ".4f"),
-    "psnr": ("PSNR", ("psnr",), 1, ".2f"),
+    "psnr": ("PSNR (dB)", ("psnr",), 1, ".2f"),
     "ssim": ("SSIM", ("ssim",), 1, ".4f"),
     "lpips": ("LPIPS", ("lpips",), -1, ".4f"),
     "flip": ("FLIP", ("flip",), -1, ".4f"),
     "temporal_l2": ("change L2", ("temporal_l2",), -1, ".3f"),
-    "rmse_depth": ("RMSE depth", ("rmse_depth",), -1, ".3f"),
-    "train_s": ("s to train", ("train_s",), -1, ".1f"),
-    "evaluate_s": ("s to evaluate", ("evaluate_s",), -1, ".1f"),
+    "cgvqm_2": ("CGVQM-2", ("cgvqm_2",), 1, ".2f"),
+    "cgvqm_5": ("CGVQM-5", ("cgvqm_5",), 1, ".2f"),
+    "rmse_depth": ("RMSE depth (m)", ("rmse_depth",), -1, ".3f"),
+    "train_s": ("train (s)", ("train_s",), -1, ".1f"),
+    "evaluate_s": ("evaluate (s)", ("evaluate_s",), -1, ".1f"),
     "gaussians": ("Gaussians", ("gaussians",), 0, "d"),
 }
+
+
+COLORS = ("#1769aa", "#c2410c", "#15803d", "#7e22ce", "#be123c", "#0e7490", "#854d0e", "#4b5563")
+SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "star", "x", "triangle-down", "hexagon")
 
 
 def collect(folders: list[Path]) -> list[dict[str, Any]]:
@@ -201,15 +207,18 @@ def pareto_figures(rows: list[dict[str, Any]]) -> list[str]:
         figure = go.Figure()
         figure.add_scatter(x=[points[i][0] for i in front], y=[points[i][1] for i in front], mode="lines", line={"color": "#e8772e", "shape": "hv"},
                            name="nobody is better and faster", hoverinfo="skip")
-        figure.add_scatter(x=[p[0] for p in points], y=[p[1] for p in points], mode="markers+text", text=[r["name"] for r in shown],
-                           textposition="top center", cliponaxis=False, marker={"size": 11, "color": "#1769aa"}, name="methods")
+        for number, (r, point) in enumerate(zip(shown, points, strict=True)):
+            figure.add_scatter(x=[point[0]], y=[point[1]], mode="markers", name=r["name"],
+                               marker={"size": 12, "color": COLORS[number % len(COLORS)], "symbol": SYMBOLS[number % len(SYMBOLS)]})
         constant = next((r for r in rows if r["control"] and r["name"].endswith("constant")), None)
         if constant and constant.get(key) is not None:
-            figure.add_hline(y=constant[key], line={"dash": "dot", "color": "#777"}, annotation_text="one constant vector")
+            figure.add_hline(y=constant[key], line={"dash": "dot", "color": "#777"}, annotation_text="one constant vector", annotation_position="top right")
         arrow = "lower is better" if better < 0 else "higher is better"
-        figure.update_layout(template="plotly_white", height=380, margin={"l": 60, "r": 90, "t": 40, "b": 50}, showlegend=False,
-                             title={"text": f"{heading} ({arrow})", "font": {"size": 15}})
-        figure.update_xaxes(type="log", title="seconds to train")
+        figure.update_layout(template="plotly_white", height=420, margin={"l": 64, "r": 24, "t": 44, "b": 50},
+                             legend={"orientation": "h", "y": -0.22, "font": {"size": 12}}, title={"text": f"{heading} ({arrow})", "font": {"size": 15}})
+        low, high = np.log10([0.7 * min(p[0] for p in points), 1.4 * max(p[0] for p in points)])
+        ticks = [f * 10.0**k for k in range(int(np.floor(low)), int(np.ceil(high))) for f in (1, 2, 5)]
+        figure.update_xaxes(type="log", title="seconds to train", range=[low, high], tickvals=ticks, ticktext=[f"{t:g}" for t in ticks])
         figure.update_yaxes(title=heading)
         out.append(figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True}))
     return out

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from gof.gaussians import TransientGaussians
@@ -96,8 +96,18 @@ def streamlines(velocity: np.ndarray, density: np.ndarray, spacing: float = 2.6,
     return [line for line in lines if np.abs(np.diff(line, axis=0)).sum() > 0.5]
 
 
-def draw(density: np.ndarray, velocity: np.ndarray, scale: int = 6) -> Image.Image:
-    """Streamlines coloured by density, second axis up, with an arrow head in the direction of motion on each."""
+def cropped(density: np.ndarray, velocity: np.ndarray, margin: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """A plane's density (A, B) and velocity (A, B, 2) without the cells around it where nothing would be drawn."""
+    seen = density > FAINT * density.max()
+    box = tuple(slice(max(int(k.min()) - margin, 0), int(k.max()) + margin + 1) for k in np.nonzero(seen))
+    return density[box], velocity[box]
+
+
+def draw(density: np.ndarray, velocity: np.ndarray, scale: int = 6, cell: float | None = None) -> Image.Image:
+    """Streamlines coloured by density, second axis up, with an arrow head in the direction of motion on each.
+
+    With `cell`, the edge of a cell in metres, a scale bar is drawn at the bottom.
+    """
     height = density.shape[1]
     image = Image.new("RGB", (density.shape[0] * scale * 2, height * scale * 2), GROUND)
     pen = ImageDraw.Draw(image)
@@ -115,14 +125,21 @@ def draw(density: np.ndarray, velocity: np.ndarray, scale: int = 6) -> Image.Ima
             along *= 11 / size
             side = np.array([-along[1], along[0]]) * 0.45
             pen.polygon([tuple(tip + along * 0.4), tuple(tip - along * 0.6 + side), tuple(tip - along * 0.6 - side)], color)
-    return image.resize((image.width // 2, image.height // 2), Image.LANCZOS)
+    image = image.resize((image.width // 2, image.height // 2), Image.LANCZOS)
+    if cell is not None:
+        width_m = image.width / scale * cell
+        bar = max((m for m in (10.0**k * f for k in range(-4, 3) for f in (1, 2, 5)) if m < 0.5 * width_m), default=0.5 * width_m)
+        pen, y = ImageDraw.Draw(image), image.height - 8
+        pen.line([(8, y), (8 + bar / cell * scale, y)], (235, 235, 235), 2)
+        pen.text((8, y - 4), f"{bar:g} m", (235, 235, 235), ImageFont.load_default(13), anchor="ls")
+    return image
 
 
 def plots(gaussians: TransientGaussians, time_s: float, truth=None) -> dict[str, Image.Image]:
     """"projection", "slice" and, with a true field (anything with `sample`), "truth_projection", "truth_slice" at the same places."""
     v = volume(gaussians, time_s)
-    out = {"projection": draw(*max_projection(v.density, v.velocity)), "slice": draw(*x_slice(v.density, v.velocity)[:2])}
+    seen = {"": v.velocity}
     if truth is not None:
-        field = truth.sample(v.centres().reshape(-1, 3)).reshape(v.velocity.shape)
-        out |= {"truth_projection": draw(*max_projection(v.density, field)), "truth_slice": draw(*x_slice(v.density, field)[:2])}
-    return out
+        seen["truth_"] = truth.sample(v.centres().reshape(-1, 3)).reshape(v.velocity.shape)
+    cuts = {"projection": max_projection, "slice": lambda density, velocity: x_slice(density, velocity)[:2]}
+    return {whose + kind: draw(*cropped(*cut(v.density, velocity)), cell=v.cell) for kind, cut in cuts.items() for whose, velocity in seen.items()}
