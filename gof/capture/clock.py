@@ -9,6 +9,9 @@ import numpy as np
 
 from gof.capture.strips import NotDecodable
 
+MISS = 0.06  # part of the period by which a time misses its place entirely; costs 1
+DROP_COST = 0.5
+
 
 def estimate_interval(count: np.ndarray, phase_us: np.ndarray, period: float) -> float:
     """Time between frames from counter and strips, by the median over pairs eight frames apart: single wrong reads, drops
@@ -32,62 +35,82 @@ def estimate_interval(count: np.ndarray, phase_us: np.ndarray, period: float) ->
     return interval
 
 
-def unwrap(phase_us: np.ndarray, interval: float, period: float) -> np.ndarray:
-    """Times from phases alone: each step is the interval plus the small difference that the phases show."""
-    step = interval + wrap(np.diff(phase_us) - interval, period)
-    return phase_us[0] + np.concatenate([[0.0], np.cumsum(step)])
-
-
 def wrap(time: np.ndarray, period: float) -> np.ndarray:
     """To -period/2 .. period/2."""
     return (np.asarray(time) + period / 2) % period - period / 2
 
 
-def link_coarse(time: np.ndarray, interval: float, duplicate: np.ndarray, window: int = 8) -> np.ndarray:
-    """(T,) position of every frame on a steady clock of the given interval, from coarse times.
+def unwrap(phase_us: np.ndarray, index: np.ndarray, interval: float, period: float) -> np.ndarray:
+    """Times from phases alone: each step is that of a steady clock plus the small difference that the phases show."""
+    steady = interval * np.diff(index)
+    return phase_us[0] + np.concatenate([[0.0], np.cumsum(steady + wrap(np.diff(phase_us) - steady, period))])
 
-    Repeated frames take the position of the frame before. A drop is a lasting step of the times against the clock by whole
-    intervals; medians over `window` frames on both sides make single wrong times harmless.
+
+def link(time: np.ndarray, interval: float, repeated: np.ndarray, period: float, counted: bool, window: int = 48) -> np.ndarray:
+    """(T,) position of every frame on a steady clock of the given interval.
+
+    A repeated picture has the position of the one before; every other step is one more, or several after a drop. Of all such
+    sequences the cheapest is taken (Viterbi), where a frame costs up to one for missing its time, and a drop half of that: drops
+    are told from wrong single times because all frames after a drop agree with it. Half of a window is settled at a time, and
+    the clock followed from window to window, so small errors of the interval do not add up.
+
+    Args:
+        time: (T,) right modulo `period`, single ones may be wrong.
+        repeated: (T,) the first is False.
+        counted: times are right without the modulo too, but for a few. Otherwise a drop of as many frames as fill whole
+            periods cannot be seen, and the smallest that fits is taken.
     """
-    index = np.cumsum(np.concatenate([[0], np.where(duplicate[1:], 0, 1)]))
-    for _ in range(len(time)):
-        rest = time - interval * index
-        n = len(rest)
-        steps = np.zeros(n)
-        for k in range(2, n - 1):
-            steps[k] = np.median(rest[k : k + window]) - np.median(rest[max(0, k - window) : k])
-        missing = np.rint(steps / interval)
-        if not (missing > 0).any():
-            return index
-        # The place: where one clean cut explains most.
-        k = max(np.flatnonzero(missing == missing.max()), key=lambda k: _cut_gain(rest, k, window, missing.max() * interval))
-        index[k:] += int(missing.max())
+    order = np.cumsum(~repeated) - 1
+
+    def follow(part: slice, origin: float, start: int | None = None) -> tuple[np.ndarray, float]:
+        return _cheapest_shifts(time[part] - origin - interval * order[part], repeated[part], interval, period, counted, start)
+
+    index, shift, first = order.copy(), 0, slice(0, window)
+    # Single times may be wrong: the clock starts from the frame that most others agree with.
+    anchors = np.unique(np.linspace(0, len(time[first]) - 1, 9).astype(int))
+    origin = min((time[k] - interval * order[k] for k in anchors), key=lambda o: follow(first, o)[1])
+    origin += interval * follow(first, origin)[0][0]
+    for begin in range(0, len(time), window // 2):
+        part = slice(begin, begin + window)
+        shifts, _ = follow(part, origin, shift)
+        index[part] = order[part] + shifts
+        settled = slice(begin, min(begin + window // 2, len(time)))
+        shift = int(index[settled][-1] - order[settled][-1])
+        rest = wrap(time[settled] - origin - interval * index[settled], period)
+        near = np.abs(rest) < MISS * period
+        origin += np.median(rest[near]) if near.any() else 0.0
     return index
 
 
-def _cut_gain(rest, k, window, step):
-    before, after = rest[max(0, k - window) : k], rest[k : k + window]
-    base = np.median(before)
-    return -np.abs(before - base).sum() - np.abs(after - base - step).sum()
-
-
-def link_fine(time: np.ndarray, index: np.ndarray, interval: float, period: float, tolerance: float) -> np.ndarray:
-    """Check positions against fine times (right modulo the period): a step between neighbours that misses the clock by
-    more than `tolerance`, and fits it with up to eight frames more or fewer, moves all later frames."""
-    index = index.copy()
-    for k in range(1, len(time)):
-        step = time[k] - time[k - 1]
-        q = index[k] - index[k - 1]
-        error = abs(wrap(step - q * interval, period))
-        if error <= tolerance:
-            continue
-        options = [c for c in range(max(0, q - 8), q + 9) if abs(wrap(step - c * interval, period)) < tolerance / 2]
-        # The frame after must agree: a single wrong time is not a drop.
-        options = [c for c in options if k + 1 >= len(time) or
-                   abs(wrap(time[k + 1] - time[k - 1] - (c + index[k + 1] - index[k]) * interval, period)) < tolerance / 2]
-        if options:
-            index[k:] += min(options, key=lambda c: abs(c - q)) - q
-    return index
+def _cheapest_shifts(error, repeated, interval, period, counted, start):
+    """Non-decreasing shifts (in intervals) that explain `error` (T,) us best, and their cost. start: shift before the first
+    frame; None = any."""
+    if counted:
+        seen = np.rint(np.append(error / interval, [] if start is None else start)).astype(int)
+        shifts = np.unique(seen[:, None] + np.arange(-2, 3))  # a frame between two drops may be misread
+    else:
+        shifts = np.arange(-16, 17) + (start or 0)
+    shifts = shifts if start is None else shifts[shifts >= start]
+    miss = error[:, None] - interval * shifts
+    cost = np.minimum(np.abs(wrap(miss, period)) / (MISS * period), 1)
+    if counted:
+        cost += 0.5 * np.minimum(np.abs(miss) / interval, 1)
+    size = 0.01 * shifts  # of drops that explain as much, the smallest
+    best = -size if start is None else np.where(shifts == start, -size, np.inf)
+    here = np.arange(len(shifts))
+    came_from = np.tile(here, (len(error), 1))
+    for k in range(len(error)):
+        if not repeated[k] and (k or start is not None):
+            lowest = np.minimum.accumulate(best)
+            moves = lowest + DROP_COST < best
+            came_from[k, moves] = np.maximum.accumulate(np.where(best == lowest, here, 0))[moves]
+            best = np.where(moves, lowest + DROP_COST, best)
+        best = best + cost[k]
+    path = np.empty(len(error), int)
+    path[-1] = (best + size).argmin()
+    for k in range(len(error) - 1, 0, -1):
+        path[k - 1] = came_from[k, path[k]]
+    return shifts[path], float((best + size).min())
 
 
 def unwrap_to(time: np.ndarray, index: np.ndarray, interval: float, period: float) -> np.ndarray:

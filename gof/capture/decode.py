@@ -23,6 +23,7 @@ class DecodeOptions:
     row_time_us: float | None = None  # per image line, >= 0
     readout: str | None = None  # down, up, left, right
     clock: str = "steady"  # "steady" or "free"
+    iterations: int = 6  # rounds of learning the strips' curves and the frames' times from each other
 
 
 @dataclass
@@ -90,25 +91,28 @@ def decode(signals: Signals, template: BoardTemplate, options: DecodeOptions) ->
     if full:
         read = counter.resolve(read, phase / period, d, template.disambiguation_lead)
     interval = _interval(options, read, bits, phase, period)
-    time = read * period + phase if full else clock.unwrap(phase, interval, period)
-    index = clock.link_coarse(time, interval, signals.duplicate)
+    counted = read * period + phase
+    index = clock.link(counted if full else phase, interval, signals.duplicate, period, full)
     if full:
         # Single counts may still be wrong; the clock says which period is meant.
-        line = strips.robust_line(index, time)[0]
+        line = strips.robust_line(index, counted)[0]
         time = line + clock.wrap(phase - line, period)
+    else:
+        time = clock.unwrap(phase, index, interval, period)
     steady = options.clock == "steady"
     if steady:
         interval = strips.sharpen_interval(value, usable, index, interval, period)
         time = index * interval + np.median(time - index * interval)
 
     row_time, free = _row_time(options, value, usable, position, time, period)
-    fit = strips.fit(value, usable, position, axis, slot, time, period, row_time, free, steady)
+    fit = strips.fit(value, usable, position, axis, slot, time, period, row_time, free, steady, options.iterations)
     if steady:
-        better = clock.link_fine(fit.time, index, interval, period, tolerance=0.06 * period)
+        exact = counted + clock.wrap(fit.time - counted, period) if full else fit.time
+        better = clock.link(exact, interval, signals.duplicate, period, full)
         if (better != index).any():
             index = better
             line = strips.robust_line(index, clock.unwrap_to(fit.time, index, interval, period), fit.sigma)[0]
-            fit = strips.fit(value, usable, position, axis, slot, line, period, fit.row_time, free, steady)
+            fit = strips.fit(value, usable, position, axis, slot, line, period, fit.row_time, free, steady, options.iterations)
         line = strips.robust_line(index, fit.time, fit.sigma)[0]
         measured = line + clock.wrap(fit.time - line, period)
         line, interval, weight = strips.robust_line(index, measured, fit.sigma)

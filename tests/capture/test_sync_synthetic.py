@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.capture.accuracy import errors, measure
+from benchmark.capture_accuracy import errors, measure, signals_of
 from gof.capture.decode import DecodeOptions, decode
 from gof.capture.locate import BoardNotFound, Summary, locate
-from gof.capture.signals import make_signals, sample_frame
 from gof.capture.strips import NotDecodable, robust_line
 from gof.capture.synthetic import SyntheticShot, lit_share, render, write_video
 from gof.capture.template import BoardTemplate
@@ -20,13 +19,7 @@ SMALL = SyntheticShot(width=400, height=560, marker_px=42, centre=(0.48, 0.72), 
 
 
 def shoot(shot, frames=64, template=BOARD, change=None):
-    pictures = [change(k, p) if change else p for k, p in enumerate(render(shot, template, frames))]
-    summary = Summary()
-    for picture in pictures:
-        summary.add(picture)
-    board = locate(summary, template)
-    strip, led = zip(*(sample_frame(p, board) for p in pictures), strict=True)
-    return make_signals(np.stack(strip), np.stack(led), (shot.width, shot.height), board)
+    return signals_of([change(k, p) if change else p for k, p in enumerate(render(shot, template, frames))], template)
 
 
 def test_overlap_integral_is_exact():
