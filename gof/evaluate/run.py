@@ -6,12 +6,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import tyro
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.evaluate import controls as control_module
 from gof.evaluate.dve import dve_sequence, sanity_warnings
+from gof.evaluate.emission import FlameGrid, score_on_emission
 from gof.evaluate.pictures import Extras, Progress, image_scores, timed
 from gof.gaussians import TransientGaussians
 from gof.io.convert import ForeignOptions
@@ -41,7 +43,8 @@ def evaluate(result: Path | TransientGaussians | Trajectory, dataset: Dataset, o
             the dataset's.
         extras: material for LPIPS, CGVQM and RMSE_depth; without it they are named as absent.
     Returns:
-        JSON-ready dict: "import" {"method", "path", "options", "notes", "alignment"}, "dve" (see DVESequence.to_dict), "controls"
+        JSON-ready dict: "import" {"method", "path", "options", "notes", "alignment"}, "dve" (see DVESequence.to_dict;
+        with "on_emission", None without a flame grid in the dataset), "controls"
         {name: {"l2", "cos_sim", "skill", ...}}, "psnr", "psnr_flame", "psnr_plate", "psnr_flame_plate", likewise "ssim" and, where
         available, "flip" and "lpips", "temporal_l2", "rmse_depth", "cgvqm_2" and "cgvqm_5" (means over pictures; None where
         undefined), "images" (spread, every picture, "board_share" of pixels that do not count, and "absent": which scores are
@@ -102,6 +105,9 @@ def _velocity_scores(gaussians: TransientGaussians | Trajectory, dataset: Datase
         controls[name] = control.to_dict() | {"meaning": control_module.CONTROLS[name]}
         controls[name].pop("frames")
         dve[f"skill_over_{name}"] = control_module.skill(score.pooled, control.pooled)
+    grid = dataset.path / "grids" / "flame.zarr"
+    dve["on_emission"] = None if not grid.exists() else score_on_emission(
+        gaussians, truth, FlameGrid(grid), np.array(score.times_s), progress=lambda done, total: progress(done, total, stage="on emission")).to_dict()
     return {"dve": dve, "controls": controls, "warnings": sanity_warnings(score)}
 
 
@@ -122,6 +128,9 @@ def table(scores: dict[str, Any]):
                                           for k in ("l2", "cos_sim")), f"mean of {d['frames_scored']} frames")
         velocity.add_row("  fluctuation", number(d["fluctuation"]["l2"]), number(d["fluctuation"]["cos_sim"]),
                          "after taking the mean per height from both; every mean scores 1 / 0")
+        if e := d["on_emission"]:
+            velocity.add_row("  on the emission", number(e["l2"]), number(e["cos_sim"]), f"where the flame shines; no Gaussian at {e['uncovered']:.1%} of it")
+            velocity.add_row("    constant there", number(e["constant"]["l2"]), number(e["constant"]["cos_sim"]), "the mean true velocity of the same places")
         for name, c in scores["controls"].items():
             velocity.add_row(f"control: {name}", number(c["l2"]), number(c["cos_sim"]), c["meaning"])
     pictures = Table(title="Held-out pictures", title_justify="left")
