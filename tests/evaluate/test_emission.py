@@ -101,8 +101,9 @@ def test_right_velocities_are_right_wherever_they_sit(column):
     assert score_on_emission(right(dim), truth, flame, TIMES[:1]).score.l2 == pytest.approx(full.score.l2, abs=0.02)
     lower = cloud(opacity=np.where(cloud().position[:, 2] > 2, 0.0, 0.9))
     half = score_on_emission(right(lower), truth, flame, TIMES[:1])
-    assert half.uncovered == pytest.approx(0.45, abs=0.05)  # Gaussians below 2 m reach a little above it
-    assert half.score.l2 == pytest.approx(np.sqrt((27 - 8) / 26), abs=0.06) and half.score.cos_sim == pytest.approx(1 - half.uncovered, abs=1e-3)
+    assert 0.3 < half.uncovered < 0.48  # Gaussians below 2 m reach a little above it, up to here:
+    top = 3 - 2 * half.uncovered
+    assert half.score.l2 == pytest.approx(np.sqrt((27 - top**3) / 26), abs=0.02) and half.score.cos_sim == pytest.approx(1 - half.uncovered, abs=1e-3)
 
 
 def test_the_same_places_for_every_result(column):
