@@ -37,7 +37,7 @@ GOAL_US, GOAL_COMPRESSED_US, GOAL_REAL_US = 5.0, 15.0, 9.0
 SWEEPS: dict[str, list[float]] = {
     "exposure": [100, 300, 600, 1000, 1500, 2200, 3000],
     "row_time": [1.5, 3.0, 6.0, 10.0],
-    "blur_px": [0.5, 1.5, 3.0, 5.0],
+    "blur_px": [0.5, 1.5, 3.0, 4.0],
     "noise": [0, 4, 10, 20],
     "gain": [0.4, 0.8, 3.0, 12.0],
     "marker_px": [20, 25, 40, 90],

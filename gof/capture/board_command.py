@@ -118,7 +118,8 @@ def _monitor(board: Board, seconds: float | None) -> None:
     from rich.live import Live
 
     end = time.monotonic() + seconds if seconds is not None else float("inf")
-    with Live(console=Console(), refresh_per_second=8) as live:
+    console = Console()
+    with Live(console=console, refresh_per_second=8) as live:
         while time.monotonic() < end:
             status = board.status()
             gray = status.count ^ status.count >> 1
@@ -127,3 +128,5 @@ def _monitor(board: Board, seconds: float | None) -> None:
                              else "." for i in range(board.identity.strips))
             live.update(f"{board.port}  strips {strips}  Gray {leds}\n{describe(status)}")
             time.sleep(0.125)
+    if not console.is_terminal:
+        print()  # rich leaves the last line open

@@ -109,7 +109,7 @@ def locate(summary: Summary, template: BoardTemplate, samples: int = 96) -> Boar
 def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
     """(4, 2) corners of the template's marker in continuous pixel coordinates.
 
-    Raises: BoardNotFound: it is in none of the pictures, at one or two times their size.
+    Raises: BoardNotFound: it is in none of the pictures, at half, one or two times their size.
     """
     import cv2
 
@@ -118,11 +118,11 @@ def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
     parameters.cornerRefinementWinSize = 3
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), parameters)
     median = np.median(summary.pictures, axis=0).astype(np.uint8)
-    for scale in (1, 2):
+    for scale in (1, 0.5, 2):  # reduced for blurred markers, enlarged for small ones
         for picture in (median, summary.high, *summary.pictures):
             image = 255 - picture if template.inverted else picture
-            if scale > 1:
-                image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+            if scale != 1:
+                image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA)
             corners, ids, _ = detector.detectMarkers(image)
             hits = [c[0] for c, i in zip(corners, ids.ravel(), strict=True) if i == template.marker_id] if ids is not None else []
             if hits:
