@@ -19,6 +19,7 @@ COMMANDS = {
     "leaderboard": ("gof.evaluate.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time"),
     "study": ("benchmark.study", "accuracy against time, as tables and plots: of the DVE (dve), of the generator (generate)"),
     "import": ("benchmark.import_result", "result -> animated point cloud in a .blend, and a rendered preview"),
+    "view": ("gof.view", "result in the browser, in 3D with a time slider; also while it is being optimised"),
     "capture": ("gof.capture.run", "LED board control, sub-frame times from footage"),
     "report": ("gof.report", "pictures, animation, scores and costs on one self-contained HTML page"),
     "doctor": ("gof.doctor", "check this machine: Blender, Mantaflow, Dr.Jit, CUDA, OpenEXR, disk, weights"),

@@ -12,6 +12,7 @@ import numpy as np
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
+from gof.reconstruct.lit_plate import lit_plate
 
 
 @dataclass
@@ -21,18 +22,22 @@ class Motion:
     Attributes:
         frames: (F,) dataset frame numbers, all from the training split.
         image: (F, C, H, W, 3) float32 display sRGB.
-        static: (C, H, W, 3) float32 display sRGB, the views without fire.
-        intensity: (F, C, H, W) float32 linear light above the plate, >= 0.
+        static: (C, H, W, 3) float32 display sRGB, the views without fire, in the dark.
+        plate: (C, H, W, 3) float32 display sRGB, the views without flame, but in its light.
+        intensity: (F, C, H, W) float32 linear light above `plate`, >= 0.
         mask: (F, C, H, W) bool, where flame may be.
         flow: (F, C, H, W, 2) float32 pixels per second; NaN where no trustworthy flow exists.
+        delivered: (F, C) bool, False where a camera gave no picture (a black frame in its place).
     """
 
     frames: np.ndarray
-    image: list[np.ndarray]
-    static: list[np.ndarray]
-    intensity: list[np.ndarray]
-    mask: list[np.ndarray]
-    flow: list[np.ndarray]
+    image: np.ndarray
+    static: np.ndarray
+    plate: np.ndarray
+    intensity: np.ndarray
+    mask: np.ndarray
+    flow: np.ndarray
+    delivered: np.ndarray
 
 
 def srgb_to_linear(x: np.ndarray) -> np.ndarray:
@@ -62,6 +67,14 @@ def flame_mask(
     flame = np.isin(region, np.unique(region[rise > strong])) & (region > 0)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow_px + 1, 2 * grow_px + 1))
     return cv2.dilate(cv2.morphologyEx(flame.astype(np.uint8), cv2.MORPH_CLOSE, disc), disc) > 0
+
+
+def was_delivered(images: np.ndarray, static: np.ndarray) -> np.ndarray:
+    """(F,) bool: which of images (F, H, W, 3) a camera really took; static (H, W, 3), display sRGB.
+
+    Fire only adds light, so a picture with less than half of its plate's light was not taken of this scene.
+    """
+    return np.minimum(images, static).mean((1, 2, 3)) >= 0.5 * static.mean()
 
 
 def flow_picture(image: np.ndarray, static: np.ndarray) -> np.ndarray:
@@ -133,22 +146,22 @@ def estimate_motion(
     frames, cameras = np.array(sorted(dataset.train_frames)), range(len(dataset.cameras))
     if not len(frames):
         raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
+    images = [np.stack([dataset.image(c, k) for k in frames]) for c in cameras]
     static = [dataset.static(c) for c in cameras]
-    images = [{int(k): dataset.image(c, k) for k in frames} for c in cameras]
-    pictures = [{k: picture(image, static[c]) for k, image in images[c].items()} for c in cameras]
-    result = Motion(frames, [], static, [], [], [])
-    for i, k in enumerate(frames):
-        result.image.append(np.stack([images[c][k] for c in cameras]))
-        result.intensity.append(np.stack([light_above(images[c][k], static[c]).mean(-1) for c in cameras]))
-        result.mask.append(np.stack([flame_mask(images[c][k], static[c]) for c in cameras]))
-        result.flow.append(
-            np.stack([_frame_velocity(pictures[c], dataset.camera_times_s(c), int(k), max_error_px) for c in cameras])
-        )
-        progress(i + 1, len(frames))
-    for name in ("image", "intensity", "mask", "flow"):
-        setattr(result, name, np.stack(getattr(result, name)))
-    if not result.mask.any():
+    masks = [np.stack([flame_mask(image, static[c]) for image in images[c]]) for c in cameras]
+    if not any(mask.any() for mask in masks):
         raise DataFormatError(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
-    return result
+    delivered = [was_delivered(images[c], static[c]) for c in cameras]
+    plates = [lit_plate(static[c], images[c], masks[c] | ~delivered[c][:, None, None]) for c in cameras]
+    pictures = [
+        {int(k): picture(image, plates[c]) for k, image in zip(frames, images[c], strict=True)} for c in cameras
+    ]
+    flow = []
+    for i, k in enumerate(frames):
+        flow.append([_frame_velocity(pictures[c], dataset.camera_times_s(c), int(k), max_error_px) for c in cameras])
+        progress(i + 1, len(frames))
+    light = [np.stack([light_above(image, plates[c]).mean(-1) for image in images[c]]) for c in cameras]
+    image, intensity, mask, taken = (np.stack(x, axis=1) for x in (images, light, masks, delivered))
+    return Motion(frames, image, np.stack(static), np.stack(plates), intensity, mask, np.stack([np.stack(f) for f in flow]), taken)

@@ -69,7 +69,7 @@ def optimize(
 
     Args:
         voxel_size: m, bounds the scale (0.1 to 3 voxels).   frame_time_s: s.
-        motion: training pictures and masks.   times_s: (C, F) when each camera took each of them (first line).
+        motion: training pictures (those that were delivered are used), masks and plates.   times_s: (C, F) when each camera took each of them (first line).
         checkpoint: file to resume from and to write every 500 steps (removed by the caller when done); a disk too full
             for it is reported and does not end the run.
         progress: called with (done, total, note=...).
@@ -91,7 +91,7 @@ def optimize(
         "opacity": schedule.opacity,
         "color": schedule.color,
     }
-    plates = {f"plate_{c}": _columns(plate.reshape(-1, 3)) for c, plate in enumerate(motion.static)}
+    plates = {f"plate_{c}": _columns(plate.reshape(-1, 3)) for c, plate in enumerate(motion.plate)}
     if schedule.plate > 0:
         raw |= plates
         rates |= dict.fromkeys(plates, schedule.plate)
@@ -102,11 +102,11 @@ def optimize(
 
     def state() -> tuple[TransientGaussians, list[np.ndarray]]:
         shown = [optimizer[name] if schedule.plate > 0 else plates[name] for name in plates]
-        images = [_rows(x).reshape(plate.shape) for x, plate in zip(shown, motion.static, strict=True)]
+        images = [_rows(x).reshape(plate.shape) for x, plate in zip(shown, motion.plate, strict=True)]
         return _from_raw(optimizer, voxel_size, clock), images
 
     targets, outside = {}, {}
-    usable = np.argwhere(delivered(motion))
+    usable = np.argwhere(motion.delivered)
     order, mean_loss, psnr = [], None, None
     decay = (schedule.position[1] / schedule.position[0]) ** (1 / max(schedule.iterations, 1))
     for step in range(start, schedule.iterations):
@@ -139,15 +139,6 @@ def optimize(
         if done % CHECKPOINT_EVERY == 0:
             _save_checkpoint(checkpoint, optimizer, done)
     return state()
-
-
-def delivered(motion: Motion) -> np.ndarray:
-    """(F, C) bool: False where a camera gave no picture (a black frame in its place).
-
-    Fire only adds light, so a picture with less than half of its plate's light was not taken of this scene.
-    """
-    plates = np.stack(motion.static)
-    return np.minimum(motion.image, plates).mean((2, 3, 4)) >= 0.5 * plates.mean((1, 2, 3))
 
 
 def activate(raw, voxel_size: float, time_s: float, camera: Camera) -> Splats:

@@ -43,9 +43,8 @@ def save_motion(folder: Path, motion: Motion) -> None:
     save_picture(
         folder, "1_masks", f"Motion masks, frame {motion.frames[f]}: what lies outside is darkened", np.hstack(masked)
     )
-    longest = (
-        np.nanpercentile(np.linalg.norm(motion.flow[f][motion.mask[f]], axis=-1), 98) if motion.mask[f].any() else 1.0
-    )
+    speed = np.linalg.norm(motion.flow[f][motion.mask[f]], axis=-1)
+    longest = np.nanpercentile(speed, 98) if np.isfinite(speed).any() else 1.0
     colors = [
         flow_colors(np.where(m[..., None], flow, 0), longest)
         for flow, m in zip(motion.flow[f], motion.mask[f], strict=True)

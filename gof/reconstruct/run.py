@@ -15,6 +15,7 @@ from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
 from gof.io.files import read_json, write_json
+from gof.plates import save_plates
 from gof.reconstruct.presets import PRESETS, step_ms
 from gof.stages import StageLog, progress_bar
 
@@ -26,9 +27,9 @@ class ReconstructConfig:
     """Three videos -> transient flame Gaussians: result.ply and result.npz.
 
     Stages: motion (masks, optical flow) -> flow field (hull, tomography, fused 3D velocity) -> seeds -> optimisation of
-    position, velocity, time, lifetime, opacity, scale, rotation and colour over the fire-free plates. Held-out frames
-    are read for scores only. Pictures of every stage go to OUT/stages, costs to OUT/costs.json, scores on held-out
-    pictures along the way to OUT/curve.json.
+    position, velocity, time, lifetime, opacity, scale, rotation and colour over the plates in the fire's light, which are kept
+    in OUT/plates. Held-out frames are read for scores only. Pictures of every stage go to OUT/stages, costs to OUT/costs.json, scores on held-out
+    pictures along the way to OUT/curve.json. `gof view OUT` shows the flame while it is being optimised.
     """
 
     dataset: tyro.conf.Positional[Path]
@@ -149,13 +150,14 @@ def reconstruct(config: ReconstructConfig) -> Path:
     curve = Curve(out / "curve.json", resumed=checkpoint.exists())
 
     def evaluate(step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
+        gaussians.save(out / "snapshot.npz", source=f"gof reconstruct, step {step}")  # for `gof view`
         return curve.add(step, lambda: held_out.score(gaussians, plates, near=voxels.voxel_size))
 
     with (
         log.measure("optimize", iterations=config.iterations, gaussians=len(seeds)),
         progress_bar("optimise") as progress,
     ):
-        gaussians, _ = optimize(
+        gaussians, plates = optimize(
             seeds,
             voxels.voxel_size,
             dt,
@@ -168,9 +170,11 @@ def reconstruct(config: ReconstructConfig) -> Path:
             progress,
             evaluate,
         )
+    save_plates(out, [camera.name for camera in dataset.cameras], plates)
     gaussians.save(out / "result.ply", source=f"gof reconstruct {dataset.meta['name']}")
     gaussians.save(result, source=f"gof reconstruct {dataset.meta['name']}")
-    checkpoint.unlink(missing_ok=True)
+    for path in (checkpoint, out / "snapshot.npz"):
+        path.unlink(missing_ok=True)
     return result
 
 

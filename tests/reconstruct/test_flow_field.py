@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from tests.conftest import arc
 
 from gof.reconstruct.flow_field import FUSIONS, back_projected_flow, fuse_frame
 from gof.reconstruct.voxels import FlameVoxels, carve
+from tests.conftest import arc
 
 
 def setup(n_points=60, cameras=3, scale=1.0, seed=0):

@@ -9,7 +9,6 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.motion import estimate_motion
-from gof.reconstruct.optimize import delivered
 from gof.reconstruct.run import reconstruct
 from tests.reconstruct.rising_flame import DT, RISE, config, edit, held_out, mean_velocity, write_flame
 
@@ -75,7 +74,7 @@ def test_camera_lost_for_some_frames(tmp_path, plain):
         return images
 
     folder = write_flame(tmp_path / "lost", change=lose)
-    missing = np.argwhere(~delivered(estimate_motion(Dataset.open(folder))))
+    missing = np.argwhere(~estimate_motion(Dataset.open(folder)).delivered)
     assert missing.tolist() == [[2, 0], [3, 0], [5, 2]], "training frame 5 is frame 6, frame 4 is held out"
     scores, gaussians = run(folder, tmp_path / "out")
     assert scores["psnr_flame"] > plain[1]["psnr_flame"] - 1.5

@@ -3,11 +3,11 @@
 import cv2
 import numpy as np
 import pytest
-from tests.conftest import arc, write_dataset
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.reconstruct.motion import consistency, estimate_motion, flame_mask, light_above, srgb_to_linear
+from tests.conftest import arc, write_dataset
 
 
 def moving_texture(n, shift, shape=(64, 36), seed=0):

@@ -1,11 +1,14 @@
 """Hull carving and tomography on shapes whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from tests.conftest import arc
 
 from gof.errors import DataFormatError
-from gof.reconstruct.voxels import carve, flame_box, tomography
+from gof.reconstruct import voxels as voxels_module
+from gof.reconstruct.voxels import carve, flame_box, round_flame, tomography
+from tests.conftest import arc
 
 
 def ball(cameras, center=(0, 0, 1.0), radius=0.25):
@@ -52,6 +55,40 @@ def test_tomography_finds_the_ball_inside_its_hull():
     assert inside.mean() < 0.15, "otherwise the test says nothing"
     assert (emission >= 0).all() and np.isfinite(emission).all()
     assert emission[emission > 0].mean() == pytest.approx(1)
+
+
+def depth_and_width(voxels, emission, camera, middle):
+    """Standard deviations of the emission along and across a camera's viewing direction, m."""
+    forward = camera.world_to_camera[2, :3]
+    offset = voxels.center - middle
+    along = offset @ forward
+    across = offset @ np.cross(forward, [0, 0, 1])
+    return [float(np.sqrt(np.average(x**2, weights=emission))) for x in (along, across)]
+
+
+def test_a_flame_is_about_as_deep_as_it_is_wide(monkeypatch):
+    cameras, middle, radius = arc(3), np.array([0.12, -0.08, 1.05]), 0.25
+    masks, lengths = ball(cameras, middle, radius)
+    voxels = carve(cameras, masks[None], 32)
+    emission = tomography(voxels, lengths, masks)
+    depth, width = depth_and_width(voxels, emission, cameras[1], middle)
+    assert [depth, width] == pytest.approx([radius / np.sqrt(5)] * 2, rel=0.05)
+    best = voxels.center[np.argmax(round_flame(voxels, emission))]
+    assert np.abs(best[:2] - middle[:2]).max() < 2 * voxels.voxel_size, "its axis is found, off the centre"
+    monkeypatch.setattr(voxels_module, "round_flame", lambda v, emission: np.ones(len(emission)))
+    depth, width = depth_and_width(voxels, tomography(voxels, lengths, masks), cameras[1], middle)
+    assert depth > 1.08 * width, "an even start stretches it along the view"
+
+
+def test_round_flame_needs_two_views_from_the_side():
+    cameras = arc(3)
+    masks, lengths = ball(cameras)
+    voxels = carve(cameras, masks[None], 12)
+    even = np.ones(len(voxels.center))
+    assert (round_flame(voxels, even) < 1).any()
+    above = np.zeros_like(voxels.jacobian)
+    above[:, :, 0, 0] = above[:, :, 1, 1] = 100.0  # x and y move the pixel, z does not: seen from above
+    assert (round_flame(replace(voxels, jacobian=above), even) == 1).all()
 
 
 def test_tomography_with_nothing_to_see():

@@ -1,0 +1,193 @@
+"""`gof view`: a result in the browser, in 3D with a time slider; also one that is still being optimised."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from gof.dataset import Dataset
+from gof.errors import GofError, MissingDependencyError
+from gof.evaluate.dve import state_at
+from gof.evaluate.quadrature import rotation_matrices
+from gof.gaussians import TransientGaussians
+from gof.io.importers import ImportOptions, Trajectory, read_result
+
+INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
+ARROWS = 3000  # lines a browser draws without stuttering
+STEP_S = 0.03  # pause between two looks at the slider and at the file
+
+
+@dataclass
+class ViewConfig:
+    """A result in the browser: 3D, with a time slider. Of a reconstruction that is still running, the latest snapshot."""
+
+    result: tyro.conf.Positional[Path]
+    """Result of `gof reconstruct` (file or folder, finished or not), or of any method that docs/importers.md lists."""
+    dataset: Path | None = None
+    """Dataset folder: shows its cameras with their pictures, and knows the frame times."""
+    port: int = 8080
+    """Of http://localhost:PORT."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 lets other machines look."""
+
+
+def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray]:
+    """What is visible at a time: centers (N, 3), covariances (N, 3, 3) m², rgbs (N, 3) in [0, 1], opacities (N, 1), velocities (N, 3) m/s."""
+    position, opacity = gaussians.at(time_s)
+    seen = opacity >= INVISIBLE
+    axes = rotation_matrices(gaussians.rotation[seen]) * gaussians.scale[seen, None, :]
+    color = gaussians.color if gaussians.color.ndim == 2 else 0.5 + gaussians.color[:, 0] / np.sqrt(4 * np.pi)
+    return {
+        "centers": position[seen],
+        "covariances": (axes @ axes.transpose(0, 2, 1)).astype(np.float32),
+        "rgbs": np.clip(color[seen], 0, 1),
+        "opacities": opacity[seen, None],
+        "velocities": np.where(gaussians.dynamic[seen, None], gaussians.velocity[seen], 0),
+    }
+
+
+def time_span(result: TransientGaussians | Trajectory, dataset: Dataset | None) -> tuple[float, float]:
+    """First and last second worth showing: the dataset's frames, else the middle times of the moving Gaussians."""
+    if dataset is not None:
+        return float(dataset.times_s[0]), float(dataset.times_s[-1])
+    if isinstance(result, Trajectory):
+        return float(result.time_s[0]), float(result.time_s[-1])
+    times = result.t_mu[result.dynamic]
+    return (float(times.min()), float(times.max())) if len(times) else (0.0, 0.0)
+
+
+def newest(path: Path) -> Path:
+    """The file to show: a folder's finished result, else its snapshot.
+
+    Raises:
+        GofError: a folder of ours with neither yet.
+    """
+    if not (path / "settings.json").is_file():
+        return path
+    for name in ("result.npz", "snapshot.npz"):
+        if (path / name).is_file():
+            return path / name
+    raise GofError(f"{path}: the reconstruction there has no result and no snapshot yet; the first comes after 250 steps")
+
+
+class Viewer:
+    """A viser server with one result."""
+
+    def __init__(self, config: ViewConfig):
+        try:
+            import viser
+        except ImportError as e:
+            raise MissingDependencyError("gof view needs viser: pip install 'gaussians-on-fire[view]'") from e
+        self.config = config
+        self.dataset = None if config.dataset is None else Dataset.open(config.dataset)
+        self.result = self._read()
+        first, last = time_span(self.result, self.dataset)
+        step = self.dataset.frame_time_s if self.dataset else max(last - first, 1e-3) / 100
+        self.server = viser.ViserServer(host=config.host, port=config.port, label="Gaussians on Fire", verbose=False)
+        gui, scene = self.server.gui, self.server.scene
+        gui.configure_theme(dark_mode=True)
+        scene.set_background_image(np.full((1, 1, 3), 12, np.uint8))  # fire is light: it shows on black
+        scene.set_up_direction("+z")
+        self.time = gui.add_slider("time, ms", 0.0, max(1e3 * (last - first), 1e-3), 1e3 * step / 4, 0.0)
+        self.play = gui.add_checkbox("play", True)
+        self.slow = gui.add_slider("slow motion", 1.0, 50.0, 1.0, 10.0)
+        self.arrows = gui.add_checkbox("velocity", False)
+        self.text = gui.add_markdown("")
+        self.first_s, self.length_s = first, last - first
+        self._stand()
+        self._show_cameras()
+        self._shown = None
+
+    def run(self) -> None:
+        """Follow the slider and the file until interrupted."""
+        before = time.perf_counter()
+        while True:
+            now = time.perf_counter()
+            if self.play.value and self.length_s > 0:
+                played = self.time.value / 1e3 + (now - before) / self.slow.value
+                self.time.value = 1e3 * (played % self.length_s)
+            before = now
+            self.refresh()
+            self.show(self.first_s + self.time.value / 1e3)
+            time.sleep(STEP_S)
+
+    def refresh(self) -> None:
+        """Read the file again if there is a newer one."""
+        try:
+            if self._stamp != _stamp(newest(self.config.result)):
+                self.result = self._read()
+        except (GofError, OSError):
+            pass  # it is being replaced at this moment; the next look finds it
+
+    def show(self, time_s: float) -> None:
+        """Draw the state at `time_s`, unless it is on the screen already."""
+        state = (time_s, self.arrows.value, self._stamp)
+        if state == self._shown:
+            return
+        self._shown = state
+        seen = splats(state_at(self.result, time_s), time_s)
+        velocity = seen.pop("velocities")
+        scene = self.server.scene
+        scene.add_gaussian_splats("/flame", **seen)
+        moving = np.flatnonzero(velocity.any(-1))[:: max(1, len(velocity) // ARROWS)]
+        step = 0.02 * self.length_s  # an arrow is the way of a fiftieth of the clip
+        ends = np.stack([seen["centers"][moving], seen["centers"][moving] + step * velocity[moving]], 1)
+        scene.add_line_segments("/velocity", ends, np.array([80, 200, 255], np.uint8), visible=self.arrows.value)
+        speed = np.average(np.linalg.norm(velocity, axis=-1), weights=seen["opacities"][:, 0]) if len(velocity) else 0.0
+        self.text.content = (
+            f"**{self._file.name}** · {1e3 * (time_s - self.first_s):.1f} ms · {len(velocity):,} of {len(self.result):,} "
+            f"Gaussians visible · mean speed {speed:.2f} m/s"
+        )
+
+    def _stand(self) -> None:
+        """Look at the flame from the middle camera, or from a distance of twice its size."""
+        seen = splats(state_at(self.result, self.first_s), self.first_s)["centers"]
+        middle = np.median(seen, axis=0) if len(seen) else np.zeros(3)
+        size = max(float(np.percentile(np.abs(seen - middle), 98)), 1e-3) if len(seen) else 1.0
+        start = self.server.initial_camera
+        start.look_at, start.position = middle, middle + size * np.array([0.0, -4.0, 0.5])
+        if self.dataset is not None:
+            start.position = self.dataset.cameras[len(self.dataset.cameras) // 2].position
+
+    def _show_cameras(self) -> None:
+        if self.dataset is None:
+            return
+        for number, camera in enumerate(self.dataset.cameras):
+            pose = np.linalg.inv(camera.world_to_camera)
+            fov = 2 * np.arctan(camera.height / 2 / camera.K[1, 1])
+            middle = self.dataset.times_s.size // 2
+            frustum = self.server.scene.add_camera_frustum(
+                f"/cameras/{camera.name}", float(fov), camera.width / camera.height, scale=0.2, color=(110, 110, 110),
+                image=np.uint8(255 * self.dataset.image(number, middle)), wxyz=_quaternion(pose[:3, :3]), position=pose[:3, 3])  # fmt: skip
+
+            @frustum.on_click
+            def _(event, frustum=frustum):
+                event.client.camera.wxyz, event.client.camera.position = frustum.wxyz, frustum.position
+
+    def _read(self) -> TransientGaussians | Trajectory:
+        self._file = newest(self.config.result)
+        self._stamp = _stamp(self._file)
+        return read_result(self._file, ImportOptions()).gaussians
+
+
+def _stamp(path: Path) -> tuple[Path, float]:
+    return path, path.stat().st_mtime
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)  # scipy's are xyzw
+
+
+def main(argv: list[str]) -> int:
+    """`gof view RESULT [--dataset D] [--port N]`; ends with Ctrl-C."""
+    config = tyro.cli(ViewConfig, prog="gof view", args=argv)
+    viewer = Viewer(config)
+    print(f"http://localhost:{viewer.server.get_port()}  (Ctrl-C ends it)", flush=True)
+    viewer.run()
+    return 0

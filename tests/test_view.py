@@ -1,0 +1,65 @@
+"""The browser view: what it draws against closed forms, what it opens, and a real server."""
+
+import urllib.request
+
+import numpy as np
+import pytest
+
+from gof.errors import GofError
+from gof.gaussians import TransientGaussians
+from gof.view import ViewConfig, Viewer, newest, splats, time_span
+from tests.conftest import random_gaussians
+
+
+def test_splats_are_the_gaussians_of_that_time():
+    g = random_gaussians(200)
+    seen = splats(g, 0.4)
+    position, opacity = g.at(0.4)
+    visible = opacity >= 1 / 255
+    assert 0 < visible.sum() < 200
+    np.testing.assert_array_equal(seen["centers"], position[visible])
+    np.testing.assert_array_equal(seen["opacities"][:, 0], opacity[visible])
+    variance = np.linalg.eigvalsh(seen["covariances"].astype(np.float64))
+    np.testing.assert_allclose(variance, np.sort(g.scale[visible] ** 2, axis=-1), rtol=1e-4)
+
+
+def test_colours_from_spherical_harmonics_are_their_mean():
+    g = random_gaussians(5)
+    flat = splats(g, 0.0)["rgbs"]
+    coefficients = np.zeros((5, 4, 3), np.float32)
+    coefficients[:, 0] = (g.color - 0.5) * np.sqrt(4 * np.pi)
+    values = {name: getattr(g, name) for name in g.__dataclass_fields__} | {"color": coefficients}
+    np.testing.assert_allclose(splats(TransientGaussians(**values), 0.0)["rgbs"], flat, atol=1e-6)
+
+
+def test_a_running_reconstruction_shows_its_latest_snapshot(tmp_path):
+    assert newest(tmp_path / "any.ply") == tmp_path / "any.ply"
+    (tmp_path / "settings.json").write_text("{}")
+    with pytest.raises(GofError, match="250 steps"):
+        newest(tmp_path)
+    random_gaussians(5).save(tmp_path / "snapshot.npz", source="test")
+    assert newest(tmp_path).name == "snapshot.npz"
+    random_gaussians(5).save(tmp_path / "result.npz", source="test")
+    assert newest(tmp_path).name == "result.npz"
+
+
+def test_a_real_server_shows_times_and_new_snapshots(tmp_path):
+    pytest.importorskip("viser")
+    (tmp_path / "settings.json").write_text("{}")
+    g = random_gaussians(50)
+    g.save(tmp_path / "snapshot.npz", source="test")
+    viewer = Viewer(ViewConfig(tmp_path, port=8490))
+    try:
+        first, last = time_span(g, None)
+        viewer.show(first)
+        assert "snapshot.npz" in viewer.text.content and "0.0 ms" in viewer.text.content
+        viewer.show(last)
+        assert f"{1e3 * (last - first):.1f} ms" in viewer.text.content
+        page = urllib.request.urlopen(f"http://127.0.0.1:{viewer.server.get_port()}", timeout=20).read()
+        assert b"<html" in page.lower()
+        random_gaussians(20).save(tmp_path / "result.npz", source="test")
+        viewer.refresh()
+        viewer.show(last)
+        assert "result.npz" in viewer.text.content and "of 20" in viewer.text.content
+    finally:
+        viewer.server.stop()
