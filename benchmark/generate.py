@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -80,7 +79,7 @@ def _make(spec: SceneSpec, layout: Layout, log: StageLog, config: GenerateConfig
         if not layout.bake_marker.exists():
             costs.refuse_if_too_large(spec, layout.root)
         with graph.cluster(config.scheduler, config.workers) as client:
-            graph.Generation(spec, layout, client, log, settings_of).run()
+            graph.Generation(spec, layout, client, log).run()
     if config.views:
         from benchmark import views
 
@@ -119,9 +118,6 @@ def load_scene(scene: str, preset: str | None = None) -> SceneSpec:
         raise GofError(f"'{scene}' is neither a spec file nor a built-in scene ({', '.join(built_in)})")
     try:
         spec = scene_spec.load(path)
-        if spec.blend_file:  # relative to the spec that names it
-            file = dataclasses.replace(spec.blend_file, path=str((path.parent / spec.blend_file.path).resolve()))
-            spec = dataclasses.replace(spec, blend_file=file)
         return spec.with_preset(preset) if preset else spec
     except SpecError as error:
         raise GofError(str(error)) from error
@@ -133,37 +129,7 @@ def claim(layout: Layout, spec: SceneSpec) -> None:
     Raises:
         GofError: the folder was made from another spec, or holds other things.
     """
-    if layout.spec.exists():
-        try:
-            before = scene_spec.load(layout.spec)
-        except SpecError as error:
-            raise GofError(f"{error}; give another --out, or delete {layout.root}") from error
-        if before != spec:
-            raise GofError(
-                f"{layout.root} was made from another spec ({', '.join(_differences(before, spec))} differ); "
-                "give another --out, or delete that folder"
-            )
-    elif layout.root.is_dir() and any(layout.root.iterdir()):
-        raise GofError(f"{layout.root} is not empty and holds no spec.json; give a new folder as --out")
-    else:
-        layout.root.mkdir(parents=True, exist_ok=True)
-        scene_spec.save(spec, layout.spec)
-
-
-def settings_of(stage: str, spec: SceneSpec) -> dict:
-    """The settings that explain a stage's cost."""
-    frames, cameras = spec.clip.frames, len(spec.cameras.names)
-    return {
-        "bake": {"resolution": spec.domain.resolution, "steps": spec.last_frame, "effects": spec.effect_names},
-        "render": {"images": frames * cameras, "percentage": spec.render.percentage, "samples": spec.render.samples,
-                   "effects": spec.effect_names},
-        "ground-truth": {"frames": frames, "resolution": spec.domain.resolution},
-        "video": {"cameras": cameras},
-        "flow": {"images": frames * cameras},
-        "finish": {},
-    }[stage]  # fmt: skip
-
-
-def _differences(before: SceneSpec, after: SceneSpec) -> list[str]:
-    old, new = before.to_dict(), after.to_dict()
-    return sorted(name for name in new if old[name] != new[name])
+    try:
+        scene_spec.claim(layout, spec)
+    except SpecError as error:
+        raise GofError(f"{error} (--out)") from error

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from benchmark.blender_process import Renderer, run_stage
 from blender_addon import shutter
+from blender_addon.costs import stage_settings
 from blender_addon.layout import Layout
 from blender_addon.spec import SceneSpec
 from gof.errors import GofError
@@ -52,8 +53,8 @@ def cluster(scheduler: str | None, workers: int) -> Iterator:
 class Generation:
     """One dataset on its way through the graph."""
 
-    def __init__(self, spec: SceneSpec, layout: Layout, client, log: StageLog, settings_of: Callable[[str, SceneSpec], dict]):
-        self._spec, self._layout, self._client, self._log, self._settings_of = spec, layout, client, log, settings_of
+    def __init__(self, spec: SceneSpec, layout: Layout, client, log: StageLog):
+        self._spec, self._layout, self._client, self._log = spec, layout, client, log
         self._root = layout.root.resolve()
         self._running: dict = {}  # future -> stage
         self._rendered = 0
@@ -124,7 +125,7 @@ class Generation:
                 raise GofError(f"{stage} failed {RETRIES + 1} times; the last time: {future.exception()}")
             cost = future.result()
             self._rendered += stage == "render"
-            settings = self._settings_of(stage, self._spec) | {"wall_s": self._wall_s(stage, cost["seconds"])}
+            settings = stage_settings(stage, self._spec) | {"wall_s": self._wall_s(stage, cost["seconds"])}
             self._log.record(stage, cost["seconds"], cost["peak_mb"], settings, resumed=True)
 
     def _wall_s(self, stage: str, seconds: float) -> float:

@@ -172,7 +172,7 @@ def finish(spec: SceneSpec, layout: Layout, progress) -> None:
             "schema": "gof-dataset",
             "version": 1,
             "name": spec.name,
-            "spec": spec.to_dict(),
+            "spec": spec.relative_to(layout.root).to_dict(),
             "effects": spec.effect_names,
             "time_s": [frame / spec.clip.fps for frame in range(spec.clip.frames)],
             "cameras": [
@@ -198,7 +198,7 @@ def finish(spec: SceneSpec, layout: Layout, progress) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Run one stage; returns the exit status.
 
-    In a process of the bpy wheel the caller must then leave through ``mantaflow.leave``.
+    The process must then end through ``mantaflow.leave``.
     """
     parser = argparse.ArgumentParser(prog="python -m blender_addon.generate", description=__doc__.split("\n")[0])
     parser.add_argument("--spec", type=Path, required=True, help="scene spec (JSON)")
@@ -210,8 +210,9 @@ def main(argv: list[str] | None = None) -> int:
         spec = scene_spec.load(args.spec)
         progress = Reporter(args.stage, layout.log(args.stage))
         os.chdir(layout.hidden)  # Mantaflow leaves files where it runs
-        run = {"bake": bake, "render": render, "serve": serve, "video": video, "ground-truth": ground_truth}
-        (run | {"flow": flow, "finish": finish})[args.stage](spec, layout, progress)
+        stages = {"bake": bake, "render": render, "serve": serve, "video": video, "ground-truth": ground_truth}
+        (stages | {"flow": flow, "finish": finish})[args.stage](spec, layout, progress)
+        progress.line(cost={"cpu_s": time.process_time(), "peak_mb": _peak_mb()})
     except scene_spec.SpecError as error:
         print(error, file=sys.stderr)
         return 2
@@ -219,6 +220,21 @@ def main(argv: list[str] | None = None) -> int:
         traceback.print_exc()
         return 1
     return 0
+
+
+def run(argv: list[str]) -> None:
+    """Run one stage as the only work of this process, and leave it; leave at once when standard input closes, which is
+    when the process that started this one ends."""
+    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(1)), daemon=True).start()
+    _leave(main(argv))
+
+
+def _leave(status: int) -> None:
+    if "bpy" in sys.modules:
+        from .mantaflow import leave
+
+        leave(status)
+    sys.exit(status)
 
 
 class _Watch:
@@ -275,9 +291,4 @@ def _write_json(path: Path, data: dict) -> None:
 
 
 if __name__ == "__main__":
-    status = main()
-    if "bpy" in sys.modules:
-        from .mantaflow import leave
-
-        leave(status)
-    sys.exit(status)
+    _leave(main())

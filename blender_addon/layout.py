@@ -42,6 +42,15 @@ class Layout:
         return self.root / "costs.json"
 
     @property
+    def report(self) -> Path:
+        return self.root / "report.html"
+
+    @property
+    def background(self) -> Path:
+        """A copy of the user's scene, where that is the background."""
+        return self.root / "background.blend"
+
+    @property
     def blend(self) -> Path:
         return self.root / "scene.blend"
 
@@ -72,6 +81,11 @@ class Layout:
 
     def log(self, stage: str) -> Path:
         return self.hidden / f"{stage}.log"
+
+    @property
+    def job_log(self) -> Path:
+        """What a job has done, stage by stage, for people."""
+        return self.hidden / "job.log"
 
     def frame(self, camera: str, frame: int) -> FrameFiles:
         return FrameFiles(

@@ -55,7 +55,7 @@ def leave(status: int = 0) -> None:
     """End this process at once, with its output flushed.
 
     After a bake the normal exit of the bpy wheel aborts ("can't clean grid cache", return code 134) and loses
-    buffered output, so workers leave here instead. Never call it inside a Blender application.
+    buffered output, so workers leave here instead, also those that run in a Blender application without a window.
     """
     sys.stdout.flush()
     sys.stderr.flush()

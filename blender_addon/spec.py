@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from . import records, shutter
 from .fuels import FUELS, Fuel
+from .layout import Layout
 from .presets import PRESETS
 from .records import SpecError, require
 from .scene import effects as effect_modules
@@ -97,8 +98,22 @@ class Fire:
 
 
 @dataclass(frozen=True)
+class Pose:
+    """Where a camera stands and how it is turned, instead of its place on the arc."""
+
+    position: Vector
+    """World metres."""
+    rotation: tuple[float, float, float, float]
+    """Quaternion (w, x, y, z) from Blender's camera axes (x right, y up, looking along -z) to the world."""
+
+    def __post_init__(self):
+        length = math.hypot(*self.rotation)
+        require(abs(length - 1) < 1e-3, "cameras.placed.rotation", "a unit quaternion", self.rotation)
+
+
+@dataclass(frozen=True)
 class Rig:
-    """Cameras on a horizontal arc around the point they look at."""
+    """Cameras on a horizontal arc around the point they look at, or each where it was placed."""
 
     count: int = 3
     """Number of cameras, evenly spaced on the arc."""
@@ -121,6 +136,9 @@ class Rig:
     roll_deg: Literal[0, 90, 180, -90] = 90
     """Rotation of the camera body about its viewing direction, clockwise seen from behind. Images are stored
     upright, so 90 and -90 give portrait images whose columns are the sensor's rows."""
+    placed: tuple[Pose, ...] = ()
+    """Poses of all cameras, those for evaluation last, when they do not stand on the arc. Poses are of the upright
+    images: they do not contain the roll."""
 
     def __post_init__(self):
         require(self.count >= 1, "cameras.count", "at least 1", self.count)
@@ -128,6 +146,8 @@ class Rig:
         require(0.0 <= self.arc_deg < 360.0, "cameras.arc_deg", "in [0, 360)", self.arc_deg)
         require(self.radius > 0, "cameras.radius", "positive", self.radius)
         require(self.focal_mm > 0, "cameras.focal_mm", "positive", self.focal_mm)
+        total = self.count + self.eval_count
+        require(len(self.placed) in (0, total), "cameras.placed", f"empty, or {total} poses", len(self.placed))
         require(min(self.sensor_px) >= 16, "cameras.sensor_px", "at least 16 pixels each way", self.sensor_px)
 
     @property
@@ -278,6 +298,19 @@ class SceneSpec:
         """Last Blender frame that is simulated: that of the last dataset frame, or what its shutter still sees."""
         return self.first_frame + max(shutter.last_step(self), (self.clip.frames - 1) * self.steps_per_frame)
 
+    def resolved(self, folder: Path) -> SceneSpec:
+        """This spec with the path of its .blend absolute; a relative one counts from the folder of the spec's file."""
+        return self._with_blend_file((folder / self.blend_file.path).resolve()) if self.blend_file else self
+
+    def relative_to(self, folder: Path) -> SceneSpec:
+        """This spec with the path of its .blend relative if it lies in the folder, so that both can be moved together."""
+        if self.blend_file and (path := Path(self.blend_file.path)).is_relative_to(folder.resolve()):
+            return self._with_blend_file(path.relative_to(folder.resolve()))
+        return self
+
+    def _with_blend_file(self, path: Path) -> SceneSpec:
+        return dataclasses.replace(self, blend_file=dataclasses.replace(self.blend_file, path=path.as_posix()))
+
     def to_dict(self) -> dict:
         """The JSON form; ``from_dict(to_dict())`` gives an equal spec."""
         data = {"schema": SCHEMA, "version": VERSION, **dataclasses.asdict(self)}
@@ -301,6 +334,11 @@ class SceneSpec:
         data["effects"] = tuple(_effect_from_dict(item) for item in effects)
         return records.from_dict(cls, data, "")
 
+    def differences(self, other: SceneSpec) -> list[str]:
+        """Names of the sections in which two specs differ."""
+        mine, theirs = self.to_dict(), other.to_dict()
+        return sorted(name for name in mine if mine[name] != theirs[name])
+
     def with_preset(self, preset: str) -> SceneSpec:
         """This spec with the cost-related fields of a preset in PRESETS. Raises SpecError for an unknown name."""
         require(preset in PRESETS, "preset", f"one of {sorted(PRESETS)}", preset)
@@ -311,20 +349,43 @@ class SceneSpec:
 
 
 def load(path: str | os.PathLike) -> SceneSpec:
-    """Read a spec from a JSON file. Raises SpecError that names the file."""
+    """Read a spec from a JSON file; the path of its .blend becomes absolute. Raises SpecError that names the file."""
     path = Path(path)
     try:
-        return SceneSpec.from_dict(json.loads(path.read_text(encoding="utf-8")))
+        return SceneSpec.from_dict(json.loads(path.read_text(encoding="utf-8"))).resolved(path.parent)
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, SpecError) as error:
         raise SpecError(f"{path}: {error}") from error
 
 
 def save(spec: SceneSpec, path: str | os.PathLike) -> None:
-    """Write a spec as JSON, atomically."""
+    """Write a spec as JSON, atomically; the path of a .blend beside it becomes relative."""
     path = Path(path)
     temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_text(json.dumps(spec.to_dict(), indent=2) + "\n", encoding="utf-8")
+    text = json.dumps(spec.relative_to(path.parent).to_dict(), indent=2)
+    temporary.write_text(text + "\n", encoding="utf-8")
     os.replace(temporary, path)
+
+
+def claim(layout: Layout, spec: SceneSpec) -> None:
+    """Make a folder this spec's, or check that it is.
+
+    Raises SpecError if the folder was made from another spec, or holds other things.
+    """
+    if layout.spec.exists():
+        try:
+            before = load(layout.spec)
+        except SpecError as error:
+            raise SpecError(f"{error}; choose another output folder, or delete {layout.root}") from error
+        if before != spec:
+            raise SpecError(
+                f"{layout.root} was made from another spec ({', '.join(before.differences(spec))} differ); "
+                "choose another output folder, or delete that one"
+            )
+    elif layout.root.is_dir() and any(layout.root.iterdir()):
+        raise SpecError(f"{layout.root} is not empty and holds no spec.json; choose a new output folder")
+    else:
+        layout.root.mkdir(parents=True, exist_ok=True)
+        save(spec, layout.spec)
 
 
 def _effect_from_dict(item: Any) -> Any:

@@ -21,6 +21,7 @@ def scene(spec: SceneSpec) -> fire.FireObjects:
     backgrounds.build(spec, _collection("Background"))
     rig.build(spec, _collection("Cameras"))
     objects = fire.build(spec, _collection("Fire"))
+    fire.keep_for_dataset(objects.domain_settings)
     render.configure(spec)
     return objects
 

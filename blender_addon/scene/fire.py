@@ -39,6 +39,12 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> FireObjects:
     return fire
 
 
+def keep_for_dataset(settings: bpy.types.FluidDomainSettings) -> None:
+    """Bake all at once, into the dataset's own cache folder."""
+    settings.cache_type = "ALL"
+    settings.cache_directory = "//.cache/bake"  # of Layout.bake
+
+
 def find_domain() -> bpy.types.Object:
     """The domain object of the open scene. Raises LookupError if it has none."""
     domain = bpy.data.objects.get(DOMAIN_NAME)
@@ -86,8 +92,6 @@ def _domain(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obje
     settings.use_adaptive_domain = False
     # The VDB cache stores velocity only where there is smoke; UNI stores every cell.
     settings.cache_data_format = "UNI"
-    settings.cache_type = "ALL"
-    settings.cache_directory = "//.cache/bake"
     settings.cache_frame_start = 1
     settings.cache_frame_end = spec.last_frame
     settings.burning_rate = spec.fuel.burning_rate

@@ -6,7 +6,7 @@ import math
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Matrix, Quaternion, Vector
 
 from .. import shutter
 from ..spec import Rig, SceneSpec
@@ -26,7 +26,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> list[bpy.types.O
     scene.render.resolution_x, scene.render.resolution_y = (rows, along_rows) if rig.portrait else (along_rows, rows)
     scene.render.resolution_percentage = 100
     cameras = []
-    for name, position in zip(rig.names, _positions(rig), strict=True):
+    for name, pose in zip(rig.names, poses(rig), strict=True):
         data = bpy.data.cameras.new(name)
         data.lens = rig.focal_mm
         # The focal length refers to the sensor's long side, which is vertical in a portrait image.
@@ -35,9 +35,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> list[bpy.types.O
         data.clip_start, data.clip_end = 0.05, 1000.0
         camera = bpy.data.objects.new(name, data)
         collection.objects.link(camera)
-        view = Vector(rig.look_at) - Vector(position)
-        rotation = view.to_track_quat("-Z", "Y").to_matrix().to_4x4()
-        camera.matrix_world = Matrix.Translation(position) @ rotation
+        camera.matrix_world = pose
         cameras.append(camera)
     scene.camera = cameras[0]
     return cameras
@@ -91,6 +89,14 @@ def describe(camera: bpy.types.Object, spec: SceneSpec) -> dict:
         "time_s": [k / spec.clip.fps + when.delay + when.open / 2 for k, when in enumerate(timings)],
         "exposure_s": timings[0].open,
     }
+
+
+def poses(rig: Rig) -> list[Matrix]:
+    """Camera to world of all cameras, those for evaluation last: as they were placed, or on the arc."""
+    if rig.placed:
+        return [Matrix.LocRotScale(Vector(pose.position), Quaternion(pose.rotation), None) for pose in rig.placed]
+    turns = [(Vector(rig.look_at) - Vector(position)).to_track_quat("-Z", "Y") for position in _positions(rig)]
+    return [Matrix.LocRotScale(Vector(position), turn, None) for position, turn in zip(_positions(rig), turns, strict=True)]
 
 
 def _positions(rig: Rig) -> list[tuple[float, float, float]]:

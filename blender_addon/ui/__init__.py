@@ -1,7 +1,8 @@
 """The sidebar tab "Gaussians on Fire": one module per panel, all settings in ``scene.gof``.
 
 A panel module has ``Settings`` (a property group), ``CLASSES`` (operators and panels, in the order they are registered)
-and may have ``register()`` and ``unregister()`` for what is not a class, such as menu entries.
+and may have ``GROUPS`` (property groups that its settings consist of), and ``register()`` and ``unregister()`` for what
+is not a class, such as menu entries.
 """
 
 from __future__ import annotations
@@ -19,9 +20,13 @@ class GOF_PG_scene(bpy.types.PropertyGroup):
     __annotations__ = {name: bpy.props.PointerProperty(type=module.Settings) for name, module in PANELS.items()}
 
 
+def _classes(module) -> tuple[type, ...]:
+    return (*getattr(module, "GROUPS", ()), module.Settings, *module.CLASSES)
+
+
 def register() -> None:
     for module in PANELS.values():
-        for kind in (module.Settings, *module.CLASSES):
+        for kind in _classes(module):
             bpy.utils.register_class(kind)
         getattr(module, "register", lambda: None)()
     bpy.utils.register_class(GOF_PG_scene)
@@ -33,5 +38,5 @@ def unregister() -> None:
     bpy.utils.unregister_class(GOF_PG_scene)
     for module in reversed(PANELS.values()):
         getattr(module, "unregister", lambda: None)()
-        for kind in reversed((module.Settings, *module.CLASSES)):
+        for kind in reversed(_classes(module)):
             bpy.utils.unregister_class(kind)

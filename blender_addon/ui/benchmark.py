@@ -1,21 +1,325 @@
-"""Panel "Benchmark"."""
+"""Panel "Benchmark": a dataset with exact ground truth, made by Blender processes beside this one."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
 
 import bpy
+from bpy.props import EnumProperty, StringProperty
 
-from .panel import SidebarPanel
+from .. import costs
+from .. import spec as scene_spec_file
+from ..job import Job, JobError, expected_s
+from ..layout import Layout
+from ..presets import PRESETS
+from ..records import SpecError
+from ..scene import place
+from ..spec import BlendFile, SceneSpec
+from . import scene_spec
+from .panel import SidebarPanel, write_lines
+
+TIMER_S = 0.5
+PURPOSE = {"toy": "Seconds, to see whether it works", "preview": "A look at the scene", "draft": "For trying out code",
+           "standard": "Motion worth scoring", "paper": "A job for a cluster"}  # fmt: skip
+BACKGROUNDS = ("studio", "workshop", "classroom", "cloister")
 
 
 class GOF_PG_benchmark(bpy.types.PropertyGroup):
     """``scene.gof.benchmark``."""
 
+    background: EnumProperty(
+        name="Background",
+        description="What is around the fire",
+        items=[("scene", "This Scene", "Everything of this scene that is visible in renders, as it is at this frame"),
+               *((name, name.capitalize(), "Built by the add-on; the fire and the cameras are those of the Fire panel") for name in BACKGROUNDS),
+               ("file", "Spec File", "A scene spec written for the command line: it replaces the Fire panel's settings")],
+    )  # fmt: skip
+    spec_file: StringProperty(name="Spec", description="Scene spec (.json)", subtype="FILE_PATH")
+    preset: EnumProperty(
+        name="Preset",
+        description="How fine and how long, hence how dear",
+        items=[(name, name.capitalize(), PURPOSE[name]) for name in PRESETS],
+        default="preview",
+    )
+    folder: StringProperty(
+        name="Output", description="New folder for the dataset, or one to go on with", subtype="DIR_PATH", default="//benchmark"
+    )
+
+
+def planned(scene: bpy.types.Scene) -> tuple[SceneSpec, Layout]:
+    """The spec that the two panels describe, and where its dataset goes. Raises SpecError that says what to change."""
+    if problem := why_not():
+        raise SpecError(problem)
+    from ..scene import render
+
+    settings = scene.gof.benchmark
+    if not settings.folder or (settings.folder.startswith("//") and not bpy.data.filepath):
+        raise SpecError("choose an output folder: this file has not been saved, so there is no folder beside it")
+    layout = Layout(Path(bpy.path.abspath(settings.folder)).resolve())
+    if settings.background == "file":
+        spec = scene_spec_file.load(bpy.path.abspath(settings.spec_file))
+    else:
+        spec = replace(scene_spec.of_scene(scene), name=layout.root.name or "fire")
+        if settings.background == "scene":
+            marker = place.find(scene, place.PLACE)
+            if marker is None:
+                raise SpecError("there is no fire in this scene: press Add Fire, or choose another background")
+            background = BlendFile(layout.background.as_posix(), marker.name)
+            spec = replace(spec, background="blend_file", blend_file=background, display=scene_spec.display_of(scene))
+        else:
+            spec = replace(spec, background=settings.background)
+    spec = spec.with_preset(settings.preset)
+    return (spec if render.can_denoise() else replace(spec, render=replace(spec.render, denoise=False))), layout
+
+
+def why_not() -> str | None:
+    """Why this Blender cannot make datasets, if it cannot."""
+    try:
+        from ..scene import images  # noqa: F401
+    except ImportError:
+        return "This Blender comes without the OpenImageIO module for Python: use Blender 4.2 or later (Debian: python3-openimageio)"
+    return None
+
+
+class _DatasetOperator:
+    """An operator that needs no more than the planned dataset, and reports what is wrong with the plan."""
+
+    def planned(self, context) -> tuple[SceneSpec, Layout] | None:
+        try:
+            return planned(context.scene)
+        except (SpecError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return None
+
+
+class GOF_OT_bake_render(_DatasetOperator, bpy.types.Operator):
+    """Simulate the fire, render all cameras and write the dataset. What is finished is not made again"""
+
+    bl_idname = "gof.bake_render"
+    bl_label = "Bake & Render"
+
+    job: Job | None = None
+    """The job that runs in this Blender; one at a time. It belongs to the process, not to a file: it is never saved."""
+
+    @classmethod
+    def poll(cls, context):
+        return cls.job is None and why_not() is None
+
+    def _prepared(self, context) -> Job | None:
+        """A job whose folder is claimed and which fits this machine."""
+        plan = self.planned(context)
+        if plan is None:
+            return None
+        spec, layout = plan
+        try:
+            if not layout.bake_marker.is_file():
+                costs.require_room(spec, layout.root)
+            scene_spec_file.claim(layout, spec)
+            if spec.blend_file and layout.background == Path(spec.blend_file.path) and not layout.bake_marker.is_file():
+                _copy_scene(context.scene, layout.background)
+        except (SpecError, OSError, RuntimeError) as error:
+            self.report({"ERROR"}, str(error))
+            return None
+        return Job(spec, layout, _blender())
+
+    def execute(self, context):
+        """Make the dataset and return when it is finished: for scripts and ``blender -b``."""
+        job = self._prepared(context)
+        if job is None:
+            return {"CANCELLED"}
+        try:
+            job.run()
+        except JobError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"Dataset finished: {job.layout.root}")
+        return {"FINISHED"}
+
+    def invoke(self, context, event):
+        """Make the dataset beside the user's work; Esc stops it."""
+        job = self._prepared(context)
+        if job is None:
+            return {"CANCELLED"}
+        GOF_OT_bake_render.job = job
+        self._timer = context.window_manager.event_timer_add(TIMER_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        job = GOF_OT_bake_render.job
+        if (event.type == "ESC" and event.value == "PRESS") or job is None:
+            self.cancel(context)
+            self.report({"WARNING"}, "Stopped; what is finished stays. Bake & Render goes on there")
+            return {"CANCELLED"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        try:
+            unfinished = job.poll()
+        except JobError as error:
+            self.cancel(context)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        _redraw(context)
+        if unfinished:
+            context.workspace.status_text_set(f"Benchmark: {job}. Esc stops it")
+            return {"PASS_THROUGH"}
+        self.cancel(context)
+        self.report({"INFO"}, f"Dataset finished: {job.layout.root}")
+        return {"FINISHED"}
+
+    def cancel(self, context):
+        """Stop the child and clean up; Blender calls this too, when it quits or opens another file."""
+        job, GOF_OT_bake_render.job = GOF_OT_bake_render.job, None
+        if job is not None:
+            job.stop()
+        context.window_manager.event_timer_remove(self._timer)
+        context.workspace.status_text_set(None)
+        _redraw(context)
+
+
+class GOF_OT_stop_benchmark(bpy.types.Operator):
+    """Stop the running benchmark; what is finished stays"""
+
+    bl_idname = "gof.stop_benchmark"
+    bl_label = "Stop"
+
+    @classmethod
+    def poll(cls, context):
+        return GOF_OT_bake_render.job is not None
+
+    def execute(self, context):
+        GOF_OT_bake_render.job.stop()
+        GOF_OT_bake_render.job = None  # the modal operator sees this at its next timer
+        return {"FINISHED"}
+
+
+class GOF_OT_open_benchmark(_DatasetOperator, bpy.types.Operator):
+    """Open what the benchmark has written"""
+
+    bl_idname = "gof.open_benchmark"
+    bl_label = "Open"
+
+    what: EnumProperty(items=[("report", "Report", "Pictures and costs, in the web browser"), ("log", "Log", "What has happened, in a text editor"),
+                              ("root", "Folder", "The dataset, in the file manager")])  # fmt: skip
+
+    def execute(self, context):
+        plan = self.planned(context)
+        if plan is None:
+            return {"CANCELLED"}
+        path = {"report": plan[1].report, "log": plan[1].job_log, "root": plan[1].root}[self.what]
+        if not path.exists():
+            self.report({"ERROR"}, f"there is no {path} yet: press Bake & Render")
+            return {"CANCELLED"}
+        if self.what == "log":
+            _show_text(context, path)
+        else:
+            bpy.ops.wm.path_open(filepath=str(path))
+        return {"FINISHED"}
+
 
 class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
     bl_label = "Benchmark"
     bl_order = 2
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        pass
+        settings, layout, job = context.scene.gof.benchmark, self.layout, GOF_OT_bake_render.job
+        layout.use_property_split, layout.use_property_decorate = True, False
+        if problem := why_not():
+            write_lines(layout, context, problem, "ERROR")
+            return
+        column = layout.column()
+        column.enabled = job is None
+        column.prop(settings, "background")
+        if settings.background == "file":
+            column.prop(settings, "spec_file")
+        column.prop(settings, "preset")
+        column.prop(settings, "folder")
+        if job is not None:
+            _draw_job(layout, job)
+        else:
+            self._draw_plan(context, layout)
+        row = layout.row(align=True)
+        for what, icon in (("report", "URL"), ("log", "TEXT"), ("root", "FILE_FOLDER")):
+            row.operator(GOF_OT_open_benchmark.bl_idname, text=what.replace("root", "folder").capitalize(), icon=icon).what = what
+
+    def _draw_plan(self, context, layout) -> None:
+        try:
+            spec, folders = planned(context.scene)
+            _draw_cost(layout.box(), context, spec)
+        except (SpecError, OSError) as error:
+            write_lines(layout, context, str(error), "ERROR")
+            return
+        if folders.description.is_file():
+            layout.label(text="Finished: see the report", icon="CHECKMARK")
+        resumed = folders.spec.is_file() and not folders.description.is_file()
+        layout.operator(GOF_OT_bake_render.bl_idname, text="Resume" if resumed else "Bake & Render", icon="RENDER_ANIMATION")
+
+
+def _draw_cost(box, context, spec: SceneSpec) -> None:
+    """What the dataset is, and what it should cost."""
+    prediction = costs.predict(spec, costs.known_machine() or costs.REFERENCE)
+    seconds = sum(expected_s(spec, prediction).values())
+    column = box.column(align=True)
+    pictures = spec.clip.frames * len(spec.cameras.names)
+    column.label(text=f"{spec.clip.frames} frames x {len(spec.cameras.names)} cameras = {pictures} pictures", icon="CAMERA_DATA")
+    column.label(text=f"About {costs.duration(seconds)}", icon="TIME")
+    column.label(text=f"{prediction.memory_mb / 1000:.1f} GB memory, {prediction.disk_mb / 1000:.2f} GB disk", icon="DISK_DRIVE")
+    source = f"within {100 * prediction.error:.0f} %" if prediction.error < 1 else "roughly"
+    write_lines(column, context, f"Predicted {source}, measured on {prediction.measured_on}")
+
+
+def _draw_job(layout, job: Job) -> None:
+    box = layout.box()
+    if hasattr(bpy.types.UILayout, "progress"):  # since Blender 4.0
+        box.progress(factor=job.fraction, text=f"{100 * job.fraction:.0f} %")
+    else:
+        filled = round(20 * job.fraction)
+        box.label(text=f"{'|' * filled}{'.' * (20 - filled)}  {100 * job.fraction:.0f} %")
+    box.label(text=str(job), icon="TIME")
+    box.operator(GOF_OT_stop_benchmark.bl_idname, text="Stop (Esc)", icon="CANCEL")
+
+
+def _blender() -> list[str]:
+    """A command that runs Python code in another process of this Blender, without a window."""
+    if getattr(bpy.app, "module", False):  # the bpy wheel: Blender is a module of Python
+        return [sys.executable, "-c"]
+    return [bpy.app.binary_path, "-b", "--factory-startup", "--python-exit-code", "1", "--python-expr"]
+
+
+def _copy_scene(scene: bpy.types.Scene, path: Path) -> None:
+    """Write the scene as it is now, unsaved changes too, to a file of its own."""
+    bpy.data.libraries.write(str(path), {scene}, path_remap="ABSOLUTE", fake_user=True)
+
+
+def _redraw(context) -> None:
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def _show_text(context, path: Path) -> None:
+    """Show a file in a text editor of this screen, or in one of a new window."""
+    before = next((text for text in bpy.data.texts if text.filepath and Path(bpy.path.abspath(text.filepath)) == path), None)
+    if before is not None:
+        bpy.data.texts.remove(before)
+    text = bpy.data.texts.load(str(path))
+    area = next((area for area in context.screen.areas if area.type == "TEXT_EDITOR"), None) if context.screen else None
+    if area is None and not bpy.app.background:
+        bpy.ops.wm.window_new()
+        area = context.window_manager.windows[-1].screen.areas[0]
+        area.type = "TEXT_EDITOR"
+    if area is not None:
+        area.spaces.active.text = text
 
 
 Settings = GOF_PG_benchmark
-CLASSES = (GOF_PT_benchmark,)
+CLASSES = (GOF_OT_bake_render, GOF_OT_stop_benchmark, GOF_OT_open_benchmark, GOF_PT_benchmark)
+
+
+def unregister() -> None:
+    """A job does not outlive the add-on."""
+    if GOF_OT_bake_render.job is not None:
+        GOF_OT_bake_render.job.stop()
+        GOF_OT_bake_render.job = None

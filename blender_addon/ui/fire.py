@@ -1,12 +1,134 @@
-"""Panel "Fire"."""
+"""Panel "Fire": a burning fire and its camera rig as ordinary Blender data."""
 
 import bpy
+from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty
 
+from ..fuels import FUELS
+from ..records import SpecError
+from ..scene import place
+from . import effect_groups, scene_spec
 from .panel import SidebarPanel
+
+
+class GOF_PG_cameras(bpy.types.PropertyGroup):
+    """``scene.gof.fire.cameras``: the rig, relative to the place of the fire."""
+
+    count: IntProperty(name="Cameras", description="Cameras that methods may train on, evenly spaced on an arc", default=3, min=1, soft_max=16)
+    eval_count: IntProperty(name="For Evaluation", description="More cameras, which no method may train on", default=0, min=0, soft_max=8)
+    arc_deg: FloatProperty(name="Arc", description="Degrees between the first and the last camera", default=70, min=0, max=359)
+    azimuth_deg: FloatProperty(name="Direction", description="Degrees from +X to the middle of the arc, counter-clockwise", default=-90)
+    radius: FloatProperty(name="Distance", description="From the fire, metres", default=2.8, min=0.05, soft_max=20)
+    height: FloatProperty(name="Height", description="Of the cameras above the place of the fire, metres", default=0.9)
+    look_at_height: FloatProperty(name="Aim", description="Height of the point that the cameras look at, metres", default=0.75)
+    focal_mm: FloatProperty(name="Focal Length", description="Millimetres, for a sensor whose long side is 36 mm", default=50, min=1, soft_max=200)
+    sensor_px: IntVectorProperty(name="Sensor", description="Pixels along a row, and number of rows", size=2, default=(1280, 720), min=16)
+    roll_deg: EnumProperty(
+        name="Roll",
+        description="How the camera body is turned about its viewing direction; the rows of the sensor turn with it",
+        items=[("90", "90 (portrait)", "Clockwise seen from behind"), ("-90", "-90 (portrait)", "Counter-clockwise seen from behind"),
+               ("0", "0 (landscape)", "Upright"), ("180", "180 (landscape)", "Upside down")],
+    )  # fmt: skip
+    fps: FloatProperty(name="Frame Rate", description="Pictures per second of the benchmark", default=100, min=1, max=32767)
 
 
 class GOF_PG_fire(bpy.types.PropertyGroup):
     """``scene.gof.fire``."""
+
+    fuel: EnumProperty(name="Fuel", description="How the fire burns, and its colour", default="propane_high",
+                       items=[(name, name.replace("_", " ").capitalize(), "") for name in FUELS])  # fmt: skip
+    shape: EnumProperty(
+        name="Burner",
+        description="Where the fuel comes from",
+        items=[("disc", "Disc", "A flat round burner"), ("sphere", "Sphere", "A ball"), ("logs", "Logs", "Three crossed logs")],
+    )
+    radius: FloatProperty(name="Radius", description="Of the burner, metres", default=0.13, min=0.001, soft_max=2)
+    clearance: FloatProperty(name="Clearance", description="From the place of the fire to the burner, metres", default=0.03, min=0)
+    domain_size: FloatVectorProperty(name="Domain", description="Box of air around the fire, metres", default=(0.8, 0.8, 1.6), min=0.01)
+    resolution: IntProperty(
+        name="Cells",
+        description="Of the simulation in this scene, along the domain's longest side. A benchmark takes those of its preset",
+        default=48, min=8, max=2048,
+    )  # fmt: skip
+    seed: IntProperty(name="Seed", description="Another seed is another flame of the same kind", min=0)
+    spot: EnumProperty(
+        name="Place",
+        description="Where the fire is put",
+        items=[("CURSOR", "At the Cursor", "At the 3D cursor"), ("OBJECT", "On the Object", "On top of the active object")],
+    )
+    effects: PointerProperty(type=effect_groups.GOF_PG_effects)
+    cameras: PointerProperty(type=GOF_PG_cameras)
+
+
+class _SpecOperator:
+    """An operator that builds from the panel's settings, and reports what is wrong with them."""
+
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return context.mode == "OBJECT"
+
+    def execute(self, context):
+        try:
+            self.build(context, scene_spec.of_settings(context.scene))
+        except SpecError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class GOF_OT_add_fire(_SpecOperator, bpy.types.Operator):
+    """Put a fire into the scene: an empty, its burner and its domain. A fire that is there is replaced, with its edits"""
+
+    bl_idname = "gof.add_fire"
+    bl_label = "Add Fire"
+
+    def build(self, context, spec):
+        scene = context.scene
+        spot = scene.cursor.location.copy()
+        if scene.gof.fire.spot == "OBJECT":
+            thing = context.active_object
+            if thing is None or place.part_of(thing):
+                raise SpecError("there is no active object to burn: click one, or choose At the Cursor")
+            spot = place.on_top_of(thing)
+        place.add_fire(spec, scene, place.mark(scene, spot))
+        self.report({"INFO"}, "Play the animation to see it burn, or make a benchmark of it")
+
+
+class GOF_OT_add_cameras(_SpecOperator, bpy.types.Operator):
+    """Put the camera rig around the fire and set the render size; a rig that is there is replaced"""
+
+    bl_idname = "gof.add_cameras"
+    bl_label = "Add Cameras"
+
+    def build(self, context, spec):
+        scene = context.scene
+        marker = place.find(scene, place.PLACE) or place.mark(scene, scene.cursor.location)
+        cameras = place.add_cameras(spec, scene, marker)
+        size = f"{scene.render.resolution_x} x {scene.render.resolution_y}"
+        self.report({"INFO"}, f"{len(cameras)} cameras; pictures are {size} pixels")
+
+
+class GOF_OT_next_view(bpy.types.Operator):
+    """Look through the rig's next camera"""
+
+    bl_idname = "gof.next_view"
+    bl_label = "Next View"
+
+    @classmethod
+    def poll(cls, context):
+        return bool(place.cameras(context.scene))
+
+    def execute(self, context):
+        scene, cameras = context.scene, place.cameras(context.scene)
+        after = cameras.index(scene.camera) + 1 if scene.camera in cameras else 0
+        view = getattr(context.space_data, "region_3d", None)
+        looked_through = view is None or view.view_perspective == "CAMERA"
+        if looked_through or scene.camera not in cameras:
+            scene.camera = cameras[after % len(cameras)]
+        if view is not None:
+            view.view_perspective = "CAMERA"
+        return {"FINISHED"}
 
 
 class GOF_PT_fire(SidebarPanel, bpy.types.Panel):
@@ -14,8 +136,47 @@ class GOF_PT_fire(SidebarPanel, bpy.types.Panel):
     bl_order = 1
 
     def draw(self, context):
-        pass
+        fire, layout = context.scene.gof.fire, self.layout
+        layout.use_property_split, layout.use_property_decorate = True, False
+        column = layout.column(align=True)
+        for name in ("fuel", "shape", "radius", "clearance"):
+            column.prop(fire, name)
+        layout.column(align=True).prop(fire, "domain_size")
+        column = layout.column(align=True)
+        for name in ("resolution", "seed"):
+            column.prop(fire, name)
+        layout.prop(fire, "spot")
+        there = place.find(context.scene, place.DOMAIN)
+        layout.operator(GOF_OT_add_fire.bl_idname, text="Replace Fire" if there else "Add Fire", icon="FUND")
 
 
+class GOF_PT_effects(SidebarPanel, bpy.types.Panel):
+    bl_label = "Effects"
+    bl_parent_id = "GOF_PT_fire"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        effect_groups.draw(self.layout, context.scene.gof.fire.effects)
+
+
+class GOF_PT_cameras(SidebarPanel, bpy.types.Panel):
+    bl_label = "Cameras"
+    bl_parent_id = "GOF_PT_fire"
+
+    def draw(self, context):
+        cameras, layout = context.scene.gof.fire.cameras, self.layout
+        layout.use_property_split, layout.use_property_decorate = True, False
+        for names in (("count", "eval_count"), ("arc_deg", "azimuth_deg", "radius", "height", "look_at_height"),
+                      ("focal_mm", "sensor_px"), ("roll_deg", "fps")):  # fmt: skip
+            column = layout.column(align=True)
+            for name in names:
+                column.prop(cameras, name)
+        row = layout.row(align=True)
+        there = bool(place.cameras(context.scene))
+        row.operator(GOF_OT_add_cameras.bl_idname, text="Replace Cameras" if there else "Add Cameras", icon="CAMERA_DATA")
+        row.operator(GOF_OT_next_view.bl_idname, icon="HIDE_OFF")
+
+
+GROUPS = (*effect_groups.GROUPS.values(), effect_groups.GOF_PG_effects, GOF_PG_cameras)
 Settings = GOF_PG_fire
-CLASSES = (GOF_PT_fire,)
+CLASSES = (GOF_OT_add_fire, GOF_OT_add_cameras, GOF_OT_next_view, GOF_PT_fire, GOF_PT_effects, GOF_PT_cameras)

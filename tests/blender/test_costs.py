@@ -46,8 +46,8 @@ def test_too_large_is_refused_with_advice(tmp_path):
 
 
 def test_full_disk_is_seen_before_it_is_full(tmp_path, monkeypatch):
-    monkeypatch.setattr(costs.shutil, "disk_usage", lambda _: type("usage", (), {"free": 1000})())
-    with pytest.raises(GofError, match="give another --out"):
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("usage", (), {"free": 1000})())
+    with pytest.raises(GofError, match="choose another output folder"):
         costs.refuse_if_too_large(DEMO, tmp_path)
 
 

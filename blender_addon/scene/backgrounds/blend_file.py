@@ -2,12 +2,12 @@
 
 Everything in the file's scene that is visible in renders is brought in and moved so that the chosen empty becomes the
 origin of our world, with the empty's turn about Z undone and the file's unit scale applied: one of its units may be a
-centimetre. Objects stand still, as they are at the file's current frame. Its cameras and fluid domains stay out.
+centimetre. Objects stand still, as they are at the file's current frame. Its cameras and fluid domains stay out, and so
+does a fire that the add-on has put there.
 """
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import bpy
@@ -15,6 +15,7 @@ from mathutils import Matrix
 
 from ...records import SpecError
 from ...spec import SceneSpec
+from .. import place
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
@@ -26,18 +27,20 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     if not path.is_file():
         raise SpecError(f"blend_file.path: there is no file {path}")
     scene = _append_scene(path)
-    things = [thing for thing in scene.objects if not thing.hide_render]
-    marker = next((thing for thing in scene.objects if thing.name.partition(".")[0] == name or thing.name == name), None)
+    marker = scene.objects.get(name)
     if marker is None:
         empties = sorted(thing.name for thing in scene.objects if thing.type == "EMPTY")
         raise SpecError(f"blend_file.empty: {path} has no object {name!r}; its empties: {', '.join(empties) or 'none'}")
     scale = scene.unit_settings.scale_length
-    to_ours = _to_our_world(marker.matrix_world, scale)
-    for thing in things:
-        if thing.type == "CAMERA" or any(modifier.type == "FLUID" for modifier in thing.modifiers):
+    to_ours = place.to_our_world(marker.matrix_world, scale)
+    poses = {thing: to_ours @ thing.matrix_world for thing in scene.objects}
+    for thing, pose in poses.items():
+        if _stays_out(thing):
+            bpy.data.objects.remove(thing)  # also for its name, which may be one of ours
             continue
-        _place(thing, to_ours, scale)
-        collection.objects.link(thing)
+        _place(thing, pose, scale)
+        if not thing.hide_render:  # it may shape others all the same, by a modifier of theirs
+            collection.objects.link(thing)
     ours = bpy.context.scene
     ours.world = scene.world
     bpy.data.scenes.remove(scene)
@@ -58,15 +61,13 @@ def _append_scene(path: Path) -> bpy.types.Scene:
     return scene
 
 
-def _to_our_world(marker: Matrix, scale: float) -> Matrix:
-    """Their world to ours: the marker to the origin, its heading to +X, their units to metres."""
-    heading = math.atan2(marker[1][0], marker[0][0])
-    return Matrix.Scale(scale, 4) @ Matrix.Rotation(-heading, 4, "Z") @ Matrix.Translation(-marker.to_translation())
+def _stays_out(thing: bpy.types.Object) -> bool:
+    fluid = any(modifier.type == "FLUID" for modifier in thing.modifiers)
+    return bool(thing.type == "CAMERA" or fluid or place.part_of(thing))
 
 
-def _place(thing: bpy.types.Object, to_ours: Matrix, scale: float) -> None:
-    """Fix an object at its place in our world, free of parents, constraints and animation."""
-    pose = to_ours @ thing.matrix_world
+def _place(thing: bpy.types.Object, pose: Matrix, scale: float) -> None:
+    """Fix an object at its pose in our world, free of parents, constraints and animation."""
     thing.animation_data_clear()
     thing.parent = None
     thing.constraints.clear()

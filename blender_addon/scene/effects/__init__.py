@@ -53,6 +53,11 @@ def apply(fire, settings: Any, spec: SceneSpec) -> None:
         hook(fire, settings, spec)
 
 
+def changes_scene(settings: Any) -> bool:
+    """Whether an effect is something in the scene, not in the camera."""
+    return _hook(settings, "apply") is not None
+
+
 def absorbs_light(settings: Any) -> bool:
     """Whether the effect dims what is behind it."""
     return bool(_hook(settings, "ABSORBS_LIGHT"))

@@ -1,0 +1,89 @@
+"""Property groups of the effects, made from their settings dataclasses: a new effect needs no line here."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import itertools
+import typing
+
+import bpy
+
+from ..scene import effects
+
+DEFAULT = ("vorticity",)  # without it the solver's own diffusion makes a flame like candle wax
+
+
+def _descriptions(settings: type) -> dict[str, str]:
+    """First lines of the strings that follow a dataclass's fields in its source."""
+    body = ast.parse(inspect.getsource(settings)).body[0].body
+    return {
+        field.target.id: note.value.value.strip().split("\n")[0].rstrip(".")
+        for field, note in itertools.pairwise(body)
+        if isinstance(field, ast.AnnAssign) and isinstance(note, ast.Expr) and isinstance(note.value, ast.Constant)
+    }
+
+
+def _properties(settings: type) -> dict:
+    """Blender properties of the fields that are a number or a choice; the others keep their defaults."""
+    kinds, notes, found = typing.get_type_hints(settings), _descriptions(settings), {}
+    for field in dataclasses.fields(settings):
+        common = {"name": field.name.replace("_", " ").capitalize(), "description": notes.get(field.name, "")}
+        kind = kinds[field.name]
+        if kind is float:
+            found[field.name] = bpy.props.FloatProperty(**common, default=field.default, precision=3)
+        elif kind is int:
+            found[field.name] = bpy.props.IntProperty(**common, default=field.default)
+        elif typing.get_origin(kind) is typing.Literal:
+            items = [(value, value, "") for value in typing.get_args(kind)]
+            found[field.name] = bpy.props.EnumProperty(**common, items=items, default=field.default)
+    return found
+
+
+def _group(name: str) -> type:
+    module = effects.module(name)
+    summary = module.__doc__.split("\n")[0].rstrip(".")
+    use = bpy.props.BoolProperty(name=name.replace("_", " ").capitalize(), description=summary, default=name in DEFAULT)
+    fields = {"use": use, **_properties(module.Settings)}
+    return type(f"GOF_PG_effect_{name}", (bpy.types.PropertyGroup,), {"__annotations__": fields, "__doc__": summary})
+
+
+GROUPS = {name: _group(name) for name in effects.names()}
+
+
+class GOF_PG_effects(bpy.types.PropertyGroup):
+    """``scene.gof.fire.effects``: one group per effect, with ``use`` and the effect's settings."""
+
+    __annotations__ = {name: bpy.props.PointerProperty(type=group) for name, group in GROUPS.items()}
+
+
+def chosen(groups: GOF_PG_effects) -> tuple:
+    """Settings of the effects that are in use. Raises SpecError for a value out of range."""
+    used = [(effects.module(name).Settings, getattr(groups, name)) for name in GROUPS if getattr(groups, name).use]
+    return tuple(settings(**{name: exact(getattr(group, name)) for name in group.__annotations__ if name != "use"}) for settings, group in used)
+
+
+def in_scene(name: str) -> bool:
+    """Whether an effect is something in the scene, not in the camera."""
+    return effects.changes_scene(effects.module(name).Settings())
+
+
+def exact(value):
+    """A property's value as it was typed: Blender keeps single precision, 0.13 reads as 0.12999999523."""
+    return float(f"{value:.7g}") if isinstance(value, float) else value
+
+
+def draw(layout, groups: GOF_PG_effects) -> None:
+    """A checklist; the settings of those chosen open below them."""
+    for title, wanted in (("In the scene", True), ("In the cameras", False)):
+        box = layout.box()
+        box.label(text=title)
+        for name in (name for name in GROUPS if in_scene(name) == wanted):
+            group = getattr(groups, name)
+            box.prop(group, "use")
+            if group.use:
+                settings = box.column(align=True)
+                for field in group.__annotations__:
+                    if field != "use":
+                        settings.prop(group, field)
