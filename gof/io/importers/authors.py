@@ -9,7 +9,8 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.files import read_json
-from gof.io.importers.source import Imported, ImportOptions, Source, array, exp, quaternions, sigmoid
+from gof.io.importers.source import Imported, ImportOptions, Source, array
+from gof.io.ply import exp, quaternions, sigmoid
 
 LAYOUT = ("active_sh_degree", "xyz", "velocity", "f_dc", "f_rest", "scaling", "rotation", "opacity", "t_mu", "t_sigma", "is_dynamic",
           "max_radii2D", "xyz_gradient_accum", "denom", "optimizer_state", "spatial_lr_scale")

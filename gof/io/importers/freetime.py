@@ -14,11 +14,11 @@ from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.files import atomic_path
 from gof.io.importers.similarity import transformed, world_from_training
-from gof.io.importers.source import Imported, ImportOptions, Source, array, exp, quaternions, sigmoid
+from gof.io.importers.source import Imported, ImportOptions, Source, array
+from gof.io.ply import exp, quaternions, sigmoid, splat_columns, write
 
 SPLATS = {"means", "scales", "quats", "opacities", "sh0", "shN", "times", "durations", "velocities"}
 MIN_DURATION = 0.02  # of the sequence; its renderer never uses a shorter one
-SH_C0 = 0.28209479177387814
 
 
 def matches(source: Source) -> bool:
@@ -114,26 +114,16 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
     Raises:
         DataFormatError: start_s >= end_s, no Gaussian, or a path not ending in .ply.
     """
-    from plyfile import PlyData, PlyElement
-
     if not end_s > start_s or len(gaussians) == 0 or path.suffix != ".ply":
         raise DataFormatError(f"{path}: FTGS-PLY needs a name ending in .ftgs.ply, at least one Gaussian, and a clip longer than 0 s")
-    g, unit, n = gaussians, end_s - start_s, len(gaussians)
-    sh = (g.color[:, None] - 0.5) / SH_C0 if g.color.ndim == 2 else g.color
-    opacity = np.clip(g.opacity.astype(np.float64), 2.0**-24, 1 - 2.0**-24)
+    g, unit = gaussians, end_s - start_s
     forever = ~g.dynamic | np.isinf(g.t_sigma)
     duration = np.where(forever, 1e6, np.clip(g.t_sigma / unit, MIN_DURATION, 1e6))
-    names = {"x": g.position[:, 0], "y": g.position[:, 1], "z": g.position[:, 2], **{f"n{a}": np.zeros(n) for a in "xyz"},
-             **{f"f_dc_{c}": sh[:, 0, c] for c in range(3)},
-             **{f"f_rest_{i}": row for i, row in enumerate(sh[:, 1:].transpose(2, 1, 0).reshape(3 * (sh.shape[1] - 1), n))},
-             "opacity": np.log(opacity) - np.log1p(-opacity), **{f"scale_{i}": np.log(g.scale[:, i]) for i in range(3)},
-             **{f"rot_{i}": g.rotation[:, i] for i in range(4)}, "time": np.where(g.dynamic, (g.t_mu - start_s) / unit, 0.5),
-             "log_duration": np.log(duration), **{f"velocity_{i}": np.where(g.dynamic, g.velocity[:, i] * unit, 0) for i in range(3)}}
-    vertex = np.empty(n, [(name, "<f4") for name in names])
-    for name, values in names.items():
-        vertex[name] = values
-    comments = ["ftgs_version 1", "time_units normalized", f"sh_degree {int(np.sqrt(sh.shape[1])) - 1}", "use_velocity 1",
+    columns = splat_columns(g) | {"time": np.where(g.dynamic, (g.t_mu - start_s) / unit, 0.5), "log_duration": np.log(duration),
+                                  **{f"velocity_{i}": np.where(g.dynamic, g.velocity[:, i] * unit, 0) for i in range(3)}}
+    coefficients = sum(name.startswith(("f_dc", "f_rest")) for name in columns) // 3
+    comments = ["ftgs_version 1", "time_units normalized", f"sh_degree {int(np.sqrt(coefficients)) - 1}", "use_velocity 1",
                 f"min_duration {MIN_DURATION}", "opacity_floor 0.0001"] + ([f"n_frames {frames}"] if frames else [])
     with atomic_path(path) as temporary:
-        PlyData([PlyElement.describe(vertex, "vertex")], byte_order="<", comments=comments).write(str(temporary))
+        write(temporary, columns, comments)
     return path

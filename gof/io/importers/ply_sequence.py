@@ -7,8 +7,9 @@ import re
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.io.importers.source import Imported, ImportOptions, Ply, Source
+from gof.io.importers.source import Imported, ImportOptions, Source
 from gof.io.importers.trajectory import Trajectory
+from gof.io.ply import Ply
 
 
 def matches(source: Source) -> bool:

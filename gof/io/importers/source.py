@@ -13,6 +13,7 @@ import numpy as np
 from gof.errors import DataFormatError, MissingDependencyError
 from gof.gaussians import TransientGaussians
 from gof.io.importers.trajectory import Trajectory
+from gof.io.ply import Ply
 
 
 @dataclass(frozen=True)
@@ -91,66 +92,6 @@ class Source:
     @cached_property
     def ply(self) -> Ply:
         return Ply.read(self.path)
-
-
-@dataclass(frozen=True)
-class Ply:
-    """The vertices of a PLY by property name, and its header comments."""
-
-    path: Path
-    vertex: np.ndarray
-    comments: list[str]
-
-    @classmethod
-    def read(cls, path: Path) -> Ply:
-        from plyfile import PlyData, PlyParseError
-
-        from gof.io.results import _check_ply_size
-
-        _check_ply_size(path)
-        try:
-            ply = PlyData.read(str(path))
-            return cls(path, ply["vertex"].data, [str(c) for c in ply.comments])
-        except (PlyParseError, KeyError, ValueError, UnicodeDecodeError, EOFError) as e:
-            raise DataFormatError(f"{path}: not a readable PLY with a 'vertex' element ({e}); truncated?") from e
-
-    def has(self, *names: str) -> bool:
-        return all(name in self.vertex.dtype.names for name in names)
-
-    def columns(self, *names: str) -> np.ndarray:
-        """(N, len(names)) float32."""
-        missing = [name for name in names if not self.has(name)]
-        if missing:
-            raise DataFormatError(f"{self.path}: PLY properties {missing} are missing")
-        return np.stack([self.vertex[name] for name in names], -1).astype(np.float32)
-
-    def splats(self) -> dict[str, np.ndarray]:
-        """The 3DGS properties, activated: position, scale, rotation, opacity, color."""
-        rest = sorted((n for n in self.vertex.dtype.names if n.startswith("f_rest_")), key=lambda n: int(n[7:]))
-        dc = self.columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
-        if len(rest) % 3:
-            raise DataFormatError(f"{self.path}: {len(rest)} f_rest properties are not a multiple of 3")
-        higher = self.columns(*rest).reshape(len(dc), 3, -1).transpose(0, 2, 1) if rest else dc[:, :0]
-        return {"position": self.columns("x", "y", "z"), "scale": exp(self.columns("scale_0", "scale_1", "scale_2")),
-                "rotation": quaternions(self.columns("rot_0", "rot_1", "rot_2", "rot_3"), self.path),
-                "opacity": sigmoid(self.columns("opacity")[:, 0]), "color": np.concatenate([dc, higher], 1)}
-
-
-def sigmoid(x: np.ndarray) -> np.ndarray:
-    return 1 / (1 + np.exp(-np.clip(np.asarray(x, np.float64), -80, 80)))
-
-
-def exp(x: np.ndarray) -> np.ndarray:
-    """exp in float64, clipped so that the result and its cube stay finite and above zero in float32."""
-    return np.exp(np.clip(np.asarray(x, np.float64), -80, 80))
-
-
-def quaternions(q: np.ndarray, path: Path) -> np.ndarray:
-    """Foreign files store them un-normalised; a zero one has no meaning."""
-    bad = np.flatnonzero(np.linalg.norm(q, axis=-1) <= 1e-12)
-    if len(bad):
-        raise DataFormatError(f"{path}: quaternions of rows {bad[:5].tolist()} are zero")
-    return q
 
 
 def array(value: Any, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:

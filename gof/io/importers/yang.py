@@ -11,7 +11,8 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.importers.authors import is_capture
-from gof.io.importers.source import Imported, ImportOptions, Source, array, exp, quaternions, sigmoid
+from gof.io.importers.source import Imported, ImportOptions, Source, array
+from gof.io.ply import SH_C0, exp, quaternions, sigmoid
 
 LENGTH, LENGTH_3D = 19, 12
 MARGINAL_CUT = 0.05  # its renderer skips a Gaussian while its temporal window is below this
@@ -81,4 +82,4 @@ def _peak_color(sh: np.ndarray) -> tuple[np.ndarray, list[str]]:
         return sh, []
     if sh.shape[1] in (32, 48):
         return sh.reshape(len(sh), -1, 16, 3).sum(1), ["colours that change over time are those at each Gaussian's peak"]
-    return 0.5 + 0.28209479177387814 * sh[:, 0], [f"{sh.shape[1]} colour coefficients are unknown to this importer: plain colours only"]
+    return 0.5 + SH_C0 * sh[:, 0], [f"{sh.shape[1]} colour coefficients are unknown to this importer: plain colours only"]

@@ -1,0 +1,116 @@
+"""PLYs of 3D Gaussian splats: the attributes that every splat tool shares, in their raw form on disk and activated in memory.
+
+scale_* are natural logs, opacity is a logit, rot_* is wxyz and may be un-normalised, f_dc/f_rest are SH coefficients (f_rest
+channel-major).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData, PlyElement, PlyParseError
+
+from gof.errors import DataFormatError
+from gof.gaussians import TransientGaussians
+
+SH_C0 = 0.28209479177387814  # Y_00: display colour = 0.5 + SH_C0 * f_dc
+LOGIT_EPS = 2.0**-24  # opacities 0 and 1 have no finite logit; this is half a float32 step below 1
+
+
+@dataclass(frozen=True)
+class Ply:
+    """The vertices of a PLY by property name, and its header comments."""
+
+    path: Path
+    vertex: np.ndarray
+    comments: list[str]
+
+    @classmethod
+    def read(cls, path: Path) -> Ply:
+        """Raises:
+            DataFormatError: not a PLY with a vertex element, or cut off.
+        """
+        _check_size(path)
+        try:
+            ply = PlyData.read(str(path))
+            return cls(path, ply["vertex"].data, [str(c) for c in ply.comments])
+        except (PlyParseError, KeyError, ValueError, UnicodeDecodeError, EOFError) as e:
+            raise DataFormatError(f"{path}: not a readable PLY with a 'vertex' element ({e}); truncated?") from e
+
+    def has(self, *names: str) -> bool:
+        return all(name in self.vertex.dtype.names for name in names)
+
+    def columns(self, *names: str) -> np.ndarray:
+        """(N, len(names)) float32."""
+        missing = [name for name in names if not self.has(name)]
+        if missing:
+            raise DataFormatError(f"{self.path}: PLY properties {missing} are missing")
+        return np.stack([self.vertex[name] for name in names], -1).astype(np.float32)
+
+    def splats(self) -> dict[str, np.ndarray]:
+        """The 3DGS properties, activated: position, scale, rotation, opacity, and color as spherical harmonics (N, K, 3)."""
+        rest = sorted((n for n in self.vertex.dtype.names if n.startswith("f_rest_")), key=lambda n: int(n[7:]))
+        dc = self.columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
+        if len(rest) % 3:
+            raise DataFormatError(f"{self.path}: {len(rest)} f_rest properties are not a multiple of 3")
+        higher = self.columns(*rest).reshape(len(dc), 3, len(rest) // 3).transpose(0, 2, 1) if rest else dc[:, :0]
+        return {"position": self.columns("x", "y", "z"), "scale": exp(self.columns("scale_0", "scale_1", "scale_2")),
+                "rotation": quaternions(self.columns("rot_0", "rot_1", "rot_2", "rot_3"), self.path),
+                "opacity": sigmoid(self.columns("opacity")[:, 0]), "color": np.concatenate([dc, higher], 1)}
+
+
+def sigmoid(x: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(-np.clip(np.asarray(x, np.float64), -80, 80)))
+
+
+def exp(x: np.ndarray) -> np.ndarray:
+    """exp in float64, clipped so that the result and its cube stay finite and above zero in float32."""
+    return np.exp(np.clip(np.asarray(x, np.float64), -80, 80))
+
+
+def quaternions(q: np.ndarray, path: Path) -> np.ndarray:
+    """Foreign files store them un-normalised; a zero one has no meaning."""
+    bad = np.flatnonzero(np.linalg.norm(q, axis=-1) <= 1e-12)
+    if len(bad):
+        raise DataFormatError(f"{path}: quaternions of rows {bad[:5].tolist()} are zero")
+    return q
+
+
+def splat_columns(g: TransientGaussians) -> dict[str, np.ndarray]:
+    """The shared properties of a splat PLY, raw; display colours become their constant harmonic."""
+    n = len(g)
+    sh = (g.color[:, None, :] - 0.5) / SH_C0 if g.color.ndim == 2 else g.color
+    opacity = np.clip(g.opacity.astype(np.float64), LOGIT_EPS, 1 - LOGIT_EPS)
+    return {
+        **{axis: g.position[:, i] for i, axis in enumerate("xyz")},
+        **{f"n{axis}": np.zeros(n) for axis in "xyz"},
+        **{f"f_dc_{c}": sh[:, 0, c] for c in range(3)},
+        **{f"f_rest_{i}": row for i, row in enumerate(sh[:, 1:].transpose(2, 1, 0).reshape(3 * (sh.shape[1] - 1), n))},
+        "opacity": np.log(opacity) - np.log1p(-opacity),
+        **{f"scale_{i}": np.log(g.scale[:, i]) for i in range(3)},
+        **{f"rot_{i}": g.rotation[:, i] for i in range(4)},
+    }
+
+
+def write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> None:
+    """Write a binary little-endian PLY: float properties, and uchar ones for bool columns."""
+    vertex = np.empty(len(columns["x"]), [(name, "u1" if np.asarray(v).dtype == bool else "<f4") for name, v in columns.items()])
+    for name, values in columns.items():
+        vertex[name] = values
+    PlyData([PlyElement.describe(vertex, "vertex")], byte_order="<", comments=comments).write(str(path))
+
+
+def _check_size(path: Path) -> None:
+    """Refuse a header that announces more points than the file can hold, before anything is allocated."""
+    with open(path, "rb") as f:
+        head = f.read(65536)
+    match = re.search(rb"^element\s+vertex\s+(\d+)", head, re.M)
+    if head[:3] != b"ply" or b"end_header" not in head or not match:
+        raise DataFormatError(f"{path}: not a PLY file with a 'vertex' element")
+    if int(match[1]) > path.stat().st_size:
+        raise DataFormatError(
+            f"{path}: header announces {int(match[1])} points, the file has {path.stat().st_size} bytes; truncated?"
+        )
