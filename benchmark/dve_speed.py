@@ -136,7 +136,8 @@ def main(argv: list[str] | None = None) -> int:
     config = tyro.cli(DveSpeedConfig, prog="python -m benchmark.dve_speed", args=argv)
     rows = []
     with tempfile.TemporaryDirectory(prefix="dve_speed_") as folder:
-        print(f"{'field':>7} {'N':>9} | {'gof s':>8} {'cpu s':>8} {'again s':>8} {'MB':>6} | {'scipy s':>8} {'cpu s':>8} {'MB':>6} | {'ratio':>6} {'cpu':>6} {'differ':>8}")
+        print("| field | Gaussians | s | CPU s | again, s | peak MB | scipy, s | CPU s | MB | ratio | CPU ratio | differ, m/s |")
+        print("|---|" + "---:|" * 11)
         for n in config.sizes:
             store = Path(folder) / f"{n}.zarr"
             share = make_store(store, n)
@@ -150,12 +151,14 @@ def main(argv: list[str] | None = None) -> int:
                     row[method] = json.loads(done.stdout.splitlines()[-1])
                 means = [np.array(row[m].pop("mean")) for m in ("gof", "scipy") if m in row]
                 gof, scipy = row["gof"], row.get("scipy")
-                line = f"{n:>5}^3 {count:>9} | {gof['seconds']:8.2f} {gof['seconds_cpu']:8.2f} {gof['again']:8.2f} {gof['peak_mb']:6.0f} | "
+                line = f"| {n}³ | {count:.0e} | {gof['seconds']:.2f} | {gof['seconds_cpu']:.2f} | {gof['again']:.2f} | {gof['peak_mb']:.0f} | "
                 if scipy:
                     row["ratio"], row["ratio_cpu"] = (scipy[k] / gof[k] for k in ("seconds", "seconds_cpu"))
                     row["differ"] = float(np.abs(means[0] - means[1]).max())
-                    line += f"{scipy['seconds']:8.2f} {scipy['seconds_cpu']:8.2f} {scipy['peak_mb']:6.0f} | "
-                    line += f"{row['ratio']:6.1f} {row['ratio_cpu']:6.1f} {row['differ']:8.1e}"
+                    line += f"{scipy['seconds']:.2f} | {scipy['seconds_cpu']:.2f} | {scipy['peak_mb']:.0f} | "
+                    line += f"{row['ratio']:.1f} | {row['ratio_cpu']:.1f} | {row['differ']:.0e} |"
+                else:
+                    line += "- | - | - | - | - | - |"
                 print(line, flush=True)
                 rows.append(row)
     if config.json:
