@@ -167,8 +167,8 @@ def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
 
 
 def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
-    """The way behind the centre that took Line Time seconds, as thick as the Gaussian."""
-    mesh = nodes.add("GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.0, top=1.0, depth=1.0),
+    """The way behind the centre that took Line Time seconds; thinner than the Gaussian."""
+    mesh = nodes.add("GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.0, top=0.3, depth=1.0),
                                                "Translation": (0, 0, -1.0)}).outputs[0]
     thick = _mean_scale(nodes)
     length = nodes.math("MULTIPLY", nodes.vector("LENGTH", velocity, output="Value"), given["Line Time"])

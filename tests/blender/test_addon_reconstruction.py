@@ -1,0 +1,352 @@
+"""The panel Reconstruction in real Blender: import by operator, settings, bad files, undo, saved and appended clouds."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gof.gaussians import TransientGaussians
+from tests.blender.runs import in_blender
+from tests.conftest import random_gaussians
+
+ROOT = Path(__file__).resolve().parents[2]
+DEBIAN_BLENDER = "/usr/bin/blender"
+# Works in all Blender versions: a cloud is drawn as a point cloud or a mesh, among the instances of the evaluated scene.
+LOOK = """
+import os, sys, traceback
+from pathlib import Path
+
+def stop(*error):  # a Python process with bpy may hang at its end
+    traceback.print_exception(*error)
+    sys.stderr.flush()
+    os._exit(1)
+
+sys.excepthook = stop
+import bpy
+import numpy as np
+import blender_addon
+from blender_addon.scene import point_cloud
+
+folder = Path(sys.argv[-1])
+bpy.ops.wm.read_factory_settings(use_empty=True)
+blender_addon.register()
+scene = bpy.context.scene
+scene.render.fps = 50
+
+def drawn(thing):
+    graph = bpy.context.evaluated_depsgraph_get()
+    for instance in graph.object_instances:
+        data = instance.object.data
+        if instance.object.original == thing and "gs_alpha" in getattr(data, "attributes", {}):
+            return data, np.array(instance.matrix_world)
+    return None, None
+
+def values(data, name, width):
+    attribute = data.attributes[name]
+    out = np.zeros(len(attribute.data) * width, np.float32)
+    attribute.data.foreach_get({1: "value", 3: "vector", 4: "color"}[width], out)
+    return out.reshape(-1, width).astype(float)
+
+def state(thing):
+    "World positions and opacities of what is drawn; of ellipsoids, of every vertex."
+    data, matrix = drawn(thing)
+    if data is None:
+        return np.zeros((0, 3)), np.zeros(0)
+    if hasattr(data, "vertices"):
+        place = np.zeros(len(data.vertices) * 3, np.float32)
+        data.vertices.foreach_get("co", place)
+        place = place.reshape(-1, 3).astype(float)
+    else:
+        place = values(data, "position", 3)
+    return place @ matrix[:3, :3].T + matrix[:3, 3], values(data, "gs_alpha", 1)[:, 0]
+
+def everything():
+    return sorted((kind, item.name) for kind in ("objects", "meshes", "materials", "node_groups", "images", "scenes")
+                  for item in getattr(bpy.data, kind))
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """One result in every form that the panel imports."""
+    from gof.io.importers.freetime import save
+    from tests.blender.test_gaussians_file import plain_ply
+
+    folder = tmp_path_factory.mktemp("results")
+    result = random_gaussians(300)
+    result.save(folder / "result.npz")
+    result.save(folder / "result.ply")
+    save(result, folder / "clip.ftgs.ply", start_s=0.0, end_s=1.0)
+    (folder / "sequence").mkdir()
+    for number in (0, 1, 2):
+        result.position[:] += 0.1
+        plain_ply(folder / "sequence" / f"{number:04d}.ply", result)
+    return folder
+
+
+def at(result: TransientGaussians, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    position, opacity = result.at(time_s)
+    seen = opacity >= 1 / 255
+    return position[seen], opacity[seen]
+
+
+def test_every_format_and_every_mode(folder):
+    found = in_blender(LOOK + """
+scene.frame_set(26)
+for name, options in (("result.npz", {}), ("result.ply", {}), ("clip.ftgs.ply", {"clip_seconds": 1.0}), ("sequence/0001.ply", {})):
+    bpy.ops.gof.import_result(filepath=str(folder / name), **options)
+    result[name] = [bpy.context.object.name, len(state(bpy.context.object)[1])]
+bpy.ops.gof.import_result(directory=str(folder / "sequence"), fps=10.0)
+thing = bpy.context.object
+for frame in (1, 3.5, 8):
+    scene.frame_set(int(frame), subframe=frame % 1)
+    result[f"sequence at {frame}"] = state(thing)[0].mean(0).tolist()
+scene.frame_set(16)
+result["after the sequence"] = len(state(thing)[1])
+bpy.ops.gof.import_result(directory=str(folder / "sequence"), files=[{"name": "0002.ply"}, {"name": "0000.ply"}], fps=10.0)
+result["two files"] = len(bpy.context.object.data.vertices)
+bpy.ops.gof.import_result(filepath=str(folder / "result.npz"), step=4)
+result["every fourth"] = len(bpy.context.object.data.vertices)
+settings = scene.gof.reconstruction
+for mode in ("ellipsoids", "arrows", "streaks", "points"):
+    settings.mode = mode
+    result[mode] = [type(drawn(bpy.context.object)[0]).__name__, settings.mode]
+""", folder)
+    result = TransientGaussians.load(folder / "result.npz")
+    shown = len(at(result, 0.5)[0])
+    assert found["result.npz"] == ["result", shown] and found["result.ply"] == ["result.001", shown]
+    assert found["clip.ftgs.ply"][1] > shown / 2 and found["sequence/0001.ply"] == ["0001", (result.opacity >= 1 / 255).sum()]
+    mean = result.position[result.opacity >= 1 / 255].mean(0).astype(float)
+    for frame, steps in ((1, 1), (3.5, 1.5), (8, 2.4)):  # 10 files and 50 frames per second
+        assert found[f"sequence at {frame}"] == pytest.approx(mean + 0.1 * steps, abs=1e-4)
+    assert found["after the sequence"] == 0
+    assert found["two files"] == 600 and found["every fourth"] == 75
+    assert found["points"] == ["PointCloud", "points"]
+    for mode in ("ellipsoids", "arrows", "streaks"):
+        assert found[mode] == ["Mesh", mode]
+
+
+def test_arrows_and_streaks_are_the_way_of_line_time(folder):
+    found = in_blender(LOOK + """
+bpy.ops.gof.import_result(filepath=str(folder / "one.npz"))
+thing = bpy.context.object
+cloud = point_cloud.inputs(thing)
+cloud["Line Time"] = 0.25
+scene.frame_set(1)
+for mode in ("arrows", "streaks"):
+    scene.gof.reconstruction.mode = mode
+    place, _ = state(thing)
+    along = place @ np.array([0, 0.6, 0.8])
+    axis = np.outer(along, [0, 0.6, 0.8])
+    result[mode] = [along.min(), along.max(), float(np.linalg.norm(place - axis, axis=1).max())]
+scene.gof.reconstruction.mode = "arrows"
+point_cloud.add_column(thing.data, "gs_true_velocity", np.array([[0, 0, 1.0]], np.float32))
+for vectors in ("true velocity", "error"):
+    scene.gof.reconstruction.vectors = vectors
+    place, _ = state(thing)
+    result[vectors] = place[np.linalg.norm(place, axis=1).argmax()].tolist()
+cloud["Time Scale"] = 0.5
+result["velocity"] = values(drawn(thing)[0], "velocity", 3)[0].tolist()
+""", one_gaussian(folder, velocity=[0, 1.2, 1.6]))
+    assert found["arrows"] == pytest.approx([0, 0.5, 0.5 * 0.09], abs=1e-5)  # 2 m/s for 0.25 s
+    assert found["streaks"] == pytest.approx([-0.5, 0, 0.3 * 0.02], abs=1e-5)
+    assert found["true velocity"] == pytest.approx([0, 0, 0.25], abs=1e-5)
+    assert found["error"] == pytest.approx([0, 0.3, 0.15], abs=1e-5)
+    assert found["velocity"] == pytest.approx([0, 0.6, 0.8], abs=1e-5)  # of what is seen at half speed
+
+
+def one_gaussian(folder: Path, velocity=(0, 0, 0), t_sigma=np.inf) -> Path:
+    TransientGaussians(position=[[0, 0, 0]], velocity=[velocity], t_mu=[0], t_sigma=[t_sigma], scale=[[0.02] * 3],
+                       rotation=[[1, 0, 0, 0]], opacity=[1], color=[[1, 0.5, 0.25]], dynamic=[True]).save(folder / "one.npz")
+    return folder
+
+
+def test_colours_opacity_cut_share_and_emission(folder):
+    found = in_blender(LOOK + """
+bpy.ops.gof.import_result(filepath=str(folder / "result.npz"))
+thing, settings = bpy.context.object, scene.gof.reconstruction
+cloud = point_cloud.inputs(thing)
+scene.frame_set(26)
+
+def colors():
+    return values(drawn(thing)[0], "gs_color", 4)
+
+image = colors()
+speed = np.linalg.norm(values(drawn(thing)[0], "velocity", 3), axis=1)
+for color in ("speed", "age", "lifetime", "error"):
+    settings.color = color
+    low, high = cloud["Color Min"], cloud["Color Max"]
+    result[color] = [low, high, colors()[:, 3].max()]
+    if color == "speed":
+        result["order"] = [int(colors()[speed.argmin(), 0] < 0.3), int(colors()[speed.argmax(), 0] > 0.9)]
+        cloud["Color Max"] = 2 * high
+        result["poll"] = bpy.ops.gof.fit_colors.poll()
+        bpy.ops.gof.fit_colors()
+        result["fitted"] = cloud["Color Max"] == high
+settings.color = "image"
+result["same again"] = bool((colors() == image).all())
+cloud["Emission"], cloud["Light on Scene"] = 3.0, 0.25
+result["emission"] = [float(np.abs(colors()[:, :3] / np.maximum(image[:, :3], 1e-9) - 3).max()), float(colors()[0, 3])]
+cloud["Opacity Cut"] = 0.3
+result["cut"] = state(thing)[1].tolist()
+cloud["Share"] = 0.5
+result["share"] = state(thing)[1].tolist()
+scene.frame_set(27)
+scene.frame_set(26)
+result["share again"] = state(thing)[1].tolist()
+""", folder)
+    result = TransientGaussians.load(folder / "result.npz")
+    speed = np.linalg.norm(result.velocity[result.dynamic], axis=1)
+    assert found["speed"][0] == 0 and np.percentile(speed, 90) < found["speed"][1] <= speed.max()
+    assert found["age"][0] == -found["age"][1] < 0 < found["lifetime"][0] < found["lifetime"][1] < 0.5
+    assert found["order"] == [1, 1] and found["poll"] and found["fitted"] and found["same again"]
+    assert found["emission"][0] < 1e-4 and found["emission"][1] == 0.25
+    opacity = at(result, 0.5)[1]
+    assert len(found["cut"]) == (opacity >= 0.3).sum() > 0 and min(found["cut"]) >= 0.3
+    assert 0.3 < len(found["share"]) / len(found["cut"]) < 0.7 and found["share"] == found["share again"]
+    assert set(found["share"]) < set(found["cut"])
+
+
+@pytest.mark.parametrize("name, options, message", [
+    ("nothing.npz", "", "no such file"), ("readme.txt", "", "unknown suffix"), ("empty", "", "no numbered"),
+    ("truncated.ply", "", "truncated"), ("cut.npz", "", "not a readable npz"), ("none.npz", "", "0 points"),
+    ("nan.npz", "", "must be finite"), ("clip.ftgs.ply", "", "set Clip Length"), ("huge.ply", "", "Set Every n-th to 5 or more"),
+    ("huge.ply", "step=3", "tick Import However Many")])
+def test_bad_input_is_an_error_and_changes_nothing(folder, bad_files, name, options, message):
+    found = in_blender(LOOK + f"""
+bpy.ops.mesh.primitive_cube_add()
+before = everything()
+try:
+    result["answer"] = list(bpy.ops.gof.import_result(filepath=str(folder / "{name}"), {options}))
+except RuntimeError as error:
+    result["error"] = str(error)
+result["same"] = everything() == before and bpy.context.object.name == "Cube"
+""", bad_files)
+    assert message in found["error"] and name in found["error"] or "huge" in name and message in found["error"]
+    assert found["same"] and "answer" not in found
+
+
+@pytest.fixture(scope="module")
+def bad_files(folder) -> Path:
+    bad = folder / "bad"
+    bad.mkdir()
+    (bad / "empty").mkdir()
+    (bad / "readme.txt").write_text("hello")
+    shutil.copy(folder / "clip.ftgs.ply", bad)
+    for name, source, keep in (("truncated.ply", "result.ply", -9), ("cut.npz", "result.npz", 2000)):
+        (bad / name).write_bytes((folder / source).read_bytes()[:keep])
+    with np.load(folder / "result.npz") as data:
+        fields = dict(data)
+    np.savez(bad / "none.npz", **{k: v[:0] if v.ndim else v for k, v in fields.items()})
+    np.savez(bad / "nan.npz", **(fields | {"v": np.full_like(fields["v"], np.nan)}))
+    # Ten million points: a file of the right size without content on disk.
+    data = (folder / "result.ply").read_bytes()
+    head, _, body = data.partition(b"end_header\n")
+    record = len(body) // 300
+    with (bad / "huge.ply").open("wb") as file:
+        file.write(head.replace(b"element vertex 300", b"element vertex 10000000") + b"end_header\n")
+        file.truncate(file.tell() + 10_000_000 * record)
+    return bad
+
+
+def test_undo_register_twice_save_append_and_link(folder, tmp_path):
+    found = in_blender(LOOK + """
+for _ in range(2):
+    blender_addon.unregister()
+    blender_addon.register()
+result["property"] = hasattr(scene, "gof") and hasattr(bpy.types, "GOF_PT_reconstruction")
+blender_addon.unregister()
+result["gone"] = not hasattr(scene, "gof") and not hasattr(bpy.types, "GOF_PT_reconstruction")
+blender_addon.register()
+
+bpy.ops.ed.undo_push(message="start")
+before = everything()
+bpy.ops.gof.import_result("EXEC_DEFAULT", True, filepath=str(folder / "result.npz"))
+bpy.ops.ed.undo()
+result["undone"] = everything() == before
+bpy.ops.ed.redo()
+scene = bpy.context.scene
+thing = bpy.data.objects["result"]
+thing.name = "Campfire"
+thing.scale = (2, 1, 1)
+scene.frame_set(26)
+first = state(thing)
+result["count"] = len(first[1])
+blend, other = str(folder / "scene.blend"), bpy.context.scene
+scene.name = "First Scene"
+bpy.ops.wm.save_as_mainfile(filepath=blend)
+
+def same(thing):
+    now = state(thing)
+    return len(now[1]) == len(first[1]) and all(float(np.abs(a - b).max()) < 1e-6 for a, b in zip(now, first))
+
+bpy.ops.wm.open_mainfile(filepath=blend)
+bpy.context.scene.frame_set(26)
+result["reloaded"] = same(bpy.data.objects["Campfire"])
+for link in (False, True):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.render.fps = 50
+    with bpy.data.libraries.load(blend, link=link) as (there, here):
+        here.objects = ["Campfire"]
+    thing = here.objects[0]
+    bpy.context.scene.collection.objects.link(thing)
+    bpy.context.scene.frame_set(26)
+    result["linked" if link else "appended"] = [same(thing), thing.name, len(bpy.data.scenes), point_cloud.inputs(thing)["Start Frame"]]
+""", folder_with(folder, tmp_path))
+    assert found["property"] and found["gone"] and found["undone"]
+    assert found["count"] > 100 and found["reloaded"]
+    assert found["appended"] == found["linked"] == [True, "Campfire", 1, 1.0]
+
+
+def folder_with(folder: Path, tmp_path: Path) -> Path:
+    shutil.copy(folder / "result.npz", tmp_path)
+    return tmp_path
+
+
+def test_drop_and_menu():
+    found = in_blender("""
+import blender_addon
+blender_addon.register()
+handler = bpy.types.GOF_FH_result
+result["drop"] = [handler.bl_import_operator, handler.bl_file_extensions, handler.poll_drop(bpy.context)]
+result["menu"] = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
+blender_addon.unregister()
+result["menu after"] = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
+""")
+    assert found["drop"] == ["gof.import_result", ".npz;.ply", False]  # no area without a window
+    assert found["menu"] == found["menu after"] + 1
+
+
+@pytest.mark.skipif(not Path(DEBIAN_BLENDER).exists(), reason="no /usr/bin/blender (apt-get install blender)")
+def test_debians_blender(folder, tmp_path):
+    """Blender 3.4: import by operator, all modes, the same positions and opacities."""
+    script = tmp_path / "look.py"
+    script.write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n" + LOOK + """
+bpy.ops.gof.import_result(filepath=str(folder / "result.npz"), start_frame=-4.5)
+thing = bpy.context.object
+from mathutils import Matrix
+thing.matrix_world = Matrix(((0, -2, 0, 1), (1, 0, 0, 2), (0, 0, 0.5, 3), (0, 0, 0, 1)))
+scene.render.fps, scene.render.fps_base = 60, 1.5
+scene.frame_set(10, subframe=0.25)
+bpy.context.view_layer.update()
+place, alpha = state(thing)
+counts = []
+for mode in ("ellipsoids", "arrows", "streaks"):
+    scene.gof.reconstruction.mode = mode
+    counts.append(len(state(thing)[1]))
+scene.gof.reconstruction.color = "speed"
+np.savez(folder / "seen.npz", place=place, alpha=alpha, counts=counts, version=bpy.app.version)
+blender_addon.unregister()
+""")
+    run = subprocess.run([DEBIAN_BLENDER, "-b", "--factory-startup", "--python-exit-code", "1", "--python", str(script), "--",
+                          str(folder)], capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
+    seen = np.load(folder / "seen.npz")
+    position, opacity = at(TransientGaussians.load(folder / "result.npz"), 14.75 / 40)
+    assert np.abs(seen["alpha"] - opacity).max() < 1e-5
+    matrix = np.array([[0, -2, 0], [1, 0, 0], [0, 0, 0.5]])
+    assert np.abs(seen["place"] - (position @ matrix.T + [1, 2, 3])).max() < 1e-5
+    n = len(opacity)
+    assert seen["counts"].tolist() == [42 * n, 16 * n, 6 * n]
