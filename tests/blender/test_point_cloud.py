@@ -264,3 +264,104 @@ def test_display_values_come_back(rendered, transform):
     linear, shown = json.loads((rendered / "shown.json").read_text())[transform]
     assert np.abs(np.array(shown) - np.linspace(0, 1, 11)).max() < 0.002
     assert linear[0] == 0 and (np.diff(linear) > 0).all() and np.isfinite(linear).all()
+
+
+ANY_MOMENT = COMMON + """
+scene.render.use_motion_blur = True
+cases, seen = json.loads(sys.argv[2]), {}
+cloud = gaussians_file.load(folder / "result.npz")
+thing = point_cloud.add_point_cloud(cloud, 1, "points")
+settings = point_cloud.inputs(thing)
+for k, case in enumerate(cases):
+    scene.render.fps, scene.render.fps_base = case["fps"], case["base"]
+    settings["Start Frame"], settings["Time Scale"] = case["start"], case["speed"]
+    settings["Opacity Cut"] = 0.0
+    thing.matrix_world = Matrix(case["matrix"])
+    scene.frame_set(int(np.floor(case["frame"])), subframe=case["frame"] % 1)
+    evaluated = thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    geometry = evaluated.evaluated_geometry()
+    drawn = geometry.pointcloud
+    place, alpha = np.zeros(3 * len(cloud), np.float32), np.zeros(len(cloud), np.float32)
+    drawn.attributes["position"].data.foreach_get("vector", place)
+    drawn.attributes["gs_alpha"].data.foreach_get("value", alpha)
+    matrix = np.array(evaluated.matrix_world)
+    seen[f"place{k}"] = place.reshape(-1, 3).astype(float) @ matrix[:3, :3].T + matrix[:3, 3]
+    seen[f"alpha{k}"] = alpha
+np.savez(folder / "moments.npz", **seen)
+leave()
+"""
+
+
+def test_any_moment_equals_the_library(cloud, tmp_path):
+    """Random times between frames (shutter times among them), clocks, start frames and affine objects: TransientGaussians.at."""
+    import shutil
+
+    rng, result = np.random.default_rng(8), TransientGaussians.load(cloud[1].with_name("result.npz"))
+    shutil.copy(cloud[1].with_name("result.npz"), tmp_path)
+    cases = []
+    for k in range(24):
+        matrix = np.eye(4)
+        if k % 3:
+            matrix[:3] = np.column_stack([np.linalg.qr(rng.normal(size=(3, 3)))[0] * rng.uniform(0.3, 1.5, 3), rng.uniform(-1, 1, 3)])
+        fps, base = [(24, 1.0), (30, 1.001), (100, 1.0), (50, 1.25)][k % 4]
+        frame = float(rng.uniform(-30, 250)) if k % 2 else float(rng.integers(1, 200) + rng.choice([-0.25, 0.25]))  # 180 degree shutter
+        speed = [1.0, 0.1, -0.5][k % 3]
+        cases.append({"fps": fps, "base": base, "frame": frame, "speed": speed, "matrix": matrix.tolist(),
+                      "start": frame - rng.uniform(-0.1, 0.5) / speed * fps / base})
+    run(ANY_MOMENT, tmp_path, json.dumps(cases))
+    seen = np.load(tmp_path / "moments.npz")
+    for k, case in enumerate(cases):
+        time_s = (case["frame"] - case["start"]) / (case["fps"] / case["base"]) * case["speed"]
+        assert -0.11 < time_s < 0.51
+        position, opacity = result.at(time_s)
+        matrix = np.array(case["matrix"])
+        assert np.abs(seen[f"place{k}"] - (position @ matrix[:3, :3].T + matrix[:3, 3])).max() < 1e-5
+        assert np.abs(seen[f"alpha{k}"] - opacity).max() < 1e-5
+
+
+MOTION_BLUR = COMMON + """
+scene.render.fps, scene.render.engine = 100, "CYCLES"
+scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 256, False, "BOX"
+scene.render.resolution_x, scene.render.resolution_y = 64, 16
+scene.view_settings.view_transform = "Standard"
+camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+scene.collection.objects.link(camera)
+scene.camera, camera.location.z = camera, 5.0
+camera.data.type, camera.data.ortho_scale = "ORTHO", 1.0
+scene.render.image_settings.file_format = "OPEN_EXR"
+scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 0.5
+answer = {}
+for mode in ("points", "ellipsoids"):
+    thing = point_cloud.add_point_cloud(gaussians_file.load(folder / "moving.npz"), 1, mode)
+    for speed in (1.0, 0.5):
+        point_cloud.inputs(thing)["Time Scale"] = speed
+        scene.frame_set(1 + round(10 / speed))
+        scene.render.filepath = str(folder / "blur.exr")
+        bpy.ops.render.render(write_still=True)
+        image = bpy.data.images.load(scene.render.filepath)
+        row = np.array(image.pixels[:]).reshape(16, 64, 4)[4:12, :, 0].sum(0)
+        bpy.data.images.remove(image)
+        x = (np.arange(64) + 0.5) / 64 - 0.5
+        middle = (row * x).sum() / row.sum()
+        answer[f"{mode} {speed}"] = [middle, np.sqrt((row * (x - middle) ** 2).sum() / row.sum())]
+    bpy.data.objects.remove(thing)
+(folder / "blur.json").write_text(json.dumps(answer))
+leave()
+"""
+
+
+def test_motion_blur(tmp_path):
+    """60 m/s past a shutter of 5 ms: a trail of 0.3 m around the place at the frame, though another Gaussian appears and
+    vanishes while the shutter is open, so that its ends show other numbers of points."""
+    TransientGaussians(
+        position=[[0, 0, 0], [0, 0.3, 0]], velocity=[[60, 0, 0], [0, 0, 0]], t_mu=[0.1, 0.1], t_sigma=[9, 0.0005],
+        scale=np.full((2, 3), 0.02), rotation=np.tile([1.0, 0, 0, 0], (2, 1)), opacity=[1, 1], color=np.ones((2, 3)),
+        dynamic=[True, True]).save(tmp_path / "moving.npz")
+    run(MOTION_BLUR, tmp_path)
+    answer = json.loads((tmp_path / "blur.json").read_text())
+    for mode in ("points", "ellipsoids"):
+        for speed in (1.0, 0.5):
+            middle, width = answer[f"{mode} {speed}"]
+            trail = 60 * 0.005 * speed
+            assert abs(middle) < 0.004
+            assert width == pytest.approx(np.sqrt(trail**2 / 12 + 0.017**2), rel=0.04)
