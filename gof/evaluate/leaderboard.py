@@ -26,6 +26,8 @@ COLUMNS = {
     "cos_sim": ("DVE CosSim", ("dve", "cos_sim"), 1, ".3f"),
     "fluctuation_l2": ("fluctuation L2", ("dve", "fluctuation", "l2"), -1, ".3f"),
     "fluctuation_cos": ("fluctuation CosSim", ("dve", "fluctuation", "cos_sim"), 1, ".3f"),
+    "emission_l2": ("on emission L2", ("dve", "on_emission", "l2"), -1, ".3f"),
+    "emission_cos": ("on emission CosSim", ("dve", "on_emission", "cos_sim"), 1, ".3f"),
     "skill": ("skill over constant", ("dve", "skill_over_constant"), 1, ".3f"),
     "speed_ratio": ("speed ratio", ("dve", "speed_ratio"), 0, ".2f"),
     "psnr_flame": ("PSNR flame (dB)", ("psnr_flame",), 1, ".2f"),
