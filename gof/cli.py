@@ -20,7 +20,7 @@ COMMANDS = {
     "study": ("benchmark.study", "accuracy against time, as tables and plots: of the DVE (dve), of the generator (generate)"),
     "import": ("benchmark.import_result", "result -> animated point cloud in a .blend, and a rendered preview"),
     "view": ("gof.view", "result in the browser, in 3D with a time slider; also while it is being optimised"),
-    "capture": ("gof.capture.run", "LED board control, sub-frame times from footage"),
+    "capture": ("gof.capture.run", "the camera rig: LED board, frame times from footage, calibration, board masks"),
     "report": ("gof.report", "pictures, animation, scores and costs on one self-contained HTML page"),
     "doctor": ("gof.doctor", "check this machine: Blender, Mantaflow, Dr.Jit, CUDA, OpenEXR, disk, weights"),
 }

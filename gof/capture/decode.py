@@ -162,7 +162,7 @@ def _row_time(options: DecodeOptions, value, usable, position, time, period) -> 
     if along is None:
         raise NotDecodable(
             "the frames meet the board at too few phases of its period to measure the row time; set another tick "
-            "(gof capture board set --tick-us), or give --row-time-us and --readout")
+            "(gof capture board set --tick-us 410), or give --row-time-us and --readout")
     if span < 60:
         raise NotDecodable("the strips run across the readout direction; turn the board by 90 degrees, or give "
                            "--row-time-us and --readout")

@@ -55,6 +55,8 @@ def read_signals(video: Path, template: BoardTemplate, locate_frames: int = 160,
         leds.append(led)
         if progress and count % 64 == 0:
             progress(count)
+    if progress:
+        progress(len(leds))
     height, width = summary.low.shape
     return make_signals(np.stack(strips), np.stack(leds), (width, height), board)
 

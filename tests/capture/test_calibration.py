@@ -14,7 +14,7 @@ from gof.capture.charuco import POINTS_PER_MM, Charuco, draw_pdf, draw_svg, page
 from gof.capture.locate import Summary, locate
 from gof.capture.mask import board_mask
 from gof.capture.sensors import sensor
-from gof.capture.synthetic import SyntheticShot, render
+from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.cli import main as gof
 from gof.dataset import Dataset
@@ -121,11 +121,14 @@ def test_command_writes_what_gof_static_reads(views, tmp_path, capsys):
     (tmp_path / "photos").mkdir()
     for k, (picture, _, _) in enumerate(views):
         cv2.imwrite(str(tmp_path / f"photos/{k:02d}.png"), picture)
-    out = tmp_path / "cameras.json"
-    assert gof(["capture", "calibrate", str(tmp_path / "photos"), "--out", str(out), "--json", str(tmp_path / "figures.json")]) == 0
+    write_video(tmp_path / "target.avi", (picture for picture, _, _ in views for _ in range(2)), "FFV1")
+    out, footage = tmp_path / "cameras.json", [str(tmp_path / "photos"), str(tmp_path / "target.avi")]
+    assert gof(["capture", "calibrate", *footage, "--out", str(out), "--views", "9", "--json", str(tmp_path / "figures.json")]) == 0
     assert "photos: focal 5" in capsys.readouterr().out
-    entry = json.loads(out.read_text())["cameras"][0]
-    assert Lens.from_dict(entry, "cameras.json").K[0, 0] == pytest.approx(560, abs=1) and entry["rms_px"] < 0.1
+    entries = json.loads(out.read_text())["cameras"]
+    assert [e["name"] for e in entries] == ["photos", "target"] and entries[0]["views"] == 16 and 8 <= entries[1]["views"] < 18
+    for entry in entries:
+        assert Lens.from_dict(entry, "cameras.json").K[0, 0] == pytest.approx(560, abs=1) and entry["rms_px"] < 0.1
     assert gof(["capture", "calibrate", str(tmp_path / "photos"), "--out", str(out)]) == 1
     assert "exists" in capsys.readouterr().err
     other = str(tmp_path / "other.json")

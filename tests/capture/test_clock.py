@@ -21,6 +21,17 @@ def times(index, repeated, interval, noise, seed):
     return time
 
 
+def test_fifteen_seconds_with_thirty_drops_a_pause_and_a_drifting_interval():
+    rng = np.random.default_rng(0)
+    pattern = np.ones(5999, int)
+    pattern[rng.choice(5999, 30, replace=False)] = rng.integers(2, 6, 30)
+    pattern[2000] = 500
+    index, repeated = positions(pattern)
+    time = times(index, repeated, 2500.03, 20.0, 0)  # 0.2 ms over the clip
+    time[rng.choice(6000, 60, replace=False)] += PERIOD
+    np.testing.assert_array_equal(clock.link(time, 2500.0, repeated, PERIOD, counted=True), index)
+
+
 # Position steps of 120 frames: 1 as a rule, 0 repeated, 2 to 4 after drops. What happens beside the clip's ends is left open
 # to noise, so there is nothing.
 steps = st.lists(st.sampled_from([1] * 12 + [0, 2, 3, 4]), min_size=115, max_size=115).map(lambda s: [1, 1, *s, 1, 1])

@@ -72,6 +72,20 @@ def test_compressed_video_through_the_command(tmp_path):
     assert "frames" not in json.loads((tmp_path / "figures.json").read_text())["cameras"][0]
 
 
+def test_row_time_from_the_sensor_table(tmp_path, capsys):
+    shot = replace(SMALL, row_time=2.85 * 720 / 400)  # all 720 rows of that sensor in 400 lines
+    write_video(tmp_path / "a.mp4", render(shot, BOARD, 40))
+    command = ["capture", "sync", str(tmp_path / "a.mp4"), "--out", str(tmp_path / "out"), "--template", "gof_board", "--sensor", "gopro_hero13_720p400"]
+    assert gof(command) == 0
+    camera = json.loads((tmp_path / "out/times.json").read_text())["cameras"][0]
+    assert camera["row_time_us"] == pytest.approx(shot.row_time)
+    np.testing.assert_allclose([f["time_s"] for f in camera["frames"]], shot.times(40) * 1e-6, atol=5e-6)
+    assert gof(command) == 1
+    assert "already holds times.json" in capsys.readouterr().err
+    assert gof([*command, "--out", str(tmp_path / "other"), "--row-time-us", "3"]) == 1
+    assert "either --sensor or --row-time-us" in capsys.readouterr().err
+
+
 def test_dropped_and_repeated_frames_are_found():
     shot = replace(SMALL, lost=(20, 41, 42), repeated=(50,))
     times = decode(shoot(shot), BOARD, DecodeOptions())
@@ -152,6 +166,13 @@ def test_what_cannot_be_decoded_is_explained(tmp_path, capsys):
         decode(shoot(replace(SMALL, fps=250.0)), BOARD, DecodeOptions())
     assert gof(["capture", "sync", str(tmp_path / "none.mp4"), "--out", str(tmp_path / "o")]) == 1
     assert "no camera could be decoded" in capsys.readouterr().err
+
+
+def test_another_tick_frees_a_frozen_board():
+    for fps in (50.0, 250.0):
+        shot = replace(SMALL, fps=fps, period=4100.0)
+        times = decode(shoot(shot), BOARD, DecodeOptions(period_us=4100.0))
+        assert errors(times, shot.times(64), shot)["single_rms_us"] < 5
 
 
 def test_given_row_time_and_direction_are_used_or_contradicted():
