@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 import tyro
 
 from gof.errors import GofError
-from gof.io.files import atomic_path
+from gof.io.files import atomic_path, write_json
 
 PAPERS_MM = {"A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841)}
 POINTS_PER_MM = 72 / 25.4
@@ -143,6 +143,8 @@ class TargetConfig:
     out: tyro.conf.Positional[Path]
     """File to write, .pdf or .svg."""
     target: tyro.conf.OmitArgPrefixes[Charuco] = field(default_factory=Charuco)
+    json: Path | None = None
+    """Also write the drawn size to this file."""
 
 
 def main(argv: list[str]) -> int:
@@ -155,4 +157,6 @@ def main(argv: list[str]) -> int:
         temporary.write_bytes(draw_pdf(config.target) if pdf else draw_svg(config.target).encode())
     name, width, height = page(config.target)
     print(f"{config.out}: {name}, {width:g} x {height:g} mm; print at 100 % and measure it")
+    if config.json:
+        write_json(config.json, asdict(config.target) | {"paper": name, "width_mm": width, "height_mm": height})
     return 0

@@ -29,12 +29,13 @@ class SyncConfig:
     """
 
     videos: tyro.conf.Positional[list[Path]]
+    """The cameras' own files of one take, in the order gof static gets them."""
     out: Path
     """Folder for times.json and the plots."""
     template: str = "paper_rig"
     """Board: gof_board, paper_rig, or a JSON file."""
     tick_us: float = 400.0
-    """Tick of the board; its period is 10 ticks."""
+    """Tick the board was set to; its period is 10 ticks."""
     fps: list[float] | None = None
     """True capture rate, one for all or one per video; read from the counter when not given."""
     row_time_us: float | None = None

@@ -172,7 +172,8 @@ def test_drawings_are_the_target_at_true_size(target, tmp_path):
 
 
 def test_target_command(tmp_path, capsys):
-    assert gof(["capture", "target", str(tmp_path / "t.pdf")]) == 0
+    assert gof(["capture", "target", str(tmp_path / "t.pdf"), "--json", str(tmp_path / "t.json")]) == 0
+    assert json.loads((tmp_path / "t.json").read_text())["paper"] == "A4"
     assert "A4, 297 x 210 mm" in capsys.readouterr().out and (tmp_path / "t.pdf").read_bytes().startswith(b"%PDF")
     assert gof(["capture", "target", str(tmp_path / "t.png")]) == 1
     assert "a .pdf or an .svg" in capsys.readouterr().err
