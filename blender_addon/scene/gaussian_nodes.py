@@ -20,6 +20,7 @@ LAYOUT = 1  # raise it when the inputs change: clouds of an older add-on keep th
 MODES = ("points", "ellipsoids", "arrows", "streaks")
 COLORS = ("image", "speed", "age", "lifetime", "error")
 VECTORS = ("velocity", "true velocity", "error")
+BALL_RADIUS = EXTENT / 0.7947  # of an icosahedron whose faces touch the ball of EXTENT; the material does the rounding
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
 
 FLOAT, WHOLE = "NodeSocketFloat", "NodeSocketInt"
@@ -79,12 +80,11 @@ def _write(nodes: Nodes) -> None:
     points = nodes.store(points, "gs_color", "FLOAT_COLOR", _color(nodes, given, velocity, age))
     points = nodes.store(points, "velocity", "FLOAT_VECTOR", nodes.vector("SCALE", velocity, Scale=given["Time Scale"]))
     points = nodes.add("GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}).outputs[0]
-    for name in ("gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light"):  # used up: less to copy
-        points = nodes.add("GeometryNodeRemoveAttribute", {"Geometry": points, "Name": name}).outputs[0]
+    points = _without(nodes, points, "gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light")
     lines = gaussian_material.lines(f"{NAME} Lines")
     nodes.add("NodeGroupOutput", {"Geometry": nodes.choose(
         "GEOMETRY", given["Mode"],
-        _dressed(nodes, points, gaussian_material.points(f"{NAME} Points")),
+        _dressed(nodes, _without(nodes, points, "gs_scale", "gs_euler", "gs_velocity"), gaussian_material.points(f"{NAME} Points")),
         _dressed(nodes, _ellipsoids(nodes, points), gaussian_material.ellipsoids(f"{NAME} Ellipsoids")),
         _dressed(nodes, _arrows(nodes, points, given), lines),
         _dressed(nodes, _streaks(nodes, points, given, velocity), lines))})
@@ -133,6 +133,13 @@ def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
                                                   "Alpha": given["Light on Scene"]}).outputs[0]
 
 
+def _without(nodes: Nodes, geometry, *names: str) -> bpy.types.NodeSocket:
+    """Drops attributes that have done their part: less to copy and to keep."""
+    for name in names:
+        geometry = nodes.add("GeometryNodeRemoveAttribute", {"Geometry": geometry, "Name": name}).outputs[0]
+    return geometry
+
+
 def _dressed(nodes: Nodes, geometry, material: bpy.types.Material) -> bpy.types.NodeSocket:
     return nodes.add("GeometryNodeSetMaterial", {"Geometry": geometry, "Material": material}).outputs[0]
 
@@ -145,9 +152,10 @@ def _instances(nodes: Nodes, points, mesh, rotation, scale) -> bpy.types.NodeSoc
 
 
 def _ellipsoids(nodes: Nodes, points) -> bpy.types.NodeSocket:
-    ball = nodes.add("GeometryNodeMeshIcoSphere", {"Radius": EXTENT, "Subdivisions": 2}).outputs["Mesh"]
+    ball = nodes.add("GeometryNodeMeshIcoSphere", {"Radius": BALL_RADIUS, "Subdivisions": 1}).outputs["Mesh"]
     place = nodes.add("GeometryNodeInputPosition").outputs[0]
     ball = nodes.store(ball, "gs_local", "FLOAT_VECTOR", place)
+    points = _without(nodes, points, "gs_velocity")
     return _instances(nodes, points, ball, nodes.named("gs_euler", "FLOAT_VECTOR"), nodes.named("gs_scale", "FLOAT_VECTOR"))
 
 

@@ -349,4 +349,4 @@ blender_addon.unregister()
     matrix = np.array([[0, -2, 0], [1, 0, 0], [0, 0, 0.5]])
     assert np.abs(seen["place"] - (position @ matrix.T + [1, 2, 3])).max() < 1e-5
     n = len(opacity)
-    assert seen["counts"].tolist() == [42 * n, 16 * n, 6 * n]
+    assert seen["counts"].tolist() == [12 * n, 16 * n, 6 * n]

@@ -155,14 +155,14 @@ def closed_form(cloud: GaussianCloud, time_s: float) -> tuple[np.ndarray, np.nda
 
 
 def seen_gaussians(file: Path, mode: str, key: str) -> tuple[np.ndarray, np.ndarray]:
-    """World positions and opacities as evaluated; an ellipsoid is a ball of 42 vertices around its centre."""
+    """World positions and opacities as evaluated; an ellipsoid is an icosahedron of 12 vertices around its centre."""
     seen = np.load(file)
     position, alpha = seen[f"{mode}/{key}/position"], seen[f"{mode}/{key}/alpha"]
     if mode == "points":
         return position, alpha
-    alpha = alpha.reshape(-1, 42)
+    alpha = alpha.reshape(-1, 12)
     assert (alpha == alpha[:, :1]).all()
-    return position.reshape(-1, 42, 3).astype(float).mean(1), alpha[:, 0]
+    return position.reshape(-1, 12, 3).astype(float).mean(1), alpha[:, 0]
 
 
 @pytest.mark.parametrize("mode", ["ellipsoids", "points"])
@@ -186,12 +186,12 @@ def test_shapes(cloud, frame):
     gaussians, file = cloud
     seen = np.load(file)
     position, _, visible = closed_form(gaussians, (frame - START) / FPS)
-    local = seen[f"ellipsoids/{frame}/local"].reshape(-1, 42, 3)
-    assert np.allclose(np.linalg.norm(local, axis=2), EXTENT, atol=1e-5)
+    local = seen[f"ellipsoids/{frame}/local"].reshape(-1, 12, 3)
+    assert np.allclose(np.linalg.norm(local, axis=2), EXTENT / 0.7947, atol=1e-5)
     axes = np.array([rotation_matrix(q.astype(float)) * s for q, s in
                      zip(gaussians.rotation[visible], gaussians.scale[visible], strict=True)])
     wanted = position[:, None] + np.einsum("nij,nvj->nvi", axes, local)
-    assert np.abs(seen[f"ellipsoids/{frame}/position"].reshape(-1, 42, 3) - wanted).max() < 1e-5
+    assert np.abs(seen[f"ellipsoids/{frame}/position"].reshape(-1, 12, 3) - wanted).max() < 1e-5
     radius = EXTENT * np.cbrt(gaussians.scale[visible].astype(float).prod(1))
     assert np.abs(seen[f"points/{frame}/radius"] - radius).max() < 1e-5
 
