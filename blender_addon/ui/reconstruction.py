@@ -97,6 +97,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
             return {"CANCELLED"}
         thing = point_cloud.add_point_cloud(cloud, self.start_frame, self.mode, source[0].stem if len(source) == 1 else source[0].parent.name)
         thing["gof_source"] = str(source[0] if len(source) == 1 else source[0].parent)
+        thing["gof_time_unit"] = self.clip_seconds if len(source) == 1 else 1 / clock.fps  # for `gof evaluate`
         for other in context.selected_objects:
             other.select_set(False)
         thing.select_set(True)

@@ -1,12 +1,144 @@
-"""Panel "Score"."""
+"""Panel "Score": a reconstruction against a dataset's true velocity, as numbers and as views beside the cloud."""
+
+from pathlib import Path
 
 import bpy
 
-from .panel import SidebarPanel
+from .. import evaluation
+from ..evaluation import Evaluation, EvaluationError
+from ..io import FileFormatError, velocity_reader
+from ..scene import error_cloud, point_cloud
+from .panel import SidebarPanel, write_lines
+
+TIMER_S = 0.5
 
 
 class GOF_PG_score(bpy.types.PropertyGroup):
     """``scene.gof.score``."""
+
+    dataset: bpy.props.StringProperty(name="Dataset", subtype="DIR_PATH", description="Folder of the dataset with the true velocity")
+    python: bpy.props.StringProperty(name="Python", subtype="FILE_PATH", description="Python that gof is installed in, such as .venv/bin/python")
+    numbers: bpy.props.StringProperty(description="The last scores, one 'name: value' per line")
+    centres: bpy.props.StringProperty(description="The last velocity error at the Gaussians' centres")
+
+
+def _cloud(context) -> bpy.types.Object | None:
+    """The cloud in question: the active object, or the cloud that it is a view of."""
+    thing = context.object
+    if thing is not None and "gof_view_of" in thing:
+        thing = bpy.data.objects.get(thing["gof_view_of"])
+    return thing if point_cloud.inputs(thing) else None
+
+
+class _ScoreOperator:
+    @classmethod
+    def poll(cls, context):
+        return _cloud(context) is not None and bool(context.scene.gof.score.dataset)
+
+
+class GOF_OT_score(_ScoreOperator, bpy.types.Operator):
+    """Compute DVE of the selected reconstruction with `gof evaluate`; needs a Python that gof is installed in"""
+
+    bl_idname = "gof.score"
+    bl_label = "Compute Score"
+
+    running: Evaluation | None = None
+    """The evaluation that runs in this Blender; one at a time. It belongs to the process, not to a file: it is never saved."""
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and cls.running is None
+
+    def _start(self, context) -> Evaluation | None:
+        settings, thing = context.scene.gof.score, _cloud(context)
+        try:
+            if not settings.python:
+                raise EvaluationError(f"Set Python to the one that has gof, or {evaluation.INSTALL}")
+            if "gof_source" not in thing:
+                raise EvaluationError(f"{thing.name}: not imported from a file; import the reconstruction again")
+            return Evaluation(Path(bpy.path.abspath(settings.python)), Path(thing["gof_source"]),
+                              Path(bpy.path.abspath(settings.dataset)), thing.get("gof_time_unit", 0.0))
+        except EvaluationError as error:
+            self.report({"ERROR"}, str(error))
+            return None
+
+    def _finish(self, context, scores: dict) -> set:
+        rows = evaluation.numbers(scores)
+        context.scene.gof.score.numbers = "\n".join(f"{name}: {value}" for name, value in rows)
+        self.report({"INFO"}, ", ".join(f"{name} {value}" for name, value in rows))
+        return {"FINISHED"}
+
+    def execute(self, context):
+        """Compute and return when it is finished: for scripts and ``blender -b``."""
+        run = self._start(context)
+        if run is None:
+            return {"CANCELLED"}
+        try:
+            return self._finish(context, run.wait())
+        except EvaluationError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    def invoke(self, context, event):
+        """Compute beside the user's work; Esc stops it."""
+        run = self._start(context)
+        if run is None:
+            return {"CANCELLED"}
+        GOF_OT_score.running = run
+        self._timer = context.window_manager.event_timer_add(TIMER_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        run = GOF_OT_score.running
+        if event.type == "ESC" and event.value == "PRESS":
+            self.cancel(context)
+            self.report({"WARNING"}, "Stopped")
+            return {"CANCELLED"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        try:
+            if not run.poll():
+                context.workspace.status_text_set(f"Score: gof evaluate, {run.seconds:.0f} s. Esc stops it")
+                return {"PASS_THROUGH"}
+        except EvaluationError as error:
+            self.cancel(context)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self._leave(context)
+        return self._finish(context, run.scores)
+
+    def cancel(self, context):
+        """Stop the child and clean up; Blender calls this too, when it quits or opens another file."""
+        GOF_OT_score.running.stop()
+        self._leave(context)
+
+    def _leave(self, context) -> None:
+        GOF_OT_score.running = None
+        context.window_manager.event_timer_remove(self._timer)
+        context.workspace.status_text_set(None)
+
+
+class GOF_OT_show_errors(_ScoreOperator, bpy.types.Operator):
+    """Place views beside the reconstruction: coloured by velocity error; true velocity and error as arrows"""
+
+    bl_idname = "gof.show_errors"
+    bl_label = "Show Errors"
+    bl_options = {"UNDO"}
+
+    def execute(self, context):
+        settings, thing = context.scene.gof.score, _cloud(context)
+        try:
+            truth = velocity_reader.of_dataset(Path(bpy.path.abspath(settings.dataset)))
+            found = error_cloud.add_truth(thing, truth)
+        except (FileFormatError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        error_cloud.show(thing)
+        settings.centres = (f"At the centres of {found.compared:,} Gaussians at their brightest time: median error "
+                            f"{found.median:.2f} m/s, {100 * found.relative:.0f} % of the true speed (root mean square)")
+        self.report({"INFO"}, settings.centres)
+        return {"FINISHED"}
 
 
 class GOF_PT_score(SidebarPanel, bpy.types.Panel):
@@ -14,8 +146,31 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
     bl_order = 4
 
     def draw(self, context):
-        pass
+        layout, settings = self.layout, context.scene.gof.score
+        layout.use_property_split = True
+        thing = _cloud(context)
+        layout.label(text=f"Reconstruction: {thing.name}" if thing else "Select a reconstruction", icon="POINTCLOUD_DATA")
+        layout.prop(settings, "dataset")
+        layout.prop(settings, "python")
+        run = GOF_OT_score.running
+        layout.operator("gof.score", text=f"Computing, {run.seconds:.0f} s (Esc stops it)" if run else "Compute Score")
+        if settings.numbers:
+            box = layout.box().column(align=True)
+            for line in settings.numbers.splitlines():
+                name, value = line.split(": ", 1)
+                row = box.row()
+                row.label(text=name)
+                row.label(text=value)
+        layout.operator("gof.show_errors")
+        if settings.centres:
+            write_lines(layout, context, settings.centres)
+
+
+def unregister() -> None:
+    if GOF_OT_score.running is not None:
+        GOF_OT_score.running.stop()
+        GOF_OT_score.running = None
 
 
 Settings = GOF_PG_score
-CLASSES = (GOF_PT_score,)
+CLASSES = (GOF_OT_score, GOF_OT_show_errors, GOF_PT_score)

@@ -1,0 +1,94 @@
+"""The add-on's reader of true velocity against the library's, and against broken stores."""
+
+import json
+
+import numpy as np
+import pytest
+
+from blender_addon.io import FileFormatError
+from blender_addon.io.velocity_reader import TrueVelocity, of_dataset
+from blender_addon.io.velocity_store import VelocityWriter
+from gof.fields import VelocityField, VelocitySequence
+
+GRID, TIMES = (70, 9, 66), (0.0, 0.1, 0.25)  # more than one chunk along x and z
+
+
+def matrix() -> np.ndarray:
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = turn * 0.05, [-1, 2, 0.5]
+    return out
+
+
+def write(path, dtype="float32", grid=GRID):
+    rng = np.random.default_rng(2)
+    writer = VelocityWriter(path, grid, matrix(), np.array(TIMES), 0.05, dtype)
+    for frame in range(len(TIMES)):
+        velocity = rng.normal(size=(*grid, 3))
+        velocity[:64] *= frame != 1  # a chunk of zeros has no file
+        writer.write_frame(frame, velocity.__getitem__)
+    writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("grid", [GRID, (5, 1, 4)])
+@pytest.mark.parametrize("dtype", ["float32", "float16"])
+def test_samples_equal_the_library(tmp_path, dtype, grid):
+    store = write(tmp_path / "velocity.zarr", dtype, grid)
+    sequence, truth = VelocitySequence.open(store), TrueVelocity(store)
+    rng = np.random.default_rng(3)
+    index = rng.uniform(-0.1, 1.1, (600, 3)) * grid
+    points = index @ matrix()[:3, :3].T + matrix()[:3, 3]
+    time_s = rng.choice([0.0, 0.1, 0.25, 0.04, 0.2], len(points))
+    velocity, inside = truth.sample(points, time_s)
+    for t in np.unique(time_s):
+        rows, field = time_s == t, sequence.at(t)
+        assert np.array_equal(inside[rows], field.contains(points[rows]))
+        assert np.allclose(velocity[rows], field.sample(points[rows]), atol=1e-5)
+    assert 0 < inside.sum() < len(inside)
+    assert np.abs(velocity[inside]).max() > 0.5 and (velocity[~inside] == 0).all()
+
+
+def test_before_and_after_the_clip_is_its_first_and_last_frame(tmp_path):
+    truth = TrueVelocity(write(tmp_path / "velocity.zarr", grid=(4, 4, 4)))
+    point = (matrix() @ [2.2, 1.7, 2.4, 1])[None, :3]
+    for outside, border in ((-1.0, 0.0), (9.0, 0.25)):
+        assert np.array_equal(truth.sample(point, np.array([outside]))[0], truth.sample(point, np.array([border]))[0])
+
+
+def test_no_points(tmp_path):
+    velocity, inside = TrueVelocity(write(tmp_path / "velocity.zarr", grid=(4, 4, 4))).sample(np.zeros((0, 3)), np.zeros(0))
+    assert velocity.shape == (0, 3) and inside.shape == (0,)
+
+
+@pytest.mark.parametrize("change, message", [
+    (lambda d: d.pop("shape"), "KeyError"), (lambda d: d["attributes"].update(schema="gof-grid"), "gof-grid"),
+    (lambda d: d["attributes"].update(units="knots"), "knots"), (lambda d: d["codecs"].append({"name": "zstd"}), "zstd"),
+    (lambda d: d["attributes"].update(index_to_world=np.zeros((4, 4)).tolist()), "LinAlgError"),
+    (lambda d: d["attributes"].update(time_s=[0.0]), "shape")])
+def test_broken_description(tmp_path, change, message):
+    file = write(tmp_path / "velocity.zarr", grid=(4, 4, 4)) / "zarr.json"
+    description = json.loads(file.read_text())
+    change(description)
+    file.write_text(json.dumps(description))
+    with pytest.raises(FileFormatError, match=message):
+        TrueVelocity(tmp_path / "velocity.zarr")
+
+
+def test_damaged_chunk_and_other_folders(tmp_path):
+    store = write(tmp_path / "velocity.zarr", grid=(4, 4, 4))
+    chunk = store / "c" / "0" / "0" / "0" / "0" / "0"
+    chunk.write_bytes(chunk.read_bytes()[:100])
+    point = (matrix() @ [2, 2, 2, 1])[None, :3]
+    with pytest.raises(FileFormatError, match="truncated"):
+        TrueVelocity(store).sample(point, np.array([0.0]))
+    with pytest.raises(FileFormatError, match="no velocity store"):
+        TrueVelocity(tmp_path)
+    with pytest.raises(FileFormatError, match="finished dataset"):
+        of_dataset(tmp_path)
+    (tmp_path / "dataset.json").write_text('{"velocity": null}')
+    with pytest.raises(FileFormatError, match="no true velocity"):
+        of_dataset(tmp_path)
+    VelocitySequence.create(tmp_path / "other.zarr", [VelocityField.from_array(np.ones((3, 3, 3, 3)), (0, 0, 0), 1.0)])
+    with pytest.raises(FileFormatError, match="can be read here"):
+        TrueVelocity(tmp_path / "other.zarr")
