@@ -13,6 +13,7 @@ COMMANDS = {
     "demo": ("benchmark.demo", "make, reconstruct, score and show a small real fire (about 6 minutes on 2 cores)"),
     "generate": ("benchmark.generate", "scene spec -> simulated fire, three rendered videos, ground-truth velocity"),
     "static": ("gof.reconstruct.static.run", "videos of a fire -> dataset: fire-free plates, camera poses, frame times"),
+    "background": ("gof.reconstruct.static.background", "the scene without fire as static Gaussians, for views no camera took"),
     "reconstruct": ("gof.reconstruct.run", "three videos -> transient flame Gaussians with velocities"),
     "evaluate": ("gof.evaluate.run", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with"),
     "convert": ("gof.io.convert", "any method's result -> .npz, .ply or .ftgs.ply in metres, seconds and m/s"),
