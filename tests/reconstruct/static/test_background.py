@@ -7,7 +7,8 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.evaluate.image import psnr
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.static.background import BackgroundConfig, make_background, optimize_background, plate_depths, seed_background
+from gof.reconstruct.static.background import BackgroundConfig, make_background, plate_depths, seed_background
+from gof.reconstruct.static.splatting import optimize_background
 from gof.render import render
 from tests.conftest import look_at, write_dataset
 from tests.reconstruct.static import scene
@@ -69,7 +70,7 @@ def test_from_a_dataset_with_the_flame_added(views, tmp_path, gaussians):
     result = make_background(config)
     background = TransientGaussians.load(result)
     scene_file = TransientGaussians.load(tmp_path / "out" / "scene.npz")
-    assert len(scene_file) == len(background) + len(gaussians) and (scene_file.dynamic == [False] * len(background) + list(gaussians.dynamic)).all()
+    assert len(scene_file) == len(background) + len(gaussians) and (scene_file.dynamic == np.concatenate([background.dynamic, gaussians.dynamic])).all()
     stamp = result.stat().st_mtime_ns
     make_background(config)
     assert result.stat().st_mtime_ns == stamp, "what is finished is kept"
