@@ -130,12 +130,17 @@ def _frame_velocity(pictures: dict[int, np.ndarray], times: np.ndarray, k: int, 
 
 
 def estimate_motion(
-    dataset: Dataset, max_error_px: float = 1.0, picture=flow_picture, progress=lambda done, total: None
+    dataset: Dataset,
+    lit_plates: bool = True,
+    max_error_px: float = 1.0,
+    picture=flow_picture,
+    progress=lambda done, total: None,
 ) -> Motion:
     """Masks, intensity and flow of every training frame and camera.
 
     Args:
         dataset: opened dataset; its test frames are not read.
+        lit_plates: put the fire's light into the plates; else `plate` is `static`.
         max_error_px: forward-backward error above which a flow vector is dropped (plus a tenth of its length).
         picture: (image, static) -> (H, W) uint8, what the optical flow looks at.
         progress: called with (done, total) after every frame.
@@ -154,7 +159,9 @@ def estimate_motion(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
     delivered = [was_delivered(images[c], static[c]) for c in cameras]
-    plates = [lit_plate(static[c], images[c], masks[c] | ~delivered[c][:, None, None]) for c in cameras]
+    plates = static
+    if lit_plates:
+        plates = [lit_plate(static[c], images[c], masks[c] | ~delivered[c][:, None, None]) for c in cameras]
     pictures = [
         {int(k): picture(image, plates[c]) for k, image in zip(frames, images[c], strict=True)} for c in cameras
     ]

@@ -40,8 +40,8 @@ class Schedule:
     """
 
     iterations: int
+    velocity: float  # voxels per frame time
     position: tuple[float, float] = (0.03, 0.003)  # voxels, first and last step
-    velocity: float = 0.00075  # voxels per frame time; 1e-2 of position per ms at 400 Hz, as in the paper
     t_mu: float = 0.01  # frame times
     log_t_sigma: float = 0.005
     scale: float = 0.02

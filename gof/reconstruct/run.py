@@ -16,7 +16,7 @@ from gof.errors import GofError
 from gof.gaussians import TransientGaussians
 from gof.io.files import read_json, write_json
 from gof.plates import save_plates
-from gof.reconstruct.presets import PRESETS, step_ms
+from gof.reconstruct.presets import METHODS, PRESETS, step_ms
 from gof.stages import StageLog, progress_bar
 
 Ablation = Literal["none", "no-sync", "rand-flow", "joint-opt", "no-mask"]
@@ -46,14 +46,10 @@ class ReconstructConfig:
     """Voxels along the longest side of the flame's box; also bounds the Gaussians' size."""
     longest_side: int | None = None
     """Pictures with a longer side, in pixels, are shrunk to it."""
-    fusion: Literal["full", "paper"] = "full"
-    """How the cameras' flows become one velocity: "full" uses both image components of every camera, "paper" its eq. 5-7."""
-    smooth_voxels: float = 3.0
-    """Emission-weighted smoothing of the fused flow, std-dev in voxels; 0 = none."""
+    method: Literal["gof", "paper"] = "gof"
+    """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.presets.METHODS)."""
     flow_prior: bool = True
-    """Correct the fused flow, which follows texture, to the gas' own velocity, as learnt on simulated flames; z must be up."""
-    opacity: float = 0.1
-    """Opacity of a new Gaussian."""
+    """Correct the fused flow, which follows texture, to the gas' own velocity, as learnt on simulated flames (ours; z must be up)."""
     ablation: Ablation = "none"
     """Leave a part of the method out, as in the paper's ablations (see gof.reconstruct.ablations)."""
     seed: int = 0
@@ -75,7 +71,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
     Raises:
         GofError: `out` holds a reconstruction made with other settings; or see the stages.
     """
-    full, out = Dataset.open(config.dataset), config.out
+    full, out, method = Dataset.open(config.dataset), config.out, METHODS[config.method]
     result = out / "result.npz"
     settings = {k: v for k, v in asdict(config).items() if k not in ("out", "json", "dataset", "preset")}
     settings["dataset"] = str(full.path.resolve().name)
@@ -104,7 +100,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
     print(f"{config.iterations} steps: about {max(expected / 60, 0.1):.1f} min on two free CPU cores", file=sys.stderr)
 
     with log.measure("motion") as figures, progress_bar("motion") as progress:
-        motion = estimate_motion(dataset, progress=progress)
+        motion = estimate_motion(dataset, method.lit_plates, progress=progress)
         pictures.save_motion(out / "stages", motion)
         figures.update(frames=len(motion.frames), cameras=len(dataset.cameras))
 
@@ -112,9 +108,9 @@ def reconstruct(config: ReconstructConfig) -> Path:
         voxels = carve(dataset.cameras, motion.mask, config.voxels)
         frames = []
         for f, k in enumerate(motion.frames):
-            emission = tomography(voxels, motion.intensity[f], motion.mask[f])
+            emission = tomography(voxels, motion.intensity[f], motion.mask[f], method.round_flame)
             velocity, known = fuse_frame(
-                voxels, motion.flow[f], motion.mask[f], emission, config.fusion, config.smooth_voxels
+                voxels, motion.flow[f], motion.mask[f], emission, method.fusion, method.smooth_voxels
             )
             frames.append(
                 {
@@ -126,7 +122,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
                 }
             )
             progress(f + 1, len(motion.frames))
-        if config.flow_prior:
+        if config.flow_prior and method.flow_prior:
             seen = np.stack([frame["velocity"] for frame in frames])
             gas = FlowPrior.load().correct(voxels, seen, np.stack([frame["emission"] for frame in frames]))
             for frame, velocity in zip(frames, gas, strict=True):
@@ -137,7 +133,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
         )
 
     with log.measure("seeds") as figures:
-        seeds = sample_seeds(voxels, frames, dt, config.gaussians, config.opacity, rng)
+        seeds = sample_seeds(voxels, frames, dt, config.gaussians, method.opacity, rng)
         seeds = ablations.change_seeds(config.ablation, seeds, rng)
         seeds.save(out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds))
@@ -164,7 +160,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
             motion,
             ablations.change_times(config.ablation, times_s, dt),
             dataset.cameras,
-            ablations.change_schedule(config.ablation, Schedule(config.iterations)),
+            ablations.change_schedule(config.ablation, Schedule(config.iterations, method.velocity_rate)),
             rng,
             checkpoint,
             progress,

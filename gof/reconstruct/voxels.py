@@ -115,16 +115,18 @@ def carve(cameras: list[Camera], masks: np.ndarray, voxels_along_height: int, mi
     return FlameVoxels(kept, voxels.voxel_size, index[keep], resolution, voxels.pixel[:, keep], jacobian)
 
 
-def tomography(voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, iterations: int = 12) -> np.ndarray:
-    """Emission per voxel of one frame by multiplicative expectation maximisation (Shepp & Vardi 1982), done twice.
+def tomography(
+    voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, rounded: bool = True, iterations: int = 12
+) -> np.ndarray:
+    """Emission per voxel of one frame by multiplicative expectation maximisation (Shepp & Vardi 1982).
 
     Few views leave the shape along the rays open; EM fills it with the product closest to its start that the views agree on, and
     is never negative. From an even start that is the whole hull, with its corners that no camera looks past. A flame is about as
-    deep as it is wide, so the second time starts from a round one (`round_flame`; +z is up). Pixels are pooled to about the
+    deep as it is wide, so it is done again from a round one (`round_flame`; +z is up). Pixels are pooled to about the
     voxel's own size, so every voxel meets one cell per view.
 
     Args:
-        intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.
+        intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.   rounded: do it again from a round flame.
     Returns:
         (V,) float64 emission >= 0, mean 1 over the voxels of the frame's hull, 0 outside it; all 0 for an empty mask.
     """
@@ -133,8 +135,9 @@ def tomography(voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, ite
     if not hull.any():
         return np.zeros(len(hull))
     views = _pooled_views(voxels, intensity, hit == 1)
-    even = _maximise(hull.astype(np.float64), views, iterations)
-    emission = _maximise(hull * round_flame(voxels, even), views, iterations) if even.any() else even
+    emission = _maximise(hull.astype(np.float64), views, iterations)
+    if rounded and emission.any():
+        emission = _maximise(hull * round_flame(voxels, emission), views, iterations)
     total = emission.sum()
     return emission * (np.count_nonzero(emission) / total) if total > 0 else np.zeros_like(emission)
 

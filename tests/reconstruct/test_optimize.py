@@ -95,7 +95,7 @@ def test_ablations_change_what_they_say(flame):
     shuffled = ablations.change_seeds("rand-flow", seeds, rng)
     np.testing.assert_allclose(np.linalg.norm(shuffled.velocity, axis=-1), np.linalg.norm(seeds.velocity, axis=-1), rtol=1e-5)
     assert np.linalg.norm(shuffled.velocity.mean(0)) < 0.15 * np.linalg.norm(seeds.velocity.mean(0))
-    schedule = optimize.Schedule(10)
+    schedule = optimize.Schedule(10, 0.0002)
     assert ablations.change_schedule("no-mask", schedule).alpha_loss == 0
     assert ablations.change_schedule("joint-opt", schedule).plate > 0
     for change, value in ((ablations.change_schedule, (schedule,)), (ablations.change_seeds, (seeds, rng)), (ablations.change_times, (times, DT))):
