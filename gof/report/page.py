@@ -15,6 +15,7 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.files import atomic_path, read_json, write_json
+from gof.plates import background
 from gof.report import pictures
 from gof.report.machine import machine, versions
 from gof.report.velocity import legend
@@ -52,7 +53,8 @@ def build_report(out_dir: Path, dataset: Dataset, result: Path, scores: dict[str
     gaussians = TransientGaussians.load(result)
     progress = progress or (lambda *a, **k: None)
     camera = len(dataset.cameras) // 2 if camera is None else camera
-    animation = pictures.animate(dataset, gaussians, camera, lambda done, total: progress(done, total, stage="animation"))
+    plates = [background(dataset, number, result) for number in range(len(dataset.cameras))]
+    animation = pictures.animate(dataset, gaussians, plates[camera], camera, lambda done, total: progress(done, total, stage="animation"))
     folder = out_dir / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_path(folder / "animation.webp") as temporary:
@@ -66,7 +68,7 @@ def build_report(out_dir: Path, dataset: Dataset, result: Path, scores: dict[str
         "animation_uri": pictures.file_uri(folder / "animation.webp"), "still_uri": pictures.data_uri(folder / "animation.png"),
         "animation_camera": dataset.cameras[camera].name, "legend_uri": pictures.data_uri(legend(), "png"),
         "longest_px_per_frame": animation.longest * dataset.frame_time_s,
-        "views": pictures.three_views(dataset, gaussians, frame), "views_frame": frame,
+        "views": pictures.three_views(dataset, gaussians, plates, frame), "views_frame": frame,
         "views_time_ms": 1000 * (dataset.times_s[frame] - dataset.times_s[0]), "views_held_out": frame in dataset.test_frames,
         "scores": scores, "verdicts": verdicts(scores), "chart": _chart(scores),
         "stages": [asdict(s) if isinstance(s, StageCost) else s for s in stages],

@@ -84,15 +84,15 @@ class Animation:
         return path
 
 
-def animate(dataset: Dataset, gaussians: TransientGaussians, camera_number: int,
+def animate(dataset: Dataset, gaussians: TransientGaussians, plate: np.ndarray, camera_number: int,
             progress: Callable[[int, int], None] | None = None) -> Animation:
-    """Draw truth, reconstruction, velocity and true velocity for every frame of one camera.
+    """Draw truth, reconstruction (over `plate`, unless it has static Gaussians), velocity and true velocity for every frame of one camera.
 
     Without dynamic Gaussians or true velocities the panels that need them are left out.
     """
     from gof.render import render
 
-    camera, plate = dataset.cameras[camera_number], dataset.static(camera_number)
+    camera = dataset.cameras[camera_number]
     background = None if not gaussians.dynamic.all() else plate
     frames = sorted({*dataset.train_frames, *dataset.test_frames})
     has_truth = bool(dataset.meta.get("velocity"))
@@ -125,14 +125,14 @@ def animate(dataset: Dataset, gaussians: TransientGaussians, camera_number: int,
     return Animation(pages, titles, longest, shown_ms, shown_ms / 1000 / frame_s if frame_s else 1.0, int(np.argmax(alphas)))
 
 
-def three_views(dataset: Dataset, gaussians: TransientGaussians, frame: int) -> list[tuple[str, list[tuple[str, str]]]]:
+def three_views(dataset: Dataset, gaussians: TransientGaussians, plates: list[np.ndarray], frame: int) -> list[tuple[str, list[tuple[str, str]]]]:
     """Rows of pictures at one time: [(row title, [(camera name, data URI)])]: truth, reconstruction, difference."""
     from gof.render import render
 
     rows: dict[str, list] = {"truth": [], "reconstruction": [], "difference": []}
     time_s = float(dataset.times_s[frame])
     for number, camera in enumerate(dataset.cameras):
-        background = dataset.static(number) if gaussians.dynamic.all() else None
+        background = plates[number] if gaussians.dynamic.all() else None
         truth = dataset.image(number, frame)
         image = np.clip(render(gaussians, camera, time_s, background=background)["color"], 0, 1)
         difference = np.abs(image - truth)
