@@ -1,4 +1,4 @@
-/* ESP32 layer (ESP-IDF 5.2 or newer): hardware timer, register-level pin writes, serial console, watchdog. */
+/* ESP32 layer (ESP-IDF 5.3 or newer): hardware timer, register-level pin writes, serial console, watchdog. */
 #include "driver/gpio.h"
 #include "driver/gptimer.h"
 #include "esp_attr.h"
