@@ -277,11 +277,15 @@ def _open_blend(layout: Layout, during_bake: bool = False) -> None:
 
 
 def _peak_mb() -> float | None:
+    """Peak resident memory of this process, None where it is not known."""
+    status = Path("/proc/self/status")
+    if status.is_file():  # getrusage would count what the process that started this one had in memory
+        return int(status.read_text().partition("VmHWM:")[2].split()[0]) / 1024
     try:
         import resource
     except ModuleNotFoundError:  # Windows
         return None
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # macOS counts bytes
 
 
 def _write_json(path: Path, data: dict) -> None:

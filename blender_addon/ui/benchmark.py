@@ -200,13 +200,13 @@ class GOF_OT_open_benchmark(_DatasetOperator, bpy.types.Operator):
     bl_label = "Open"
 
     what: EnumProperty(items=[("report", "Report", "Pictures and costs, in the web browser"), ("log", "Log", "What has happened, in a text editor"),
-                              ("root", "Folder", "The dataset, in the file manager")])  # fmt: skip
+                              ("folder", "Folder", "The dataset, in the file manager")])  # fmt: skip
 
     def execute(self, context):
         plan = self.planned(context)
         if plan is None:
             return {"CANCELLED"}
-        path = {"report": plan[1].report, "log": plan[1].job_log, "root": plan[1].root}[self.what]
+        path = {"report": plan[1].report, "log": plan[1].job_log, "folder": plan[1].root}[self.what]
         if not path.exists():
             self.report({"ERROR"}, f"there is no {path} yet: press Bake & Render")
             return {"CANCELLED"}
@@ -240,8 +240,8 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
         else:
             self._draw_plan(context, layout)
         row = layout.row(align=True)
-        for what, icon in (("report", "URL"), ("log", "TEXT"), ("root", "FILE_FOLDER")):
-            row.operator(GOF_OT_open_benchmark.bl_idname, text=what.replace("root", "folder").capitalize(), icon=icon).what = what
+        for what in ("report", "log", "folder"):
+            row.operator(GOF_OT_open_benchmark.bl_idname, text=what.capitalize()).what = what
 
     def _draw_plan(self, context, layout) -> None:
         try:
@@ -252,8 +252,9 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
             return
         if folders.description.is_file():
             layout.label(text="Finished: see the report", icon="CHECKMARK")
-        resumed = folders.spec.is_file() and not folders.description.is_file()
-        layout.operator(GOF_OT_bake_render.bl_idname, text="Resume" if resumed else "Bake & Render", icon="RENDER_ANIMATION")
+        else:
+            text = "Resume" if folders.spec.is_file() else "Bake & Render"
+            layout.operator(GOF_OT_bake_render.bl_idname, text=text, icon="RENDER_ANIMATION")
 
 
 def _draw_cost(box, context, spec: SceneSpec) -> None:
@@ -261,10 +262,11 @@ def _draw_cost(box, context, spec: SceneSpec) -> None:
     prediction = costs.predict(spec, costs.known_machine() or costs.REFERENCE)
     seconds = sum(expected_s(spec, prediction).values())
     column = box.column(align=True)
-    pictures = spec.clip.frames * len(spec.cameras.names)
-    column.label(text=f"{spec.clip.frames} frames x {len(spec.cameras.names)} cameras = {pictures} pictures", icon="CAMERA_DATA")
+    frames, cameras = spec.clip.frames, len(spec.cameras.names)
+    column.label(text=f"{frames * cameras} pictures ({frames} x {cameras})", icon="CAMERA_DATA")
     column.label(text=f"About {costs.duration(seconds)}", icon="TIME")
-    column.label(text=f"{prediction.memory_mb / 1000:.1f} GB memory, {prediction.disk_mb / 1000:.2f} GB disk", icon="DISK_DRIVE")
+    column.label(text=f"{prediction.memory_mb / 1000:.1f} GB of memory", icon="MEMORY")
+    column.label(text=f"{prediction.disk_mb / 1000:.2f} GB of disk", icon="DISK_DRIVE")
     source = f"within {100 * prediction.error:.0f} %" if prediction.error < 1 else "roughly"
     write_lines(column, context, f"Predicted {source}, measured on {prediction.measured_on}")
 

@@ -14,21 +14,21 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
     """``scene.gof.fire.cameras``: the rig, relative to the place of the fire."""
 
     count: IntProperty(name="Cameras", description="Cameras that methods may train on, evenly spaced on an arc", default=3, min=1, soft_max=16)
-    eval_count: IntProperty(name="For Evaluation", description="More cameras, which no method may train on", default=0, min=0, soft_max=8)
+    eval_count: IntProperty(name="Evaluation", description="More cameras, for evaluation: no method may train on them", default=0, min=0, soft_max=8)
     arc_deg: FloatProperty(name="Arc", description="Degrees between the first and the last camera", default=70, min=0, max=359)
-    azimuth_deg: FloatProperty(name="Direction", description="Degrees from +X to the middle of the arc, counter-clockwise", default=-90)
+    azimuth_deg: FloatProperty(name="Facing", description="Degrees from +X to the middle of the arc, counter-clockwise", default=-90)
     radius: FloatProperty(name="Distance", description="From the fire, metres", default=2.8, min=0.05, soft_max=20)
     height: FloatProperty(name="Height", description="Of the cameras above the place of the fire, metres", default=0.9)
     look_at_height: FloatProperty(name="Aim", description="Height of the point that the cameras look at, metres", default=0.75)
-    focal_mm: FloatProperty(name="Focal Length", description="Millimetres, for a sensor whose long side is 36 mm", default=50, min=1, soft_max=200)
-    sensor_px: IntVectorProperty(name="Sensor", description="Pixels along a row, and number of rows", size=2, default=(1280, 720), min=16)
+    focal_mm: FloatProperty(name="Focal", description="Focal length in millimetres, for a sensor whose long side is 36 mm", default=50, min=1, soft_max=200)
+    sensor_px: IntVectorProperty(name="Sensor", description="Pixels along a row, and number of rows", size=2, default=(1280, 720), min=16, subtype="XYZ")
     roll_deg: EnumProperty(
         name="Roll",
         description="How the camera body is turned about its viewing direction; the rows of the sensor turn with it",
         items=[("90", "90 (portrait)", "Clockwise seen from behind"), ("-90", "-90 (portrait)", "Counter-clockwise seen from behind"),
                ("0", "0 (landscape)", "Upright"), ("180", "180 (landscape)", "Upside down")],
     )  # fmt: skip
-    fps: FloatProperty(name="Frame Rate", description="Pictures per second of the benchmark", default=100, min=1, max=32767)
+    fps: FloatProperty(name="Rate", description="Pictures per second of the benchmark; the scene keeps its own frame rate", default=100, min=1, max=32767)
 
 
 class GOF_PG_fire(bpy.types.PropertyGroup):
@@ -42,8 +42,8 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
         items=[("disc", "Disc", "A flat round burner"), ("sphere", "Sphere", "A ball"), ("logs", "Logs", "Three crossed logs")],
     )
     radius: FloatProperty(name="Radius", description="Of the burner, metres", default=0.13, min=0.001, soft_max=2)
-    clearance: FloatProperty(name="Clearance", description="From the place of the fire to the burner, metres", default=0.03, min=0)
-    domain_size: FloatVectorProperty(name="Domain", description="Box of air around the fire, metres", default=(0.8, 0.8, 1.6), min=0.01)
+    clearance: FloatProperty(name="Lift", description="From the place of the fire up to the burner, metres", default=0.03, min=0)
+    domain_size: FloatVectorProperty(name="Domain", description="Box of air around the fire, metres", default=(0.8, 0.8, 1.6), min=0.01, subtype="XYZ")
     resolution: IntProperty(
         name="Cells",
         description="Of the simulation in this scene, along the domain's longest side. A benchmark takes those of its preset",
@@ -147,7 +147,7 @@ class GOF_PT_fire(SidebarPanel, bpy.types.Panel):
             column.prop(fire, name)
         layout.prop(fire, "spot")
         there = place.find(context.scene, place.DOMAIN)
-        layout.operator(GOF_OT_add_fire.bl_idname, text="Replace Fire" if there else "Add Fire", icon="FUND")
+        layout.operator(GOF_OT_add_fire.bl_idname, text="Replace Fire" if there else "Add Fire", icon="MOD_FLUIDSIM")
 
 
 class GOF_PT_effects(SidebarPanel, bpy.types.Panel):
@@ -171,10 +171,10 @@ class GOF_PT_cameras(SidebarPanel, bpy.types.Panel):
             column = layout.column(align=True)
             for name in names:
                 column.prop(cameras, name)
-        row = layout.row(align=True)
+        column = layout.column(align=True)
         there = bool(place.cameras(context.scene))
-        row.operator(GOF_OT_add_cameras.bl_idname, text="Replace Cameras" if there else "Add Cameras", icon="CAMERA_DATA")
-        row.operator(GOF_OT_next_view.bl_idname, icon="HIDE_OFF")
+        column.operator(GOF_OT_add_cameras.bl_idname, text="Replace Cameras" if there else "Add Cameras", icon="CAMERA_DATA")
+        column.operator(GOF_OT_next_view.bl_idname, icon="HIDE_OFF")
 
 
 GROUPS = (*effect_groups.GROUPS.values(), effect_groups.GOF_PG_effects, GOF_PG_cameras)

@@ -1,0 +1,215 @@
+"""The Benchmark panel: the same dataset as `gof generate` makes, resumed after a stop, refused when it cannot be."""
+
+import json
+import shutil
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmark import generate
+from blender_addon import costs, report
+from blender_addon import spec as scene_spec
+from blender_addon.job import Job, JobError, expected_s, stages
+from blender_addon.layout import Layout
+from blender_addon.scene.effects import video_compression
+from gof.dataset import Dataset
+from gof.stages import StageLog
+from tests.blender.runs import TOY
+from tests.blender.test_addon_fire import in_addon
+
+pytest.importorskip("bpy", reason="the add-on's operators need the bpy wheel")
+PYTHON = [sys.executable, "-c"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Layout:
+    """A dataset of the default scene, made by the operator; tests must not change it."""
+    folder = tmp_path_factory.mktemp("addon") / "cube fire"
+    found = in_addon(
+        """
+        fire.spot = "OBJECT"
+        bpy.context.view_layer.objects.active = bpy.data.objects["Cube"]
+        bpy.ops.gof.add_fire(); bpy.ops.gof.add_cameras()
+        place.cameras(scene)[1].location.z += 0.2
+        fire.effects.wind.use = True
+        bpy.ops.gof.add_fire()
+        scene.gof.benchmark.preset, scene.gof.benchmark.folder = "toy", sys.argv[1]
+        result["made"] = list(bpy.ops.gof.bake_render())
+        result["again"] = list(bpy.ops.gof.bake_render())
+        fire.seed = 7
+        result["other"] = message(bpy.ops.gof.bake_render)
+        result["objects"] = len(scene.objects)
+        """,
+        folder,
+    )
+    assert found["made"] == found["again"] == ["FINISHED"]
+    assert "was made from another spec (seed differ)" in found["other"]
+    return Layout(folder)
+
+
+def test_dataset_of_the_users_scene(made):
+    dataset = Dataset.open(made.root)
+    assert (dataset.meta["name"], dataset.meta["effects"]) == ("cube fire", ["vorticity", "wind"])
+    assert dataset.meta["spec"]["blend_file"] == {"path": "background.blend", "empty": "Fire"}, "the folder can be moved"
+    assert dataset.meta["display"]["view_transform"] == "AgX", "as the user's scene"
+    assert dataset.velocity.at(0.0).velocity.shape == (12, 12, 24, 3) and dataset.velocity.at(0.02).velocity[..., 2].max() > 0.3
+    heights = [camera.position[2] for camera in dataset.cameras]
+    np.testing.assert_allclose(heights, [0.9, 1.1, 0.9], atol=1e-5)
+    assert dataset.static(1)[-1].mean() > 1.3 * dataset.static(1)[0].mean(), "the lit cube is below, the world above"
+    assert dataset.mask(1, 3).sum() > 3
+    log = {cost.name: cost for cost in StageLog(made.costs).stages()}
+    assert list(log) == ["bake", "render", "ground-truth", "finish"] == stages(scene_spec.load(made.spec))
+    assert all(cost.seconds > 0 and 100 < cost.peak_mb < 2000 for cost in log.values())
+    page = made.report.read_text()
+    assert page.count("<img") == 3 * 5 and "cube fire" in page
+    sources = [part.split('"')[0] for part in page.split('src="')[1:]]
+    assert all((made.root / source).is_file() for source in sources)
+    assert "finished" in made.job_log.read_text()
+
+
+def test_it_is_what_gof_generate_makes_of_the_spec(made, tmp_path):
+    for name in ("spec.json", "background.blend"):
+        shutil.copy(made.root / name, tmp_path)
+    assert generate.main([str(tmp_path / "spec.json"), "--out", str(tmp_path / "again")]) == 0
+    ours, theirs = Dataset.open(made.root), Dataset.open(tmp_path / "again")
+    for key in ("time_s", "splits", "domain", "display", "effects", "ground_truth", "provenance", "cameras"):
+        assert ours.meta[key] == theirs.meta[key], key
+    for frame, time_s in enumerate(ours.times_s):
+        np.testing.assert_array_equal(ours.velocity.at(time_s).velocity, theirs.velocity.at(time_s).velocity)
+        for camera in range(3):
+            np.testing.assert_array_equal(ours.image(camera, frame), theirs.image(camera, frame))
+
+
+def test_a_stopped_job_goes_on(tmp_path):
+    layout = Layout(tmp_path / "stopped")
+    scene_spec.claim(layout, TOY)
+    job, fractions = Job(TOY, layout, PYTHON), [0.0]
+    while not (job.stage == "render" and len(list(layout.root.glob("cameras/*/exr/0*.exr"))) >= 4):
+        assert job.poll()
+        fractions.append(job.fraction)
+        assert job.seconds_left >= 0 and str(job)
+        time.sleep(0.05)
+    process = job._process
+    job.stop()
+    assert process.poll() is not None and not layout.description.exists()
+    assert fractions == sorted(fractions) and 0.2 < fractions[-1] < 1
+    before = {path: path.stat().st_mtime_ns for path in layout.root.glob("cameras/*/exr/0*.exr")}
+    Job(TOY, layout, PYTHON).run()
+    assert all(path.stat().st_mtime_ns == then for path, then in before.items()), "finished pictures were not made again"
+    assert Dataset.open(layout.root).meta["spec"] == TOY.to_dict()
+    assert "stopped in render" in layout.job_log.read_text() and layout.job_log.read_text().count("bake ...") == 1
+
+
+def test_a_job_ends_with_the_process_that_started_it(tmp_path):
+    import os
+    import signal
+    import subprocess
+
+    spec = replace(TOY, domain=replace(TOY.domain, resolution=96))
+    layout = Layout(tmp_path / "orphan")
+    scene_spec.claim(layout, spec)
+    script = f"""
+import time
+from pathlib import Path
+from blender_addon import spec
+from blender_addon.job import Job
+from blender_addon.layout import Layout
+layout = Layout(Path({str(layout.root)!r}))
+job = Job(spec.load(layout.spec), layout, {PYTHON!r})
+while job.poll():
+    print(job._process.pid, flush=True)
+    time.sleep(0.1)
+"""
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
+        child = int(parent.stdout.readline())
+        while not layout.blend.is_file():
+            time.sleep(0.1)
+        parent.send_signal(signal.SIGKILL)
+    end = time.monotonic() + 20
+    while time.monotonic() < end:
+        try:
+            os.kill(child, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.1)
+    else:
+        os.kill(child, signal.SIGKILL)
+        pytest.fail("the child outlived its parent")
+
+
+def test_failed_stage_says_why(tmp_path):
+    spec = replace(TOY, background="blend_file", blend_file=scene_spec.BlendFile(str(tmp_path / "gone.blend")))
+    layout = Layout(tmp_path / "failing")
+    scene_spec.claim(layout, spec)
+    with pytest.raises(JobError, match=r"bake failed with status 2:\n.*there is no file .*gone\.blend"):
+        Job(spec, layout, PYTHON).run()
+    assert "there is no file" in layout.job_log.read_text()
+
+
+def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").write_text("mine")
+    (tmp_path / "broken.json").write_text("{")
+    huge = replace(TOY, domain=replace(TOY.domain, size=(1.6, 1.6, 1.6)))
+    scene_spec.save(huge, tmp_path / "huge.json")
+    found = in_addon(
+        """
+        settings, folder = scene.gof.benchmark, sys.argv[1]
+        press = lambda: message(bpy.ops.gof.bake_render)
+        result["unsaved"] = press()
+        settings.folder = folder + "/new"
+        result["no fire"] = press()
+        bpy.ops.gof.add_fire()
+        settings.folder = folder + "/full"
+        result["full"] = press()
+        settings.folder, settings.background = folder + "/new", "file"
+        result["no file"] = press()
+        settings.spec_file = folder + "/broken.json"
+        result["broken"] = press()
+        settings.spec_file, settings.preset = folder + "/huge.json", "paper"
+        from blender_addon import costs
+        costs.memory_mb = lambda: 8000.0
+        result["huge"] = press()
+        result["log"] = message(lambda: bpy.ops.gof.open_benchmark(what="log"))
+        result["made"] = sorted(path.name for path in __import__("pathlib").Path(folder).iterdir())
+        result["parts"] = parts()
+        """,
+        tmp_path,
+    )
+    assert "choose an output folder: this file has not been saved" in found["unsaved"]
+    assert "press Add Fire, or choose another background" in found["no fire"]
+    assert "is not empty and holds no spec.json; choose a new output folder" in found["full"]
+    assert "No such file" in found["no file"] or "Is a directory" in found["no file"]
+    assert "broken.json: Expecting" in found["broken"]
+    assert "GB of memory, this machine has 8 GB; lower domain.resolution from 640 to" in found["huge"]
+    assert "press Bake & Render" in found["log"]
+    assert found["made"] == ["broken.json", "full", "huge.json"], "nothing was begun"
+
+
+def test_expected_times_and_stages():
+    coded = replace(TOY, effects=(video_compression.Settings(),), ground_truth=("flow",))
+    assert stages(coded) == ["bake", "render", "video", "ground-truth", "flow", "finish"]
+    prediction = costs.predict(coded, costs.REFERENCE)
+    times = expected_s(coded, prediction)
+    assert list(times) == stages(coded) and all(seconds > 0 for seconds in times.values())
+    assert sum(times.values()) >= prediction.total_s
+
+
+def test_costs_add_up(tmp_path):
+    path = tmp_path / "costs.json"
+    for seconds, peak in ((2.0, 300.0), (1.0, 200.0)):
+        costs.record(path, "bake", seconds, peak, {"steps": 5})
+    costs.record(path, "render", 4.0, 100.0, {})
+    assert [(s.name, s.seconds, s.peak_mb) for s in StageLog(path).stages()] == [("bake", 3.0, 300.0), ("render", 4.0, 100.0)]
+    assert json.loads(path.read_text())["wall_s"] == 7.0
+
+
+def test_report_escapes_names(tmp_path, made):
+    layout = Layout(tmp_path)
+    data = json.loads(made.description.read_text()) | {"name": "<script>"}
+    layout.description.write_text(json.dumps(data))
+    report.write(layout)
+    assert "<script>" not in layout.report.read_text() and "&lt;script&gt;" in layout.report.read_text()

@@ -1,0 +1,248 @@
+"""The Fire panel: the generator's own fire and cameras as data of the user's scene, found again and read back."""
+
+import numpy as np
+import pytest
+
+from tests.blender.runs import in_blender
+
+pytest.importorskip("bpy", reason="the add-on's operators need the bpy wheel")
+
+START = """
+import traceback
+def fail(*what):  # the wheel hangs in its normal exit after a fire
+    traceback.print_exception(*what)
+    mantaflow.leave(1)
+sys.excepthook = fail
+import numpy as np
+import blender_addon
+from blender_addon.records import SpecError
+from blender_addon.scene import place
+from blender_addon.ui import scene_spec
+blender_addon.register()
+scene = bpy.context.scene
+fire = scene.gof.fire
+def message(call):
+    try:
+        return str(call())
+    except (RuntimeError, SpecError) as error:
+        return str(error)
+def parts():
+    return sorted(place.part_of(thing) for thing in bpy.context.scene.objects if place.part_of(thing))
+"""
+
+
+def in_addon(script: str, *args) -> dict:
+    import textwrap
+
+    return in_blender(START + textwrap.dedent(script), *args)
+
+
+def test_only_what_is_chosen_is_in_the_scene():
+    found = in_addon("""
+        bpy.ops.gof.add_fire()
+        result["default"] = parts()
+        settings = place.find(scene, "domain").modifiers["Fluid"].domain_settings
+        result["vorticity"] = settings.vorticity
+        fire.effects.vorticity.use, fire.effects.wind.use, fire.effects.wind.strength = False, True, 0.7
+        fire.effects.motion_blur.use = True
+        before = len(bpy.data.objects)
+        bpy.ops.gof.add_fire()
+        result["windy"], result["more"] = parts(), len(bpy.data.objects) - before
+        settings = place.find(scene, "domain").modifiers["Fluid"].domain_settings
+        result["calm"] = [settings.vorticity, settings.flame_vorticity, settings.flame_smoke, settings.use_noise]
+        result["wind"] = place.find(scene, "effect").field.strength
+        result["spec"] = scene_spec.of_scene(scene).effect_names
+    """)
+    assert found["default"] == ["domain", "emitter", "place"] and found["vorticity"] > 0
+    assert found["windy"] == ["domain", "effect", "emitter", "place"] and found["more"] == 1
+    assert found["calm"] == [0.0, 0.0, 0.0, False]
+    assert found["wind"] == pytest.approx(0.7) and found["spec"] == ["motion_blur", "wind"]
+
+
+def test_parts_are_those_the_generator_builds():
+    found = in_addon("""
+        from dataclasses import replace
+        from blender_addon.scene import build
+        fire.fuel, fire.shape, fire.radius = "wood", "logs", 0.2
+        fire.cameras.eval_count, fire.cameras.focal_mm = 1, 35
+        bpy.ops.gof.add_fire(); bpy.ops.gof.add_cameras()
+        bpy.context.view_layer.update()
+        spec = scene_spec.of_scene(scene)
+        def facts(domain, emitter, cameras, where):
+            settings, flow = domain.modifiers["Fluid"].domain_settings, emitter.modifiers["Fluid"].flow_settings
+            return {
+                "burn": [settings.burning_rate, settings.flame_max_temp, settings.beta, flow.fuel_amount, settings.resolution_max],
+                "mesh": [tuple(emitter.matrix_world @ v.co - where) for v in emitter.data.vertices],
+                "box": [tuple(domain.matrix_world @ v.co - where) for v in domain.data.vertices],
+                "lens": [(camera.data.lens, camera.data.sensor_fit) for camera in cameras],
+                "poses": [[list(row) for row in camera.matrix_world] for camera in cameras],
+                "size": [scene_.render.resolution_x, scene_.render.resolution_y],
+            }
+        from mathutils import Vector
+        scene_ = scene
+        names = spec.cameras.names
+        result["ours"] = facts(place.find(scene, "domain"), place.find(scene, "emitter"), place.cameras(scene), Vector((0, 0, 0)))
+        build.scene(replace(spec, background="studio"))
+        scene_ = bpy.context.scene
+        bpy.context.view_layer.update()
+        result["its"] = facts(bpy.data.objects["Fire Domain"], bpy.data.objects["Fire Emitter"], [bpy.data.objects[n] for n in names], Vector((0, 0, 0)))
+    """)
+    assert found["ours"] == found["its"]
+
+
+def test_place_at_the_cursor_on_an_object_and_in_centimetres():
+    found = in_addon("""
+        scene.cursor.location = (1, 2, 3)
+        bpy.ops.gof.add_fire()
+        result["cursor"] = list(place.find(scene, "place").location)
+        bpy.data.objects["Cube"].location.x = 5
+        bpy.context.view_layer.objects.active = bpy.data.objects["Cube"]
+        bpy.context.view_layer.update()
+        fire.spot = "OBJECT"
+        bpy.ops.gof.add_fire()
+        result["cube"] = list(place.find(scene, "place").location)
+        bpy.context.view_layer.objects.active = place.find(scene, "emitter")
+        result["itself"] = message(bpy.ops.gof.add_fire)
+        for thing in [t for t in scene.objects if place.part_of(t)]:
+            bpy.data.objects.remove(thing)
+        scene.unit_settings.scale_length = 0.01
+        fire.spot = "CURSOR"
+        bpy.ops.gof.add_fire(); bpy.ops.gof.add_cameras()
+        bpy.context.view_layer.update()
+        result["size"] = list(place.find(scene, "domain").dimensions)
+        result["same"] = scene_spec.of_scene(scene) == scene_spec.of_settings(scene)
+    """)
+    assert found["cursor"] == [1, 2, 3]
+    np.testing.assert_allclose(found["cube"], [5, 0, 1], atol=1e-6)
+    assert "there is no active object to burn" in found["itself"]
+    np.testing.assert_allclose(found["size"], [80, 80, 160], rtol=1e-5)
+    assert found["same"], "a scene in centimetres is the same spec"
+
+
+def test_edits_of_the_objects_are_read_back():
+    found = in_addon("""
+        from math import radians
+        bpy.ops.gof.add_fire(); bpy.ops.gof.add_cameras()
+        marker, domain, emitter = (place.find(scene, part) for part in ("place", "domain", "emitter"))
+        marker.location, marker.rotation_euler[2] = (4, -1, 2), radians(40)
+        bpy.context.view_layer.update()
+        result["moved"] = scene_spec.of_scene(scene) == scene_spec.of_settings(scene)
+        emitter.location.x += 0.1
+        emitter.scale = (1.5, 1.5, 1.5)
+        domain.scale.x = 1.5
+        for camera in place.cameras(scene):
+            camera.data.lens, camera.name = 35, "renamed"
+        place.cameras(scene)[1].location.z += 0.25
+        bpy.context.view_layer.update()
+        spec = scene_spec.of_scene(scene)
+        result["spec"] = spec.to_dict()
+        from blender_addon.scene import rig
+        to_ours = place.to_our_world(marker.matrix_world, 1.0)
+        result["poses"] = max(np.abs(np.array(to_ours @ camera.matrix_world) - np.array(pose)).max()
+                              for camera, pose in zip(place.cameras(scene), rig.poses(spec.cameras)))
+        domain.rotation_euler[0] = 0.3
+        bpy.context.view_layer.update()
+        result["turned"] = message(lambda: scene_spec.of_scene(scene))
+        domain.rotation_euler[0] = 0
+        place.cameras(scene)[0].data.lens = 80
+        bpy.context.view_layer.update()
+        result["lenses"] = message(lambda: scene_spec.of_scene(scene))
+        fire.cameras.count = 5
+        result["count"] = message(lambda: scene_spec.of_scene(scene))
+    """)
+    assert found["moved"], "where the whole stands is no part of the spec"
+    spec = found["spec"]
+    np.testing.assert_allclose(spec["fire"]["position"][:2], [0.1, 0.0], atol=1e-5)
+    assert spec["fire"]["radius"] == pytest.approx(0.195, rel=1e-4)
+    np.testing.assert_allclose(spec["domain"]["size"], [1.2, 0.8, 1.6], rtol=1e-5)
+    np.testing.assert_allclose(spec["domain"]["min"], [-0.6, -0.4, 0.0], atol=1e-5)
+    assert spec["cameras"]["focal_mm"] == 35 and len(spec["cameras"]["placed"]) == 3
+    assert spec["cameras"]["placed"][1]["position"][2] == pytest.approx(1.15, abs=1e-5)
+    assert found["poses"] < 5e-6
+    assert "turned against its empty" in found["turned"] and "different focal lengths" in found["lenses"]
+    assert "press Replace Cameras" in found["count"]
+
+
+def test_save_and_reload_append_and_undo(tmp_path):
+    found = in_addon(
+        """
+        fire.fuel, fire.effects.wind.use, fire.effects.wind.strength = "ethanol", True, 0.9
+        scene.gof.benchmark.preset = "draft"
+        bpy.ops.gof.add_fire(); bpy.ops.gof.add_cameras()
+        before = parts()
+        bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+        bpy.ops.wm.read_factory_settings()
+        result["fresh"] = [parts() == [], bpy.context.scene.gof.fire.fuel]
+        bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+        scene = bpy.context.scene
+        gof = scene.gof
+        result["reloaded"] = [gof.fire.fuel, gof.fire.effects.wind.use, round(gof.fire.effects.wind.strength, 6), gof.benchmark.preset]
+        result["parts"] = parts() == before
+        bpy.ops.wm.read_factory_settings()
+        with bpy.data.libraries.load(sys.argv[1], link=False) as (theirs, ours):
+            ours.collections = ["Fire"]
+        other = bpy.data.scenes.new("Other")
+        other.collection.children.link(ours.collections[0])
+        result["appended"] = [place.find(other, part) is not None for part in ("domain", "emitter")]
+        """,
+        tmp_path / "fire.blend",
+    )
+    assert found["fresh"] == [True, "propane_high"]
+    assert found["reloaded"] == ["ethanol", True, 0.9, "draft"] and found["parts"]
+    assert found["appended"] == [True, True]
+
+
+def test_operators_can_be_undone():
+    found = in_addon("""
+        bpy.ops.ed.undo_push(message="before")
+        for call in (bpy.ops.gof.add_fire, bpy.ops.gof.add_cameras):
+            call("EXEC_DEFAULT", True)
+        result["flags"] = ["UNDO" in getattr(bpy.types, name).bl_options for name in ("GOF_OT_add_fire", "GOF_OT_add_cameras")]
+        result["before"] = len(parts())
+        bpy.ops.ed.undo(); bpy.ops.ed.undo()
+        scene = bpy.context.scene
+        result["after"] = len(parts())
+        result["cube"] = "Cube" in scene.objects
+    """)
+    assert found["flags"] == [True, True] and found["before"] == 6
+    assert found["after"] == 0 and found["cube"]
+
+
+def test_bad_settings_are_named_and_change_nothing():
+    found = in_addon("""
+        fire.radius = 0.6
+        result["radius"] = message(bpy.ops.gof.add_fire)
+        fire.radius, fire.effects.fine_noise.use, fire.effects.fine_noise.scale = 0.1, True, 99
+        result["noise"] = message(bpy.ops.gof.add_fire)
+        result["parts"] = parts()
+        fire.effects.fine_noise.use = False
+        bpy.ops.gof.add_cameras()
+        views = []
+        for _ in range(4):
+            bpy.ops.gof.next_view()
+            views.append(scene.camera.name)
+        result["views"] = views
+        fire.cameras.roll_deg = "0"
+        bpy.ops.gof.add_cameras()
+        result["size"] = [scene.render.resolution_x, scene.render.resolution_y]
+        result["cameras"] = len(place.cameras(scene))
+    """)
+    assert "emitter lies inside the domain" in found["radius"]
+    assert "effects.fine_noise.scale must be between 2 and 8" in found["noise"]
+    assert found["parts"] == []
+    assert found["views"] == ["cam_1", "cam_2", "cam_0", "cam_1"]
+    assert found["size"] == [1280, 720] and found["cameras"] == 3
+
+
+def test_a_fire_in_the_users_scene_burns_when_played():
+    found = in_addon("""
+        fire.resolution, scene.frame_end = 24, 12
+        bpy.ops.gof.add_fire()
+        domain = place.find(scene, "domain")
+        for frame in range(1, 9):
+            scene.frame_set(frame)
+        settings = domain.evaluated_get(bpy.context.evaluated_depsgraph_get()).modifiers["Fluid"].domain_settings
+        flame = np.array(settings.flame_grid)
+        result["flame"] = [int(flame.size), float(flame.max())]
+    """)
+    assert found["flame"][0] == 12 * 12 * 24 and found["flame"][1] > 0.1
