@@ -9,7 +9,7 @@ from __future__ import annotations
 import bpy
 
 from . import compat
-from .nodes import Nodes
+from .nodes import Nodes, pick
 
 EXTENT = 2.5  # radius of the shown ellipsoid in standard deviations; the splat has faded to 4 % there
 
@@ -75,7 +75,7 @@ def _splat(nodes: Nodes, hit, ray, place) -> None:
     length = nodes.vector("LENGTH", place, output="Value")
     squared = nodes.math("SUBTRACT", nodes.math("MULTIPLY", length, length), nodes.math("MULTIPLY", along, along))
     falloff = nodes.math("EXPONENT", nodes.math("MULTIPLY", squared, -0.5))
-    alpha = _attribute(nodes, "gs_alpha")["Fac"]
+    alpha = pick(_attribute(nodes, "gs_alpha"), "Fac")
     front = nodes.math("SUBTRACT", 1.0, hit["Backfacing"])
     opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), front)
     # Each sample either sees this Gaussian or passes, by chance: the same picture on average, but a ray ends after a few

@@ -59,5 +59,8 @@ class Nodes:
 
 
 def pick(sockets, name: str) -> bpy.types.NodeSocket:
-    """The socket in use of that name: nodes of several data types have one of each, and all but one disabled."""
-    return next(socket for socket in sockets if socket.name == name and socket.enabled)
+    """The socket in use of that name: nodes of several data types have one of each, and all but one disabled.
+
+    Identifiers count too: names get clearer between versions (Fac became Factor in 5.0), identifiers stay.
+    """
+    return next(socket for socket in sockets if name in (socket.name, socket.identifier) and socket.enabled)

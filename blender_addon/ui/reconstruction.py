@@ -11,7 +11,7 @@ from ..scene import compat, gaussian_nodes, point_cloud
 from .panel import SidebarPanel
 
 MANY = 2_000_000  # Gaussians; from here on an import asks back
-SECONDS_EACH, BYTES_EACH, FRAME_SECONDS_EACH = 4e-6, 250, 0.2e-6  # measured: benchmark/addon_speed.py
+SECONDS_EACH, BYTES_EACH, FRAME_SECONDS_EACH = 4e-6, 250, 0.1e-6  # measured: benchmark/addon_speed.py
 
 MODES = [("points", "Points", "Round points: quick"), ("ellipsoids", "Ellipsoids", "The Gaussians' true shapes"),
          ("arrows", "Arrows", "Velocity arrows"), ("streaks", "Streaks", "The way just travelled, as sparks leave it")]
