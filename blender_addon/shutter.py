@@ -7,6 +7,7 @@ effect that touches time this is one step with weight 1. Never imports bpy.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -51,10 +52,9 @@ def step_weights(spec: SceneSpec, camera: int, frame: int) -> tuple[int, np.ndar
         first: step of weights[0], counted from the frame's own step (which is 0; may be negative).
         weights: (S, lines) float64, each column sums to 1; first and last row are not all zero.
     """
-    when = timing(spec, camera, frame)
-    step_s = 1.0 / spec.steps_per_second
-    start = (when.delay + when.line * np.arange(lines(spec))) / step_s
-    return weights_of_intervals(start, when.open / step_s)
+    when, per_s = timing(spec, camera, frame), spec.steps_per_second
+    start = (when.delay + when.line * np.arange(lines(spec))) * per_s
+    return weights_of_intervals(start, when.open * per_s)
 
 
 def weights_of_intervals(start: np.ndarray, length: float) -> tuple[int, np.ndarray]:
@@ -91,12 +91,14 @@ def _extents(spec: SceneSpec) -> list[tuple[int, int]]:
 
     if not any(effects.touches_time(settings) for settings in spec.effects):
         return []
-    extents = []
+    per_s, last_line, extents = spec.steps_per_second, lines(spec) - 1, []
     for camera in range(len(spec.cameras.names)):
         for frame in range(spec.clip.frames):
-            first, weights = step_weights(spec, camera, frame)
-            first += frame * spec.steps_per_frame
-            extents.append((first, first + len(weights) - 1))
+            when = timing(spec, camera, frame)
+            start = round(when.delay * per_s, 9)
+            end = round((when.delay + when.line * last_line + when.open) * per_s, 9)
+            nominal = frame * spec.steps_per_frame
+            extents.append((nominal + math.floor(start), nominal + math.ceil(end)))
     return extents
 
 

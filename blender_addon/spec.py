@@ -293,7 +293,7 @@ class SceneSpec:
         """Blender frame number of dataset frame 0."""
         return self.blender_frame(0)
 
-    @property
+    @cached_property
     def last_frame(self) -> int:
         """Last Blender frame that is simulated: that of the last dataset frame, or what its shutter still sees."""
         return self.first_frame + max(shutter.last_step(self), (self.clip.frames - 1) * self.steps_per_frame)

@@ -295,10 +295,10 @@ def _copy_scene(scene: bpy.types.Scene, path: Path) -> None:
 
 
 def _redraw(context) -> None:
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+    """Draw the sidebars anew, and not the 3D views beside them, which may be slow."""
+    areas = [area for window in context.window_manager.windows for area in window.screen.areas if area.type == "VIEW_3D"]
+    for region in (region for area in areas for region in area.regions if region.type == "UI"):
+        region.tag_redraw()
 
 
 def _show_text(context, path: Path) -> None:

@@ -1,0 +1,252 @@
+"""Open the add-on in a real window, press its buttons, and photograph the panels for docs/addon.md.
+
+    python tools/addon_screenshots.py --result RESULT.npz --dataset DATASET [--out docs/images] [--work out/addon_window]
+
+Needs Debian's packages blender, python3-numpy, python3-openimageio, xvfb, xdotool and imagemagick. The window is drawn by
+software on a virtual screen. Builds the zip, installs it into an empty user folder and starts that Blender; then plays
+a person: moves the pointer and presses. Every press is checked by what it has done to the scene; a press without effect
+ends the script with an error and a picture of the screen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+import build_addon
+
+SCREEN = (1600, 1100)
+DISPLAY = ":77"
+NEEDED = ("blender", "Xvfb", "xdotool", "import", "convert")
+# Where things are on this screen, with the theme and the sizes of factory settings.
+TAB = (1307, 276)
+ADD_FIRE, ADD_CAMERAS, NEXT_VIEW, BENCHMARK_BELOW = (1205, 357), (1205, 718), (1205, 739), (1152, 773)
+BAKE_AND_RENDER = (1205, 389)
+FIRST_HEADER, HEADER_STEP = (1152, 97), 28  # of the panels when all are closed
+
+INSTALL = """
+import bpy, sys
+bpy.ops.preferences.addon_install(filepath=sys.argv[-1], overwrite=True)
+bpy.ops.preferences.addon_enable(module="gaussians_on_fire")
+assert hasattr(bpy.types.Scene, "gof"), "the add-on does not start"
+bpy.context.preferences.view.show_splash = False
+bpy.ops.wm.save_userpref()
+"""
+
+OBEY = """
+import bpy, json, os, sys, traceback
+folder = sys.argv[-1]
+def obey():
+    order, answer = (os.path.join(folder, name) for name in ("order", "answer"))
+    if os.path.exists(order):
+        code = open(order).read()
+        os.remove(order)
+        window = bpy.context.window_manager.windows[0]
+        area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+        region = next(region for region in area.regions if region.type == "WINDOW")
+        names = {"bpy": bpy, "scene": window.scene, "view": area.spaces.active, "gof": window.scene.gof}
+        try:
+            with bpy.context.temp_override(window=window, area=area, region=region):
+                *body, last = code.strip().split("\\n")
+                exec("\\n".join(body), names)
+                said = {"value": eval(last, names)}
+            area.tag_redraw()
+        except Exception:
+            said = {"error": traceback.format_exc()}
+        with open(answer + ".tmp", "w") as file:
+            json.dump(said, file)
+        os.replace(answer + ".tmp", answer)
+    return 0.1
+bpy.app.timers.register(obey, persistent=True)
+"""
+
+
+class Window:
+    """A Blender on a virtual screen."""
+
+    def __init__(self, work: Path, zip_path: Path):
+        self.work = work
+        environment = {key: value for key, value in os.environ.items() if not key.startswith("BLENDER_")}
+        # Debian's Blender takes the libraries of the python3 that it finds first, which must be Debian's.
+        self._environment = environment | {"BLENDER_USER_RESOURCES": str(work / "user"), "DISPLAY": DISPLAY,
+                                           "LIBGL_ALWAYS_SOFTWARE": "1", "PATH": "/usr/bin:/bin"}  # fmt: skip
+        scripts = {name: work / f"{name}.py" for name in ("install", "obey")}
+        for path, text in zip(scripts.values(), (INSTALL, OBEY), strict=True):
+            path.write_text(text)
+        subprocess.run(["blender", "-b", "--factory-startup", "--python-exit-code", "1", "--python", scripts["install"], "--", zip_path],
+                       env=self._environment, check=True, stdout=subprocess.DEVNULL, timeout=120)  # fmt: skip
+        self._screen = subprocess.Popen(["Xvfb", DISPLAY, "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24", "+extension", "GLX"],
+                                        stderr=subprocess.DEVNULL)  # fmt: skip
+        time.sleep(1)
+        place = ["-p", "0", "0", *map(str, SCREEN)]
+        with open(work / "blender.log", "w") as log:
+            self._blender = subprocess.Popen(["blender", "--no-window-focus", *place, "--python", scripts["obey"], "--", work],
+                                             env=self._environment, stdout=log, stderr=log)  # fmt: skip
+
+    def __enter__(self) -> Window:
+        return self
+
+    def __exit__(self, kind, *_) -> None:
+        if kind and self._screen.poll() is None:
+            self.photograph(self.work / "failed.png")
+        for process in (self._blender, self._screen):
+            process.terminate()
+            process.wait()
+
+    def python(self, code: str, seconds: float = 120):
+        """Run lines in the window's Blender; the value of the last."""
+        answer = self.work / "answer"
+        answer.unlink(missing_ok=True)
+        (self.work / "order.tmp").write_text(code)
+        (self.work / "order.tmp").replace(self.work / "order")
+        self.wait(answer.exists, seconds)
+        said = json.loads(answer.read_text())
+        if "error" in said:
+            raise SystemExit(f"Blender: {said['error']}")
+        return said["value"]
+
+    def wait(self, condition, seconds: float = 60) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            if self._blender.poll() is not None or time.monotonic() > end:
+                raise TimeoutError(f"Blender has ended ({self._blender.poll()}) or does not do what it should; see {self.work}")
+            time.sleep(0.1)
+
+    def press(self, x: int, y: int, check: str = "True", key: str | None = None) -> None:
+        """Press the left button at a place, with a key held, and wait until Python's `check` holds in Blender."""
+        self._pointer("mousemove", x, y)
+        self._pointer("mousemove_relative", 1, 1)  # a button must have seen the pointer before it can be pressed
+        if key:
+            self._pointer("keydown", key)
+        self._pointer("mousedown", 1)
+        self._pointer("mouseup", 1)
+        if key:
+            self._pointer("keyup", key)
+        self.wait(lambda: self.python(check))
+        self._pointer("mousemove", 500, 700)
+
+    def key(self, name: str) -> None:
+        self._pointer("key", name)
+
+    def settle(self) -> None:
+        """Give the sidebar the time and the pointer's motion that its animations need, drawn by software."""
+        for y in (400, 420, 440):
+            self._pointer("mousemove", 1190, y)
+            time.sleep(1)
+        self._pointer("mousemove", 500, 700)
+
+    def photograph(self, path: Path, crop: str | None = None, width: int | None = None) -> None:
+        """Save the screen; `crop` and `width` are ImageMagick's geometries."""
+        time.sleep(1.5)
+        subprocess.run(["import", "-window", "root", path.with_suffix(".png")], env=self._environment, check=True)
+        if path.suffix != ".png" or crop or width:
+            options = (["-crop", crop, "+repage"] if crop else []) + (["-resize", f"{width}x"] if width else [])
+            subprocess.run(["convert", path.with_suffix(".png"), *options, "-quality", "82", path], check=True)
+            if path.suffix != ".png":
+                path.with_suffix(".png").unlink()
+
+    def _pointer(self, *words) -> None:
+        subprocess.run(["xdotool", *map(str, words)], env=self._environment, check=True, capture_output=True)
+        time.sleep(0.5)
+
+
+def panel(number: int) -> tuple[int, int]:
+    """The header of a panel, counted from 0, when those before it are closed."""
+    return FIRST_HEADER[0], FIRST_HEADER[1] + number * HEADER_STEP
+
+
+def fire(window: Window, out: Path) -> None:
+    """A fire on the default cube, seen through the rig's second camera."""
+    window.key("n")
+    window.wait(lambda: window.python("view.show_region_ui"))
+    window.settle()
+    window.settle()
+    window.press(*TAB)
+    window.python("gof.fire.spot = 'OBJECT'\nNone")
+    window.press(*ADD_FIRE, "any(thing.get('gof_part') == 'domain' for thing in scene.objects)")
+    window.press(*ADD_CAMERAS, "sum(thing.type == 'CAMERA' for thing in scene.objects) == 4")
+    window.press(*NEXT_VIEW, "view.region_3d.view_perspective == 'CAMERA'")
+    window.press(*NEXT_VIEW, "scene.camera.name == 'cam_1'")
+    window.python("for frame in range(1, 41): scene.frame_set(frame)\nNone", 300)
+    window.settle()
+    window.photograph(out / "addon_fire.webp", crop="1600x1000+0+0", width=1000)
+
+
+def benchmark(window: Window, out: Path) -> None:
+    """A dataset of that scene: begun, stopped with Esc, gone on with, finished."""
+    window.press(*BENCHMARK_BELOW, key="ctrl")  # opens it and closes the others
+    folder = window.work / "cube_fire"
+    window.python(f"gof.benchmark.folder = {str(folder)!r}\nNone")
+    window.settle()
+    running = "bpy.types.GOF_OT_bake_render.job is not None"
+    window.press(*BAKE_AND_RENDER, running)
+    window.wait(lambda: window.python("'done' if bpy.types.GOF_OT_bake_render.job.stage == 'render' else ''"), 300)
+    window.wait(lambda: len(list(folder.glob("cameras/*/exr/0*.exr"))) > 5, 300)
+    window.settle()
+    window.photograph(out / "addon_benchmark.webp", crop="620x560+980+60")
+    window.key("Escape")
+    window.wait(lambda: not window.python(running))
+    kept = len(list(folder.glob("cameras/*/exr/0*.exr")))
+    window.settle()
+    window.press(*BAKE_AND_RENDER, running)  # now "Resume"
+    window.wait(lambda: (folder / "report.html").is_file(), 600)
+    window.wait(lambda: not window.python(running))
+    print(f"benchmark: stopped after {kept} pictures, finished; {(folder / '.cache' / 'job.log').read_text()}")
+    window.settle()
+    window.press(*panel(1))
+
+
+def reconstruction(window: Window, out: Path, result: Path, dataset: Path, python: Path) -> None:
+    """A reconstruction in an empty scene, and its score."""
+    window.python("bpy.ops.object.select_all(action='SELECT'); bpy.ops.object.delete()\nNone")
+    window.python(f"bpy.ops.gof.import_result(filepath={str(result)!r}, mode='ellipsoids')\nNone", 300)
+    window.python(
+        "bpy.ops.view3d.view_axis(type='FRONT'); bpy.ops.view3d.view_selected(); scene.frame_set(6); view.shading.type = 'MATERIAL'\nNone"
+    )
+    window.settle()
+    window.press(*panel(2))
+    window.settle()
+    window.photograph(out / "addon_reconstruction.webp", crop="1600x1000+0+0", width=1000)
+    window.press(*panel(2))
+    window.settle()
+    window.press(*panel(3))
+    window.python(f"gof.score.dataset, gof.score.python = {str(dataset)!r}, {str(python)!r}\nNone")
+    window.python("bpy.ops.gof.show_errors()\nNone", 300)
+    window.python("bpy.ops.gof.score()\nNone", 600)
+    window.python("bpy.ops.view3d.view_all()\nNone")
+    window.settle()
+    window.photograph(out / "addon_score.webp", crop="1600x1000+0+0", width=1000)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--result", type=Path, required=True, help="a reconstruction, for the last two panels")
+    parser.add_argument("--dataset", type=Path, required=True, help="the dataset it was made from")
+    parser.add_argument("--out", type=Path, default=build_addon.ROOT / "docs" / "images", help="folder of the pictures")
+    parser.add_argument("--work", type=Path, default=build_addon.ROOT / "out" / "addon_window", help="folder for everything else; emptied")
+    parser.add_argument("--python", type=Path, default=Path(sys.executable), help="a Python that gof is installed in")
+    args = parser.parse_args()
+    missing = [name for name in NEEDED if not shutil.which(name)]
+    if missing:
+        raise SystemExit(f"not found: {', '.join(missing)}; apt-get install blender xvfb xdotool imagemagick")
+    work, out = args.work.resolve(), args.out.resolve()
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
+    out.mkdir(parents=True, exist_ok=True)
+    with Window(work, build_addon.build(work)) as window:
+        time.sleep(5)
+        fire(window, out)
+        benchmark(window, out)
+        reconstruction(window, out, args.result.resolve(), args.dataset.resolve(), args.python.absolute())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
