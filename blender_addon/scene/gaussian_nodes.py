@@ -20,7 +20,7 @@ LAYOUT = 1  # raise it when the inputs change: clouds of an older add-on keep th
 MODES = ("points", "ellipsoids", "arrows", "streaks")
 COLORS = ("image", "speed", "age", "lifetime", "error")
 VECTORS = ("velocity", "true velocity", "error")
-BALL_RADIUS = EXTENT / 0.7947  # of an icosahedron whose faces touch the ball of EXTENT; the material does the rounding
+ICOSAHEDRON_RADIUS = EXTENT / 0.7947  # its faces touch the ball of EXTENT; the material does the rounding
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
 
 FLOAT, WHOLE = "NodeSocketFloat", "NodeSocketInt"
@@ -152,7 +152,10 @@ def _instances(nodes: Nodes, points, mesh, rotation, scale) -> bpy.types.NodeSoc
 
 
 def _ellipsoids(nodes: Nodes, points) -> bpy.types.NodeSocket:
-    ball = nodes.add("GeometryNodeMeshIcoSphere", {"Radius": BALL_RADIUS, "Subdivisions": 1}).outputs["Mesh"]
+    # Renderers cross fewer surfaces with close balls; the viewport has fewer vertices to move with icosahedra.
+    close, coarse = (nodes.add("GeometryNodeMeshIcoSphere", {"Radius": radius, "Subdivisions": level}).outputs["Mesh"]
+                     for radius, level in ((EXTENT, 2), (ICOSAHEDRON_RADIUS, 1)))
+    ball = nodes.choose("GEOMETRY", nodes.add("GeometryNodeIsViewport").outputs[0], close, coarse)
     place = nodes.add("GeometryNodeInputPosition").outputs[0]
     ball = nodes.store(ball, "gs_local", "FLOAT_VECTOR", place)
     points = _without(nodes, points, "gs_velocity")

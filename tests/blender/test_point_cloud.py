@@ -120,7 +120,7 @@ leave()
 
 def run(script: str, *arguments) -> None:
     result = subprocess.run([sys.executable, "-c", script, *map(str, arguments)], cwd=ROOT, capture_output=True, text=True,
-                            timeout=60)
+                            timeout=300)
     assert result.returncode == 0, result.stdout[-1500:] + result.stderr[-2500:]
 
 
