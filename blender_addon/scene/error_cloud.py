@@ -77,7 +77,6 @@ def show(thing: bpy.types.Object) -> list[bpy.types.Object]:
         inputs["Arrows Show"] = gaussian_nodes.VECTORS.index(vectors)
         inputs["Color By"] = gaussian_nodes.COLORS.index(color)
         inputs["Color Min"], inputs["Color Max"] = 0.0, fastest
-        inputs["Light on Scene"] = 0.0
         if mode == "arrows":
             inputs["Share"] = min(1.0, ARROWS / len(thing.data.vertices))
         views.append(view)

@@ -34,7 +34,7 @@ INPUTS = (  # name, kind, default, least, largest, description
     ("Color Min", FLOAT, 0.0, -1e6, 1e6, "Value at the dark end of the colour map (m/s or s)"),
     ("Color Max", FLOAT, 1.0, -1e6, 1e6, "Value at the bright end of the colour map (m/s or s)"),
     ("Emission", FLOAT, 1.0, 0.0, 1e6, "Brightness of the flame; 1 looks as in the footage"),
-    ("Light on Scene", FLOAT, 1.0, 0.0, 1e6, "Factor on the light that the flame throws on everything else"),
+    ("Light on Scene", FLOAT, 1.0, 0.0, 1e6, "Factor on the light that the flame throws on everything else; a colour map throws none"),
     ("Line Time", FLOAT, 0.02, 0.0, 1e3, "Length of arrows and streaks: the way of this many seconds"),
     ("Arrows Show", WHOLE, 0, 0, 2, "0 velocity, 1 true velocity, 2 velocity error; the last two once scored"),
     ("Frame Rate", FLOAT, 24.0, 0.001, 1e6, "Follows the scene"),
@@ -129,8 +129,9 @@ def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
     shown = nodes.choose("VECTOR", mapped, nodes.named("gs_light", "FLOAT_VECTOR"), ramp.outputs["Color"])
     light = nodes.vector("SCALE", shown, Scale=given["Emission"])
     sides = nodes.add("ShaderNodeSeparateXYZ", {"Vector": light}).outputs
+    lit = nodes.math("MULTIPLY", given["Light on Scene"], nodes.math("SUBTRACT", 1.0, mapped))  # a colour map lights nothing
     return nodes.add("FunctionNodeCombineColor", {"Red": sides[0], "Green": sides[1], "Blue": sides[2],
-                                                  "Alpha": given["Light on Scene"]}).outputs[0]
+                                                  "Alpha": lit}).outputs[0]
 
 
 def _without(nodes: Nodes, geometry, *names: str) -> bpy.types.NodeSocket:

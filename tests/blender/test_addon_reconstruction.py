@@ -201,6 +201,7 @@ result["share again"] = state(thing)[1].tolist()
     speed = np.linalg.norm(result.velocity[result.dynamic], axis=1)
     assert found["speed"][0] == 0 and np.percentile(speed, 90) < found["speed"][1] <= speed.max()
     assert found["age"][0] == -found["age"][1] < 0 < found["lifetime"][0] < found["lifetime"][1] < 0.5
+    assert [found[color][2] for color in ("speed", "age", "lifetime", "error")] == [0] * 4  # a colour map lights nothing
     assert found["order"] == [1, 1] and found["poll"] and found["fitted"] and found["same again"]
     assert found["emission"][0] < 1e-4 and found["emission"][1] == 0.25
     opacity = at(result, 0.5)[1]
