@@ -44,7 +44,7 @@ def test_only_what_is_chosen_is_in_the_scene():
         settings = place.find(scene, "domain").modifiers["Fluid"].domain_settings
         result["vorticity"] = settings.vorticity
         fire.effects.vorticity.use, fire.effects.wind.use, fire.effects.wind.strength = False, True, 0.7
-        fire.effects.motion_blur.use = True
+        fire.effects.motion_blur.use, fire.effects.wind.gusts = True, 0
         before = len(bpy.data.objects)
         bpy.ops.gof.add_fire()
         result["windy"], result["more"] = parts(), len(bpy.data.objects) - before
