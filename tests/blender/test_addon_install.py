@@ -84,7 +84,7 @@ def test_only_numpy_and_blender_are_imported(built):
     """What the sources import: the standard library, numpy, and what every Blender has."""
     import ast
 
-    known = {*sys.stdlib_module_names, "numpy", "bpy", "mathutils", "gpu", "gpu_extras", "bl_math", "OpenImageIO", "openvdb", "_cycles"}
+    known = {*sys.stdlib_module_names, "numpy", "bpy", "bpy_extras", "mathutils", "gpu", "gpu_extras", "bl_math", "OpenImageIO", "openvdb", "_cycles"}
     for path in build_addon.files():
         if path.suffix != ".py":
             continue
