@@ -83,7 +83,7 @@ def check_drjit() -> tuple[str, str]:
     library = os.environ.get("DRJIT_LIBLLVM_PATH", "found by itself")
     if done.returncode == 0:
         return "ok", f"CPU kernels compile and run (libLLVM {done.stdout.strip() or library})"
-    if "LLVM" in done.stderr and "could not be found" in done.stderr or "dlopen" in done.stderr:
+    if ("LLVM" in done.stderr and "could not be found" in done.stderr) or "dlopen" in done.stderr:
         return (
             "broken",
             "libLLVM was not found. Debian, Ubuntu: apt-get install libllvm19; elsewhere set DRJIT_LIBLLVM_PATH to libLLVM",

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 import pytest
-from tests.conftest import arc
 
 from gof.cameras import Camera
 from gof.errors import DataFormatError, NonFiniteError
+from tests.conftest import arc
 
 
 def test_projection_equals_opencv():

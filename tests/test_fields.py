@@ -110,7 +110,7 @@ def test_wrong_attributes_are_named(tmp_path, change, error):
 def test_foreign_truncated_and_damaged_stores(tmp_path):
     with pytest.raises(DataFormatError, match="nothing"):
         VelocitySequence.open(tmp_path / "nothing")
-    store, fields = sequence(tmp_path / "v.zarr")
+    _, fields = sequence(tmp_path / "v.zarr")
     with pytest.raises(DataFormatError, match="exists already"):
         VelocitySequence.create(tmp_path / "v.zarr", fields)
     (tmp_path / "v.zarr" / "zarr.json").write_text("{")

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from tests.conftest import random_gaussians
 
 from gof.errors import DataFormatError, GofError, NonFiniteError
 from gof.gaussians import TransientGaussians
+from tests.conftest import random_gaussians
 
 FIELDS = ("position", "velocity", "t_mu", "t_sigma", "scale", "rotation", "opacity", "color", "dynamic")
 

@@ -82,7 +82,7 @@ def test_a_flame_is_about_as_deep_as_it_is_wide(monkeypatch):
 
 def test_round_flame_needs_two_views_from_the_side():
     cameras = arc(3)
-    masks, lengths = ball(cameras)
+    masks, _ = ball(cameras)
     voxels = carve(cameras, masks[None], 12)
     even = np.ones(len(voxels.center))
     assert (round_flame(voxels, even) < 1).any()
