@@ -44,8 +44,9 @@ SWEEPS: dict[str, list[float]] = {
     "yaw_deg": [20, 40, 60],
     "fps": [30, 60, 120, 240],
 }
-COMPRESSED = [(codec, {}) for codec in ("mp4v", "h264 23", "h264 33", "h264 40", "jpeg 30", "jpeg 10")] + [
-    ("h264 33", change) for change in ({"exposure": 300}, {"exposure": 2200}, {"marker_px": 40}, {"noise": 10}, {"gain": 0.8}, {"yaw_deg": 40})]
+CODECS = ("mp4v", "h264 18", "h264 23", "h264 28", "h264 33", "h264 40", "jpeg 30", "jpeg 10")
+CHANGES = ({"exposure": 300}, {"exposure": 2200}, {"marker_px": 40}, {"noise": 10}, {"gain": 0.8}, {"yaw_deg": 40})
+COMPRESSED = [(codec, {}) for codec in CODECS] + [(codec, change) for codec in ("h264 23", "h264 33") for change in CHANGES]
 
 # Offsets (us) of the cameras' nearest frames to cam_0's first, measured on the same clips with another decoder (first row of the
 # picture instead of its middle, other row time; 30 us systematic).
@@ -63,11 +64,11 @@ def measure(shot: SyntheticShot, template: BoardTemplate, frames: int = 96, code
     Args:
         codec: None; "mp4v"; "h264 CRF" (with ffmpeg); "jpeg Q" for single pictures of that quality.
     Returns:
-        see `errors`; and the seconds spent on reading (with encoding undone) and on decoding.
+        see `errors`; the size of the encoded frames, and the seconds spent on reading and on decoding.
     Raises:
         GofError: not decodable.
     """
-    truth = shot.times(frames)
+    truth, kilobytes = shot.times(frames), float("nan")
     if codec and not codec.startswith("jpeg"):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "shot.mp4"
@@ -75,17 +76,20 @@ def measure(shot: SyntheticShot, template: BoardTemplate, frames: int = 96, code
                 write_h264(path, render(shot, template, frames), int(codec.split()[1]))
             else:
                 write_video(path, render(shot, template, frames), codec)
+            kilobytes = path.stat().st_size / 1e3 / frames
             start = time.perf_counter()
             signals = read_signals(path, template)
     else:
         pictures = list(render(shot, template, frames))
         if codec:
-            pictures = [_jpeg(p, int(codec.split()[1])) for p in pictures]
+            packed = [_jpeg(p, int(codec.split()[1])) for p in pictures]
+            kilobytes = float(np.mean([len(p) for p in packed])) / 1e3
+            pictures = [_unpack(p) for p in packed]
         start = time.perf_counter()
         signals = signals_of(pictures, template, samples)
     read = time.perf_counter()
     times = decode(signals, template, options or DecodeOptions(shot.period))
-    return errors(times, truth, shot) | {"read_s": read - start, "decode_s": time.perf_counter() - read}
+    return errors(times, truth, shot) | {"kb_per_frame": kilobytes, "read_s": read - start, "decode_s": time.perf_counter() - read}
 
 
 def signals_of(pictures: list[np.ndarray], template: BoardTemplate, samples: int = 96):
@@ -121,7 +125,13 @@ def write_h264(path: Path, pictures: Iterator[np.ndarray], crf: int) -> None:
 def _jpeg(picture: np.ndarray, quality: int) -> np.ndarray:
     import cv2
 
-    return cv2.imdecode(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_GRAYSCALE)
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+
+
+def _unpack(packed: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
 
 
 def errors(times: CameraTimes, truth: np.ndarray, shot: SyntheticShot) -> dict[str, float]:
@@ -141,8 +151,8 @@ def synthetic(frames: int, repeats: int) -> list[dict[str, Any]]:
     template = BoardTemplate.load("gof_board")
     cases = [({}, None)] + [({name: value}, None) for name, values in SWEEPS.items() for value in values]
     cases += [(change, codec) for codec, change in COMPRESSED]
-    print("| varied | codec | fused rms (us) | single frame rms (us) | stated sigma (us) | row time error (us) | frames left out | goal (us) |")
-    print("|---|---|---|---|---|---|---|---|")
+    print("| varied | codec | kB per frame | fused rms (us) | single frame rms (us) | stated sigma (us) | row time error (us) | frames left out | goal (us) |")
+    print("|---|---|---|---|---|---|---|---|---|")
     rows = []
     for n, (change, codec) in enumerate(cases):
         goal = GOAL_COMPRESSED_US if codec else GOAL_US
@@ -152,12 +162,13 @@ def synthetic(frames: int, repeats: int) -> list[dict[str, Any]]:
             found = [measure(replace(SyntheticShot(seed=10 * n + k, start=1_000_000.0 + 777.7 * n + 12_345.6 * k), **change),
                              template, frames, codec) for k in range(repeats)]
             row |= {key: float(np.sqrt(np.mean([f[key] ** 2 for f in found]))) for key in ("fused_rms_us", "single_rms_us", "row_time_error_us", "stated_us")}
+            row |= {"kb_per_frame": float(np.mean([f["kb_per_frame"] for f in found])) if codec else None}
             row |= {"left_out": sum(f["left_out"] for f in found), "met": max(f["single_rms_us"] for f in found) <= goal}
-            cells = (f"{row['fused_rms_us']:.2f} | {row['single_rms_us']:.2f} | {row['stated_us']:.2f} | {row['row_time_error_us']:.4f} | "
+            cells = (f"{'' if codec is None else format(row['kb_per_frame'], '.2g')} | {row['fused_rms_us']:.2f} | {row['single_rms_us']:.2f} | {row['stated_us']:.2f} | {row['row_time_error_us']:.4f} | "
                      f"{row['left_out']} of {frames * repeats} | {goal:g} {'met' if row['met'] else 'MISSED'}")
         except GofError as error:
             row |= {"error": str(error), "met": False}
-            cells = f"{error} | | | | | {goal:g} not decoded"
+            cells = f" | {error} | | | | | {goal:g} not decoded"
         rows.append(row)
         print(f"| {label} | {codec or 'none'} | {cells} |", flush=True)
     return rows
