@@ -32,6 +32,8 @@ class SyncConfig:
     """The cameras' own files of one take, in the order gof static gets them."""
     out: Path
     """Folder for times.json and the plots."""
+    overwrite: bool = False
+    """Replace the times.json that is in the folder already."""
     template: str = "paper_rig"
     """Board: gof_board, paper_rig, or a JSON file."""
     tick_us: float = 400.0
@@ -51,10 +53,11 @@ class SyncConfig:
 
 
 def main(argv: list[str]) -> int:
-    """Decode all videos; fails only when no camera can be decoded."""
+    """Decode all videos; fails, and writes nothing, only when no camera can be decoded."""
     config = tyro.cli(SyncConfig, prog="gof capture sync", args=argv)
-    if (config.out / "times.json").exists():
-        raise GofError(f"{config.out}: already holds times.json; choose another --out or remove it")
+    target = config.out / "times.json"
+    if target.exists() and not config.overwrite:
+        raise GofError(f"{target}: already there; choose another --out, or replace it with --overwrite")
     if config.sensor and config.row_time_us is not None:
         raise GofError("give either --sensor or --row-time-us")
     rates = config.fps or [None]
@@ -66,16 +69,16 @@ def main(argv: list[str]) -> int:
     ]
     known = sensor(config.sensor) if config.sensor else None
     result = synchronise(config.videos, BoardTemplate.load(config.template), options, config.out, known)
-    write_json(config.out / "times.json", result)
+    if all("error" in camera for camera in result["cameras"]):
+        raise GofError("no camera could be decoded: " + "; ".join(c["error"] for c in result["cameras"]))
+    write_json(target, result)
     for camera in result["cameras"]:
         print(_line(camera))
     for warning in result["warnings"]:
         print(f"warning: {warning}")
-    print(f"wrote {config.out / 'times.json'}")
+    print(f"wrote {target}")
     if config.json:
         write_json(config.json, result | {"cameras": [{k: v for k, v in c.items() if k != "frames"} for c in result["cameras"]]})
-    if all("error" in camera for camera in result["cameras"]):
-        raise GofError("no camera could be decoded: " + "; ".join(c["error"] for c in result["cameras"]))
     return 0
 
 

@@ -80,10 +80,25 @@ def test_row_time_from_the_sensor_table(tmp_path, capsys):
     camera = json.loads((tmp_path / "out/times.json").read_text())["cameras"][0]
     assert camera["row_time_us"] == pytest.approx(shot.row_time)
     np.testing.assert_allclose([f["time_s"] for f in camera["frames"]], shot.times(40) * 1e-6, atol=5e-6)
-    assert gof(command) == 1
-    assert "already holds times.json" in capsys.readouterr().err
-    assert gof([*command, "--out", str(tmp_path / "other"), "--row-time-us", "3"]) == 1
+    assert gof([*command, "--overwrite", "--row-time-us", "3"]) == 1
     assert "either --sensor or --row-time-us" in capsys.readouterr().err
+    assert gof([*command, "--overwrite", "--sensor", "gopro"]) == 1
+    assert "no sensor 'gopro' in the table; it has gopro_hero13_720p400" in capsys.readouterr().err
+
+
+def test_finished_times_are_replaced_only_when_asked(tmp_path, capsys):
+    write_video(tmp_path / "a.mp4", render(SMALL, BOARD, 40))
+    target = tmp_path / "out/times.json"
+    command = ["capture", "sync", str(tmp_path / "a.mp4"), "--out", str(target.parent), "--template", "gof_board"]
+    assert gof(command) == 0
+    # Without the table's or a given row time, it is the footage's own.
+    assert json.loads(target.read_text())["cameras"][0]["row_time_us"] == pytest.approx(SMALL.row_time, abs=0.03)
+    target.write_text("mine")
+    assert gof(command) == 1
+    error = capsys.readouterr().err
+    assert str(target) in error and "--overwrite" in error and target.read_text() == "mine"
+    assert gof([*command, "--overwrite"]) == 0
+    assert json.loads(target.read_text())["schema"] == "gof-times"
 
 
 def test_dropped_and_repeated_frames_are_found():
@@ -166,6 +181,7 @@ def test_what_cannot_be_decoded_is_explained(tmp_path, capsys):
         decode(shoot(replace(SMALL, fps=250.0)), BOARD, DecodeOptions())
     assert gof(["capture", "sync", str(tmp_path / "none.mp4"), "--out", str(tmp_path / "o")]) == 1
     assert "no camera could be decoded" in capsys.readouterr().err
+    assert not (tmp_path / "o/times.json").exists()
 
 
 def test_another_tick_frees_a_frozen_board():
