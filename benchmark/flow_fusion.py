@@ -22,7 +22,9 @@ from gof.evaluate import dve
 from gof.gaussians import TransientGaussians
 from gof.io.files import write_json
 from gof.reconstruct.flow_field import fuse_frame
+from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.motion import estimate_motion
+from gof.reconstruct.optical_flow import deepflow, tvl1
 from gof.reconstruct.voxels import FlameVoxels, carve, tomography
 
 
@@ -71,6 +73,11 @@ def main(argv: list[str] | None = None) -> None:
     def fused(flow: np.ndarray, fusion: str, smooth: float) -> list[float]:
         return measure(lambda f: fuse_frame(voxels, flow[f], motion.mask[f], emission[f], fusion, smooth)[0])
 
+    def corrected(flow: np.ndarray) -> list[float]:
+        seen = np.stack([fuse_frame(voxels, flow[f], motion.mask[f], emission[f], "full", 3.0)[0] for f in range(count)])
+        gas = FlowPrior.load().correct(voxels, seen, np.stack(emission))
+        return measure(lambda f: gas[f])
+
     def constant(f: int) -> np.ndarray:
         truth = dataset.velocity.at(times[f]).sample(voxels.center)
         mean = (emission[f][:, None] * truth).sum(0) / emission[f].sum()
@@ -84,6 +91,9 @@ def main(argv: list[str] | None = None) -> None:
         ("the paper's constraint, smooth 3", lambda: fused(motion.flow, "paper", 3.0)),
         ("the paper's constraint, no smoothing", lambda: fused(motion.flow, "paper", 0.0)),
         ("flow on grey display pictures", lambda: fused(estimate_motion(dataset, picture=grey_picture).flow, "full", 3.0)),
+        ("flow by DeepFlow", lambda: fused(estimate_motion(dataset, flow=deepflow).flow, "full", 3.0)),
+        ("flow by TV-L1", lambda: fused(estimate_motion(dataset, flow=tvl1).flow, "full", 3.0)),
+        ("default, and the flow prior", lambda: corrected(motion.flow)),
     ]  # fmt: skip
     table = []
     print(f"{'choice':<46} {'L2':>7} {'CosSim':>7} {'speed':>6} {'s':>6}")

@@ -13,6 +13,7 @@ import numpy as np
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.reconstruct.lit_plate import lit_plate
+from gof.reconstruct.optical_flow import Flow, dis
 
 
 @dataclass
@@ -88,16 +89,6 @@ def flow_picture(image: np.ndarray, static: np.ndarray) -> np.ndarray:
     return (np.clip((green - dark) / (bright - dark), 0, 1) * 255).astype(np.uint8)
 
 
-def optical_flow(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Dense flow first -> second, (H, W, 2) px, by DIS (Kroeger et al. 2016). Pictures (H, W) uint8.
-
-    DIS patches are mean-normalised, which takes flicker out. Measured on real clips: best of seven classical methods
-    at predicting the frame in between, 40x cheaper than the runner-up.
-    """
-    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    return dis.calc(first, second, None)
-
-
 def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """(H, W) px: how far a pixel lands from itself after going forward and back; inf where it leaves the image."""
     h, w = forward.shape[:2]
@@ -108,14 +99,16 @@ def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     return np.where(inside, np.linalg.norm(forward + returned, axis=-1), np.inf)
 
 
-def _frame_velocity(pictures: dict[int, np.ndarray], times: np.ndarray, k: int, max_error_px: float) -> np.ndarray:
+def _frame_velocity(
+    pictures: dict[int, np.ndarray], times: np.ndarray, k: int, max_error_px: float, flow: Flow
+) -> np.ndarray:
     """(H, W, 2) px/s at frame k: central where both neighbours are training frames, one-sided where one is."""
     estimates = []
     for neighbour in (k - 1, k + 1):
         if neighbour not in pictures:
             continue
-        there = optical_flow(pictures[k], pictures[neighbour])
-        back = optical_flow(pictures[neighbour], pictures[k])
+        there = flow(pictures[k], pictures[neighbour])
+        back = flow(pictures[neighbour], pictures[k])
         bad = consistency(there, back) > max_error_px + 0.1 * np.linalg.norm(there, axis=-1)
         velocity = there / (times[neighbour] - times[k])
         velocity[bad] = np.nan
@@ -134,6 +127,7 @@ def estimate_motion(
     lit_plates: bool = True,
     max_error_px: float = 1.0,
     picture=flow_picture,
+    flow: Flow = dis,
     progress=lambda done, total: None,
 ) -> Motion:
     """Masks, intensity and flow of every training frame and camera.
@@ -143,6 +137,7 @@ def estimate_motion(
         lit_plates: put the fire's light into the plates; else `plate` is `static`.
         max_error_px: forward-backward error above which a flow vector is dropped (plus a tenth of its length).
         picture: (image, static) -> (H, W) uint8, what the optical flow looks at.
+        flow: (first, second) -> (H, W, 2) px, see `optical_flow`.
         progress: called with (done, total) after every frame.
 
     Raises:
@@ -165,10 +160,12 @@ def estimate_motion(
     pictures = [
         {int(k): picture(image, plates[c]) for k, image in zip(frames, images[c], strict=True)} for c in cameras
     ]
-    flow = []
+    velocity = []
     for i, k in enumerate(frames):
-        flow.append([_frame_velocity(pictures[c], dataset.camera_times_s(c), int(k), max_error_px) for c in cameras])
+        velocity.append(
+            [_frame_velocity(pictures[c], dataset.camera_times_s(c), int(k), max_error_px, flow) for c in cameras]
+        )
         progress(i + 1, len(frames))
     light = [np.stack([light_above(image, plates[c]).mean(-1) for image in images[c]]) for c in cameras]
     image, intensity, mask, taken = (np.stack(x, axis=1) for x in (images, light, masks, delivered))
-    return Motion(frames, image, np.stack(static), np.stack(plates), intensity, mask, np.stack([np.stack(f) for f in flow]), taken)
+    return Motion(frames, image, np.stack(static), np.stack(plates), intensity, mask, np.stack([np.stack(v) for v in velocity]), taken)

@@ -16,6 +16,7 @@ from gof.errors import GofError
 from gof.gaussians import TransientGaussians
 from gof.io.files import read_json, write_json
 from gof.plates import save_plates
+from gof.reconstruct.optical_flow import FlowName
 from gof.reconstruct.presets import METHODS, PRESETS, step_ms
 from gof.stages import StageLog, progress_bar
 
@@ -48,6 +49,10 @@ class ReconstructConfig:
     """Pictures with a longer side, in pixels, are shrunk to it."""
     method: Literal["gof", "paper"] = "gof"
     """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.presets.METHODS)."""
+    flow: FlowName = "dis"
+    """Optical flow of the pictures: OpenCV's DIS, DeepFlow or TV-L1, or MEMFOF with --flow-weights."""
+    flow_weights: Path | None = None
+    """Folder with config.json and model.safetensors of a MEMFOF checkpoint; never downloaded."""
     flow_prior: bool = True
     """Correct the fused flow, which follows texture, to the gas' own velocity, as learnt on simulated flames (ours; z must be up)."""
     ablation: Ablation = "none"
@@ -73,7 +78,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
     """
     full, out, method = Dataset.open(config.dataset), config.out, METHODS[config.method]
     result = out / "result.npz"
-    settings = {k: v for k, v in asdict(config).items() if k not in ("out", "json", "dataset", "preset")}
+    settings = {k: v for k, v in asdict(config).items() if k not in ("out", "json", "dataset", "preset", "flow_weights")}
     settings["dataset"] = str(full.path.resolve().name)
     _claim(out / "settings.json", settings)
     if result.exists() and (out / "result.ply").exists():
@@ -84,10 +89,12 @@ def reconstruct(config: ReconstructConfig) -> Path:
     from gof.reconstruct.flow_prior import FlowPrior
     from gof.reconstruct.heldout import HeldOut
     from gof.reconstruct.motion import estimate_motion
+    from gof.reconstruct.optical_flow import flow_method
     from gof.reconstruct.seeds import sample_seeds
     from gof.reconstruct.shrink import shrink
     from gof.reconstruct.voxels import carve, tomography
 
+    flow = flow_method(config.flow, config.flow_weights)
     log, rng = StageLog(out / "costs.json"), np.random.default_rng(config.seed)
     dataset, dt = shrink(full, config.longest_side), full.frame_time_s
     if len(dataset.train_frames) < 2:
@@ -100,7 +107,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
     print(f"{config.iterations} steps: about {max(expected / 60, 0.1):.1f} min on two free CPU cores", file=sys.stderr)
 
     with log.measure("motion") as figures, progress_bar("motion") as progress:
-        motion = estimate_motion(dataset, method.lit_plates, progress=progress)
+        motion = estimate_motion(dataset, method.lit_plates, flow=flow, progress=progress)
         pictures.save_motion(out / "stages", motion)
         figures.update(frames=len(motion.frames), cameras=len(dataset.cameras))
 

@@ -2,6 +2,7 @@
 
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 
@@ -108,6 +109,40 @@ def test_saturated_frames(tmp_path):
 
     scores, gaussians = run(write_flame(tmp_path / "bright", change=overexpose), tmp_path / "out")
     assert np.isfinite(scores["psnr_flame"]) and np.isfinite(gaussians.velocity).all()
+
+
+def test_background_brighter_than_the_flame(tmp_path):
+    """A window behind the left half of the picture: where light is clipped, nothing of the fire can be seen, elsewhere it can."""
+    def window(images):
+        images[..., :24, :] = np.clip(images[..., :24, :] + 0.7, 0, 1)
+        return images
+
+    folder = write_flame(tmp_path / "window", change=window)
+    for path in (folder / "static").glob("*.png"):
+        plate = cv2.imread(str(path)).astype(np.float32)
+        plate[:, :24] = np.minimum(plate[:, :24] + 0.7 * 255, 255)
+        cv2.imwrite(str(path), plate.round().astype(np.uint8))
+    scores, gaussians = run(folder, tmp_path / "out")
+    assert scores["psnr_flame"] > 20
+    assert mean_velocity(gaussians)[2] == pytest.approx(RISE[2], abs=0.4)
+
+
+def test_moving_foliage_is_not_flame(tmp_path, plain):
+    rng = np.random.default_rng(0)
+
+    def sway(images):
+        leaves = rng.uniform(0, 1, (images.shape[2], 20, 1)) ** 2 * [0.25, 0.5, 0.1]
+        for frame in images:
+            for camera, picture in enumerate(frame):
+                shift = rng.integers(0, 8)
+                picture[:, 40:] = np.where(picture[:, 40:, :1] > 0.35, picture[:, 40:], leaves[:, shift : shift + 8])
+        return images
+
+    folder = write_flame(tmp_path / "bush", change=sway)
+    masks, without = (estimate_motion(Dataset.open(f)).mask for f in (folder, plain[0]))
+    assert masks[..., 42:].mean() < 0.02 + without[..., 42:].mean(), "leaves do not burn"
+    scores, gaussians = run(folder, tmp_path / "out")
+    np.testing.assert_allclose(mean_velocity(gaussians), RISE, atol=0.4)
 
 
 def test_texture_in_one_camera_only(tmp_path):

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
+from gof.errors import DataFormatError, GofError
 from gof.reconstruct.motion import consistency, estimate_motion, flame_mask, light_above, srgb_to_linear
+from gof.reconstruct.optical_flow import flow_method
 from tests.conftest import arc, write_dataset
 
 
@@ -30,12 +31,20 @@ def make(tmp_path, frames, plate, test_frames=(), dt=0.01):
     return Dataset.open(write_dataset(tmp_path / "d", cameras, images, [plate, plate], dt * np.arange(len(frames)), test_frames=test_frames))
 
 
-def test_flow_is_in_pixels_per_second_of_the_dataset_clock(tmp_path):
+@pytest.mark.parametrize(("method", "off"), [("dis", 0.03), ("tvl1", 0.03), ("deepflow", 0.35)])  # DeepFlow smooths small motion away
+def test_flow_is_in_pixels_per_second_of_the_dataset_clock(tmp_path, method, off):
     frames, plate = moving_texture(4, (0.5, -2.0))
-    motion = estimate_motion(make(tmp_path, frames, plate, dt=0.02))
+    motion = estimate_motion(make(tmp_path, frames, plate, dt=0.02), flow=flow_method(method))
     inner = motion.flow[1, 0, 12:-12, 8:-8]
-    np.testing.assert_allclose(np.nanmedian(inner, (0, 1)), [0.5 / 0.02, -2.0 / 0.02], atol=0.06 / 0.02)
+    np.testing.assert_allclose(np.nanmedian(inner, (0, 1)), [0.5 / 0.02, -2.0 / 0.02], atol=2 * off / 0.02)
     assert motion.mask[1, 0].mean() > 0.8
+
+
+def test_a_learned_flow_without_its_weights_or_package_says_what_is_missing(tmp_path):
+    with pytest.raises(GofError, match="--flow-weights"):
+        flow_method("memfof")
+    with pytest.raises(GofError, match=r"memfof|config\.json"):
+        flow_method("memfof", tmp_path)
 
 
 def test_held_out_frames_are_never_read(tmp_path):
