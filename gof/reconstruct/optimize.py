@@ -41,6 +41,7 @@ class Schedule:
 
     iterations: int
     velocity: float  # voxels per frame time
+    plate: float  # display values; 0 = the plates stay as they are
     position: tuple[float, float] = (0.03, 0.003)  # voxels, first and last step
     t_mu: float = 0.01  # frame times
     log_t_sigma: float = 0.005
@@ -48,7 +49,6 @@ class Schedule:
     rotation: float = 0.005
     opacity: float = 0.03
     color: float = 0.01
-    plate: float = 0.0  # display values; 0 = the plates stay as they are
     alpha_loss: float = 0.1
 
 

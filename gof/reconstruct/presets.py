@@ -46,8 +46,10 @@ class Method:
         fusion: both image components of every camera ("full"), or the paper's eq. 5-7.
         smooth_voxels: emission-weighted smoothing of the fused flow, std-dev in voxels; 0 = none.
         flow_prior: the fused flow is corrected to the gas' own velocity (`flow_prior`).
+        seed_emission: seeds in proportion to a voxel's emission, not as many in every voxel of the hull.
         opacity: of a new Gaussian.
         velocity_rate: learning rate, voxels per frame time.
+        plate_rate: learning rate of the plates, display values; 0 = they stay as they are.
     """
 
     lit_plates: bool
@@ -55,11 +57,13 @@ class Method:
     fusion: str
     smooth_voxels: float
     flow_prior: bool
+    seed_emission: bool
     opacity: float
     velocity_rate: float
+    plate_rate: float
 
 
 METHODS = {
-    "gof": Method(True, True, "full", 3.0, True, 0.1, 0.0002),
-    "paper": Method(False, False, "paper", 0.0, False, 0.4, 0.00075),  # 1e-2 of the position's per ms at 400 Hz
+    "gof": Method(True, True, "full", 3.0, True, True, 0.1, 0.0002, 0.001),
+    "paper": Method(False, False, "paper", 0.0, False, False, 0.4, 0.00075, 0.0),  # 1e-2 of the position's per ms at 400 Hz
 }

@@ -28,7 +28,7 @@ class ReconstructConfig:
     """Three videos -> transient flame Gaussians: result.ply and result.npz.
 
     Stages: motion (masks, optical flow) -> flow field (hull, tomography, fused 3D velocity) -> seeds -> optimisation of
-    position, velocity, time, lifetime, opacity, scale, rotation and colour over the plates in the fire's light, which are kept
+    position, velocity, time, lifetime, opacity, scale, rotation and colour over the plates in the fire's light, which may change a little and are kept
     in OUT/plates. Held-out frames are read for scores only. Pictures of every stage go to OUT/stages, costs to OUT/costs.json, scores on held-out
     pictures along the way to OUT/curve.json. `gof view OUT` shows the flame while it is being optimised.
     """
@@ -108,6 +108,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
 
     with log.measure("motion") as figures, progress_bar("motion") as progress:
         motion = estimate_motion(dataset, method.lit_plates, flow=flow, progress=progress)
+        motion = ablations.change_plates(config.ablation, motion)
         pictures.save_motion(out / "stages", motion)
         figures.update(frames=len(motion.frames), cameras=len(dataset.cameras))
 
@@ -123,6 +124,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
                 {
                     "time_s": float(dataset.times_s[k]),
                     "emission": emission,
+                    "density": emission if method.seed_emission else np.ones(len(emission)),
                     "velocity": velocity,
                     "known": known,
                     "image": motion.image[f],
@@ -167,7 +169,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
             motion,
             ablations.change_times(config.ablation, times_s, dt),
             dataset.cameras,
-            ablations.change_schedule(config.ablation, Schedule(config.iterations, method.velocity_rate)),
+            ablations.change_schedule(config.ablation, Schedule(config.iterations, method.velocity_rate, method.plate_rate)),
             rng,
             checkpoint,
             progress,

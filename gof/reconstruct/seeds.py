@@ -19,16 +19,16 @@ def sample_seeds(
     """Gaussians placed where each frame's emission is, moving with the fused flow.
 
     Args:
-        frames: per training frame {"time_s", "emission" (V,), "velocity" (V, 3) m/s, "known" (V,) bool,
+        frames: per training frame {"time_s", "density" (V,) of seeds, any unit, >= 0, "velocity" (V, 3) m/s, "known" (V,) bool,
             "image" (C, H, W, 3) display values}.
         frame_time_s: time between frames, > 0 (sets the lifetime).
-        budget: number of Gaussians in all, shared among the frames by the root of their emission's extent.
+        budget: number of Gaussians in all, shared among the frames by how many voxels their density fills.
         opacity: initial opacity, 0..1.
     Raises:
-        DataFormatError: no frame has a voxel with emission and a known velocity.
+        DataFormatError: no frame has a voxel with density and a known velocity.
     """
-    chance = [np.where(f["known"], f["emission"], 0.0) for f in frames]
-    # Effective number of emitting voxels (inverse participation ratio): a large flame needs more seeds than a small one.
+    chance = [np.where(f["known"], f["density"], 0.0) for f in frames]
+    # Effective number of filled voxels (inverse participation ratio): a large flame needs more seeds than a small one.
     extent = np.array([c.sum() ** 2 / (c**2).sum() if c.any() else 0.0 for c in chance])
     if not extent.any():
         raise DataFormatError(
@@ -39,9 +39,7 @@ def sample_seeds(
     for frame, c, n in zip(frames, chance, share, strict=True):
         if n == 0:
             continue
-        # The root spreads seeds towards the thin parts; brightness itself is the optimiser's business.
-        p = np.sqrt(c)
-        chosen = rng.choice(len(c), n, p=p / p.sum())
+        chosen = rng.choice(len(c), n, p=c / c.sum())
         position = voxels.center[chosen] + rng.uniform(-0.5, 0.5, (n, 3)) * voxels.voxel_size
         sampled = voxels.sample(frame["image"], outside=np.nan)[:, chosen]
         parts.append(

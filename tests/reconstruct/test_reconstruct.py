@@ -91,7 +91,7 @@ def test_nan_is_caught_and_named(rising_flame, tmp_path, monkeypatch):
 
     monkeypatch.setattr(optimize, "CHECK_EVERY", 5)
     original = optimize.Schedule
-    monkeypatch.setattr(optimize, "Schedule", lambda n, velocity: original(n, float("inf")))
+    monkeypatch.setattr(optimize, "Schedule", lambda n, velocity, plate: original(n, float("inf"), plate))
     with pytest.raises(NonFiniteError, match="velocity"):
         reconstruct(config(rising_flame, tmp_path, iterations=10))
     assert not (tmp_path / "result.npz").exists()
