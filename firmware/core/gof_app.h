@@ -1,4 +1,4 @@
-/* The board as a device: commands in, replies out, one interrupt per tick. See docs/capture.md for the protocol table. */
+/* The board as a device: commands in, replies out, one interrupt per tick. */
 #ifndef GOF_APP_H
 #define GOF_APP_H
 

@@ -1,18 +1,9 @@
 /* Table tests of the core against the fake registers. Prints one line per test; exits 1 at the first failure. */
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
+#include "check.h"
 #include "fake_port.h"
 #include "gof_app.h"
-
-#define CHECK(condition)                                                                    \
-    do {                                                                                    \
-        if (!(condition)) {                                                                 \
-            fprintf(stderr, "%s:%d: failed: %s\n", __FILE__, __LINE__, #condition);        \
-            exit(1);                                                                        \
-        }                                                                                   \
-    } while (0)
 
 static uint32_t bits(uint32_t x) { uint32_t n = 0; for (; x; x &= x - 1u) n++; return n; }
 static uint32_t gray_of(uint32_t lit) { return (lit >> GOF_GRAY_FIRST) & GOF_COUNT_MASK; }
@@ -202,8 +193,6 @@ static void test_pins_are_distinct(void) {
         used |= 1ull << gof_port_pins[i];
     }
 }
-
-#define RUN(test) (test(), puts("ok " #test))
 
 int main(void) {
     RUN(test_first_period);
