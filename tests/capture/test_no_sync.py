@@ -1,0 +1,24 @@
+"""The study of wrong frame times changes what is believed about them, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmark.no_sync import believing, mistakes
+from gof.dataset import Dataset
+from gof.errors import GofError
+
+
+def test_rounded_and_exaggerated_times(tiny_dataset):
+    common = Dataset.open(tiny_dataset)
+    with pytest.raises(GofError, match="effect 'clock'"):
+        mistakes(common)
+    first, second = common.meta["cameras"]
+    late = {"time_s": [t + 0.013 for t in common.times_s]}  # 1.3 frames of 10 ms
+    dataset = replace(common, meta=common.meta | {"cameras": [first, second | late]})
+    np.testing.assert_allclose(mistakes(dataset), [[0] * 4, [-0.003] * 4], atol=1e-9)
+    for error, expected in ((0, 0.013), (1, 0.010), (2, 0.007)):
+        wrong = believing(dataset, error)
+        np.testing.assert_allclose(wrong.camera_times_s(1), common.times_s + expected, atol=1e-9)
+        np.testing.assert_array_equal(wrong.camera_times_s(0), common.times_s)
