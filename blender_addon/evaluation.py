@@ -9,11 +9,13 @@ import tempfile
 import time
 from pathlib import Path
 
+from .job import JobError
+
 INSTALL = ("install it there: in the folder of the Gaussians on Fire source run `make setup`, and choose its .venv/bin/python "
            "(Windows: .venv\\Scripts\\python.exe)")
 
 
-class EvaluationError(RuntimeError):
+class EvaluationError(JobError):
     """The scores could not be computed; the message says why and what to do."""
 
 
@@ -21,7 +23,7 @@ class Evaluation:
     """A running evaluation.
 
     Attributes:
-        scores: what `gof evaluate --json` has written, once `poll` is true.
+        scores: what `gof evaluate --json` has written, once `poll` is false.
 
     Raises:
         EvaluationError: that Python cannot be started.
@@ -45,28 +47,26 @@ class Evaluation:
             raise EvaluationError(f"{python}: cannot be run ({error.strerror}); choose the Python that gof is installed in, or {INSTALL}") from None
         self._python = python
 
-    @property
-    def seconds(self) -> float:
-        return time.monotonic() - self._started
+    def __str__(self) -> str:
+        return f"gof evaluate, {time.monotonic() - self._started:.0f} s"
 
     def poll(self) -> bool:
-        """Whether it has finished. Raises: EvaluationError when it failed."""
+        """Whether it still runs. Raises: EvaluationError when it failed."""
         status = self._process.poll()
         if status is None:
-            return False
+            return True
         try:
             if status:
                 raise EvaluationError(self._reason())
             self.scores = json.loads((self._folder / "scores.json").read_text(encoding="utf-8"))
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
-        return True
+        return False
 
-    def wait(self) -> dict:
-        """The scores, once they are there. Raises: EvaluationError."""
+    def run(self) -> None:
+        """Wait until the scores are there. Raises: EvaluationError."""
         self._process.wait()
         self.poll()
-        return self.scores
 
     def stop(self) -> None:
         """End it; nothing is kept."""

@@ -23,7 +23,7 @@ PACKAGE = Path(__file__).resolve().parent
 
 
 class JobError(RuntimeError):
-    """A stage failed; the message says which, and where its log is."""
+    """A process failed; the message says what it was doing, and why."""
 
 
 def stages(spec: SceneSpec) -> list[str]:

@@ -9,16 +9,16 @@ from bpy.props import EnumProperty, StringProperty
 
 from .. import costs
 from .. import spec as scene_spec_file
-from ..job import Job, JobError, expected_s
+from ..job import Job, expected_s
 from ..layout import Layout
 from ..presets import PRESETS
 from ..records import SpecError
 from ..scene import place
 from ..spec import BlendFile, SceneSpec
 from . import scene_spec
+from .job_operator import JobOperator
 from .panel import SidebarPanel, write_lines
 
-TIMER_S = 0.5
 PURPOSE = {"toy": "Seconds, to see whether it works", "preview": "A look at the scene", "draft": "For trying out code",
            "standard": "Motion worth scoring", "paper": "A job for a cluster"}  # fmt: skip
 BACKGROUNDS = ("studio", "workshop", "classroom", "cloister")
@@ -81,100 +81,29 @@ def why_not() -> str | None:
     return None
 
 
-class _DatasetOperator:
-    """An operator that needs no more than the planned dataset, and reports what is wrong with the plan."""
-
-    def planned(self, context) -> tuple[SceneSpec, Layout] | None:
-        try:
-            return planned(context.scene)
-        except (SpecError, OSError) as error:
-            self.report({"ERROR"}, str(error))
-            return None
-
-
-class GOF_OT_bake_render(_DatasetOperator, bpy.types.Operator):
+class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
     """Simulate the fire, render all cameras and write the dataset. What is finished is not made again"""
 
     bl_idname = "gof.bake_render"
     bl_label = "Bake & Render"
-
-    job: Job | None = None
-    """The job that runs in this Blender; one at a time. It belongs to the process, not to a file: it is never saved."""
+    stopped = "Stopped; what is finished stays. Bake & Render goes on there"
 
     @classmethod
     def poll(cls, context):
         return cls.job is None and why_not() is None
 
-    def _prepared(self, context) -> Job | None:
+    def begin(self, context) -> Job:
         """A job whose folder is claimed and which fits this machine."""
-        plan = self.planned(context)
-        if plan is None:
-            return None
-        spec, layout = plan
-        try:
-            if not layout.bake_marker.is_file():
-                costs.require_room(spec, layout.root)
-            scene_spec_file.claim(layout, spec)
-            if spec.blend_file and layout.background == Path(spec.blend_file.path) and not layout.bake_marker.is_file():
-                _copy_scene(context.scene, layout.background)
-        except (SpecError, OSError, RuntimeError) as error:
-            self.report({"ERROR"}, str(error))
-            return None
+        spec, layout = planned(context.scene)
+        if not layout.bake_marker.is_file():
+            costs.require_room(spec, layout.root)
+        scene_spec_file.claim(layout, spec)
+        if spec.blend_file and layout.background == Path(spec.blend_file.path) and not layout.bake_marker.is_file():
+            _copy_scene(context.scene, layout.background)
         return Job(spec, layout, _blender())
 
-    def execute(self, context):
-        """Make the dataset and return when it is finished: for scripts and ``blender -b``."""
-        job = self._prepared(context)
-        if job is None:
-            return {"CANCELLED"}
-        try:
-            job.run()
-        except JobError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"Dataset finished: {job.layout.root}")
-        return {"FINISHED"}
-
-    def invoke(self, context, event):
-        """Make the dataset beside the user's work; Esc stops it."""
-        job = self._prepared(context)
-        if job is None:
-            return {"CANCELLED"}
-        GOF_OT_bake_render.job = job
-        self._timer = context.window_manager.event_timer_add(TIMER_S, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context, event):
-        job = GOF_OT_bake_render.job
-        if (event.type == "ESC" and event.value == "PRESS") or job is None:
-            self.cancel(context)
-            self.report({"WARNING"}, "Stopped; what is finished stays. Bake & Render goes on there")
-            return {"CANCELLED"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        try:
-            unfinished = job.poll()
-        except JobError as error:
-            self.cancel(context)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        _redraw(context)
-        if unfinished:
-            context.workspace.status_text_set(f"Benchmark: {job}. Esc stops it")
-            return {"PASS_THROUGH"}
-        self.cancel(context)
-        self.report({"INFO"}, f"Dataset finished: {job.layout.root}")
-        return {"FINISHED"}
-
-    def cancel(self, context):
-        """Stop the child and clean up; Blender calls this too, when it quits or opens another file."""
-        job, GOF_OT_bake_render.job = GOF_OT_bake_render.job, None
-        if job is not None:
-            job.stop()
-        context.window_manager.event_timer_remove(self._timer)
-        context.workspace.status_text_set(None)
-        _redraw(context)
+    def finish(self, context, job: Job) -> str:
+        return f"Dataset finished: {job.layout.root}"
 
 
 class GOF_OT_stop_benchmark(bpy.types.Operator):
@@ -188,12 +117,11 @@ class GOF_OT_stop_benchmark(bpy.types.Operator):
         return GOF_OT_bake_render.job is not None
 
     def execute(self, context):
-        GOF_OT_bake_render.job.stop()
-        GOF_OT_bake_render.job = None  # the modal operator sees this at its next timer
+        GOF_OT_bake_render.stop_job()
         return {"FINISHED"}
 
 
-class GOF_OT_open_benchmark(_DatasetOperator, bpy.types.Operator):
+class GOF_OT_open_benchmark(bpy.types.Operator):
     """Open what the benchmark has written"""
 
     bl_idname = "gof.open_benchmark"
@@ -203,10 +131,12 @@ class GOF_OT_open_benchmark(_DatasetOperator, bpy.types.Operator):
                               ("folder", "Folder", "The dataset, in the file manager")])  # fmt: skip
 
     def execute(self, context):
-        plan = self.planned(context)
-        if plan is None:
+        try:
+            _, layout = planned(context.scene)
+        except (SpecError, OSError) as error:
+            self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        path = {"report": plan[1].report, "log": plan[1].job_log, "folder": plan[1].root}[self.what]
+        path = {"report": layout.report, "log": layout.job_log, "folder": layout.root}[self.what]
         if not path.exists():
             self.report({"ERROR"}, f"there is no {path} yet: press Bake & Render")
             return {"CANCELLED"}
@@ -294,13 +224,6 @@ def _copy_scene(scene: bpy.types.Scene, path: Path) -> None:
     bpy.data.libraries.write(str(path), {scene}, path_remap="ABSOLUTE", fake_user=True)
 
 
-def _redraw(context) -> None:
-    """Draw the sidebars anew, and not the 3D views beside them, which may be slow."""
-    areas = [area for window in context.window_manager.windows for area in window.screen.areas if area.type == "VIEW_3D"]
-    for region in (region for area in areas for region in area.regions if region.type == "UI"):
-        region.tag_redraw()
-
-
 def _show_text(context, path: Path) -> None:
     """Show a file in a text editor of this screen, or in one of a new window."""
     before = next((text for text in bpy.data.texts if text.filepath and Path(bpy.path.abspath(text.filepath)) == path), None)
@@ -322,6 +245,4 @@ CLASSES = (GOF_OT_bake_render, GOF_OT_stop_benchmark, GOF_OT_open_benchmark, GOF
 
 def unregister() -> None:
     """A job does not outlive the add-on."""
-    if GOF_OT_bake_render.job is not None:
-        GOF_OT_bake_render.job.stop()
-        GOF_OT_bake_render.job = None
+    GOF_OT_bake_render.stop_job()

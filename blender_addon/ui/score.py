@@ -8,9 +8,8 @@ from .. import evaluation
 from ..evaluation import Evaluation, EvaluationError
 from ..io import FileFormatError, velocity_reader
 from ..scene import error_cloud, point_cloud
+from .job_operator import JobOperator
 from .panel import SidebarPanel, write_lines
-
-TIMER_S = 0.5
 
 
 class GOF_PG_score(bpy.types.PropertyGroup):
@@ -36,87 +35,29 @@ class _ScoreOperator:
         return _cloud(context) is not None and bool(context.scene.gof.score.dataset)
 
 
-class GOF_OT_score(_ScoreOperator, bpy.types.Operator):
+class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
     """Compute DVE of the selected reconstruction with `gof evaluate`; needs a Python that gof is installed in"""
 
     bl_idname = "gof.score"
     bl_label = "Compute Score"
 
-    running: Evaluation | None = None
-    """The evaluation that runs in this Blender; one at a time. It belongs to the process, not to a file: it is never saved."""
-
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and cls.running is None
+        return cls.job is None and super().poll(context)
 
-    def _start(self, context) -> Evaluation | None:
+    def begin(self, context) -> Evaluation:
         settings, thing = context.scene.gof.score, _cloud(context)
-        try:
-            if not settings.python:
-                raise EvaluationError(f"Set Python to the one that has gof, or {evaluation.INSTALL}")
-            if "gof_source" not in thing:
-                raise EvaluationError(f"{thing.name}: not imported from a file; import the reconstruction again")
-            return Evaluation(Path(bpy.path.abspath(settings.python)), Path(thing["gof_source"]),
-                              Path(bpy.path.abspath(settings.dataset)), thing.get("gof_time_unit", 0.0))
-        except EvaluationError as error:
-            self.report({"ERROR"}, str(error))
-            return None
+        if not settings.python:
+            raise EvaluationError(f"Set Python to the one that has gof, or {evaluation.INSTALL}")
+        if "gof_source" not in thing:
+            raise EvaluationError(f"{thing.name}: not imported from a file; import the reconstruction again")
+        return Evaluation(Path(bpy.path.abspath(settings.python)), Path(thing["gof_source"]), Path(bpy.path.abspath(settings.dataset)),
+                          thing.get("gof_time_unit", 0.0))
 
-    def _finish(self, context, scores: dict) -> set:
-        rows = evaluation.numbers(scores)
+    def finish(self, context, job: Evaluation) -> str:
+        rows = evaluation.numbers(job.scores)
         context.scene.gof.score.numbers = "\n".join(f"{name}: {value}" for name, value in rows)
-        self.report({"INFO"}, ", ".join(f"{name} {value}" for name, value in rows))
-        return {"FINISHED"}
-
-    def execute(self, context):
-        """Compute and return when it is finished: for scripts and ``blender -b``."""
-        run = self._start(context)
-        if run is None:
-            return {"CANCELLED"}
-        try:
-            return self._finish(context, run.wait())
-        except EvaluationError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-
-    def invoke(self, context, event):
-        """Compute beside the user's work; Esc stops it."""
-        run = self._start(context)
-        if run is None:
-            return {"CANCELLED"}
-        GOF_OT_score.running = run
-        self._timer = context.window_manager.event_timer_add(TIMER_S, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context, event):
-        run = GOF_OT_score.running
-        if event.type == "ESC" and event.value == "PRESS":
-            self.cancel(context)
-            self.report({"WARNING"}, "Stopped")
-            return {"CANCELLED"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        try:
-            if not run.poll():
-                context.workspace.status_text_set(f"Score: gof evaluate, {run.seconds:.0f} s. Esc stops it")
-                return {"PASS_THROUGH"}
-        except EvaluationError as error:
-            self.cancel(context)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self._leave(context)
-        return self._finish(context, run.scores)
-
-    def cancel(self, context):
-        """Stop the child and clean up; Blender calls this too, when it quits or opens another file."""
-        GOF_OT_score.running.stop()
-        self._leave(context)
-
-    def _leave(self, context) -> None:
-        GOF_OT_score.running = None
-        context.window_manager.event_timer_remove(self._timer)
-        context.workspace.status_text_set(None)
+        return ", ".join(f"{name} {value}" for name, value in rows)
 
 
 class GOF_OT_show_errors(_ScoreOperator, bpy.types.Operator):
@@ -152,8 +93,8 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
         layout.label(text=f"Reconstruction: {thing.name}" if thing else "Select a reconstruction", icon="POINTCLOUD_DATA")
         layout.prop(settings, "dataset")
         layout.prop(settings, "python")
-        run = GOF_OT_score.running
-        layout.operator("gof.score", text=f"Computing, {run.seconds:.0f} s (Esc stops it)" if run else "Compute Score")
+        job = GOF_OT_score.job
+        layout.operator("gof.score", text=f"{job} (Esc stops it)" if job else "Compute Score")
         if settings.numbers:
             box = layout.box().column(align=True)
             for line in settings.numbers.splitlines():
@@ -167,9 +108,8 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
 
 
 def unregister() -> None:
-    if GOF_OT_score.running is not None:
-        GOF_OT_score.running.stop()
-        GOF_OT_score.running = None
+    """A job does not outlive the add-on."""
+    GOF_OT_score.stop_job()
 
 
 Settings = GOF_PG_score

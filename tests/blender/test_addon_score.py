@@ -144,7 +144,7 @@ def bare_python(folder) -> Path:
 
 def test_evaluation_can_be_stopped(folder):
     run = Evaluation(Path(sys.executable), folder / "result.npz", folder / "dataset")
-    assert not run.poll()
+    assert run.poll()
     scratch = run._folder
     run.stop()
     assert not scratch.exists() and run._process.returncode != 0
@@ -152,4 +152,4 @@ def test_evaluation_can_be_stopped(folder):
 
 def test_a_failing_evaluation_says_what_gof_said(folder):
     with pytest.raises(EvaluationError, match=r"gof evaluate: .*nothing\.npz"):
-        Evaluation(Path(sys.executable), folder / "nothing.npz", folder / "dataset").wait()
+        Evaluation(Path(sys.executable), folder / "nothing.npz", folder / "dataset").run()
