@@ -5,12 +5,14 @@ the dark. Cycles blends light and applies the view transform f to the sum. Becau
 bright, f^-1(colour) of every Gaussian for itself would come out far too bright: thin places, and places whose Gaussians
 differ in colour, most of all. So each Gaussian emits f^-1(W c) / W with W and c of a pixel it is seen in: there the sum
 of the light is f^-1(W c), and the scene shows W c. Of several views the dimmest counts, because a Gaussian matters most
-where little else is in front of or behind it: at the border of the flame, not in its core.
+where little else is in front of or behind it: at the border of the flame, not in its core. A few rounds of correction then
+scale every Gaussian's light by the mean of wanted over shown light of the pixels it is in, over all views and times.
 """
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +27,7 @@ DIRECTIONS = 4  # horizontal views that W and c are taken from
 MOST_SLICES = 64
 LEAST_COVERAGE = 1e-4
 LEAST_OPACITY = 1e-3  # of a Gaussian that still counts in a picture
+MOST_ROUNDS, ROUNDS_BUDGET = 3, 600_000  # of correction: as many as the budget of Gaussians allows
 MOST_PIXELS = 1 << 22  # of a picture that is summed as an array
 
 
@@ -56,6 +59,50 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
 
     W and c are those at its brightest time (to a time slice of one lifetime), in square pixels of two standard deviations.
     """
+    light = np.full((len(cloud), 3), np.inf, np.float32)
+    for picture in _pictures(cloud):
+        shown, covered, _ = picture.blend(cloud.color)
+        here = (curve.light(np.clip(shown, 0, 1) * covered) / covered)[picture.owner[picture.asked]]
+        rows = picture.rows[picture.asked]
+        light[rows] = np.minimum(light[rows], here)
+    for _ in range(min(MOST_ROUNDS, ROUNDS_BUDGET // len(cloud))):
+        _correct(light, cloud, curve)
+    return light
+
+
+def _correct(light: np.ndarray, cloud: GaussianCloud, curve: ToneCurve) -> None:
+    """Scale each Gaussian's light by what the pictures lack where it is seen, weighted by its share of their pixels."""
+    lacking, weight = np.zeros_like(light, np.float64), np.zeros(len(light))
+    for picture in _pictures(cloud):
+        shown, covered, share = picture.blend(cloud.color)
+        wanted = curve.light(np.clip(shown, 0, 1) * covered)
+        ratio = wanted / np.maximum(picture.blend(light)[0] * covered, 1e-9)
+        lacking[picture.rows] += share[:, None] * ratio[picture.owner]
+        weight[picture.rows] += share
+    light *= np.clip(lacking / np.maximum(weight, 1e-12)[:, None], 0.1, 10)
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """Gaussians in the pixels of one view at one time."""
+
+    rows: np.ndarray  # (M,) which Gaussians
+    asked: np.ndarray  # which of the M are at their brightest time
+    owner: np.ndarray  # (M,) pixel of each
+    depth: np.ndarray  # (M,) optical depth of each, spread over a pixel
+
+    def blend(self, color: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean (P, 3) of colours (N, 3) in each of P pixels, coverage (P, 1), and share (M,) of each Gaussian in its pixel's."""
+        total = np.bincount(self.owner, self.depth)
+        sums = np.column_stack([np.bincount(self.owner, self.depth * color[self.rows, channel]) for channel in range(3)])
+        covered = np.clip(-np.expm1(-total), LEAST_COVERAGE, 1.0)
+        part = covered / np.maximum(total, 1e-12)
+        # a pixel of vanished Gaussians only: dark
+        return sums / np.maximum(total, 1e-12)[:, None], covered[:, None], self.depth * part[self.owner]
+
+
+def _pictures(cloud: GaussianCloud) -> Iterator[_Picture]:
+    """The cloud at times one lifetime apart, in horizontal views all around."""
     spread = cloud.scale.astype(np.float64).prod(1) ** (2 / 3)  # product of the two standard deviations seen in a view
     pixel = 2 * float(np.median(np.sqrt(spread)))
     first, last = _seen(cloud)
@@ -65,7 +112,6 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
     if bounded.any():
         lifetime = max(float(np.median((last - first)[bounded])) / 7, float(np.ptp(brightest[bounded])) / MOST_SLICES, 1e-9)
     slices = np.round(brightest / lifetime)
-    light = np.full((len(cloud), 3), np.inf, np.float32)
     for number in np.unique(slices):
         time = np.float32(number * lifetime)
         alive = np.flatnonzero(((first <= time) & (time <= last)) | (slices == number))
@@ -74,15 +120,9 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
         alpha = cloud.opacity[alive] * np.exp(-0.5 * np.minimum(np.abs(age) / cloud.t_sigma[alive], 40) ** 2)
         place = (cloud.position[alive] + age[:, None] * cloud.velocity[alive]) / np.float32(pixel)
         depth = (2 * np.pi * alpha * spread[alive]) / pixel**2
-        weighted = [depth] + [depth * cloud.color[alive, channel] for channel in range(3)]
-        dimmest = np.full((len(asked), 3), np.inf)
         for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
             across = place[:, 0] * np.float32(np.cos(angle)) + place[:, 1] * np.float32(np.sin(angle))
-            owner = _pixel_numbers(across, place[:, 2])
-            shown, covered = _picture(*(np.bincount(owner, values) for values in weighted))
-            dimmest = np.minimum(dimmest, (curve.light(shown) / covered[:, None])[owner[asked]])
-        light[alive[asked]] = dimmest
-    return light
+            yield _Picture(alive, asked, _pixel_numbers(across, place[:, 2]), depth)
 
 
 def _seen(cloud: GaussianCloud) -> tuple[np.ndarray, np.ndarray]:
@@ -102,13 +142,6 @@ def _pixel_numbers(across: np.ndarray, up: np.ndarray) -> np.ndarray:
     numbers = column * (row.max() + 1) + row
     # Runaways far from the flame would make the picture huge: then only pixels with something inside are numbered.
     return numbers if numbers.max() < MOST_PIXELS else np.unique(numbers, return_inverse=True)[1]
-
-
-def _picture(depth: np.ndarray, *color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Display values W c (P, 3) and coverage W (P,) of pixels, from their sums of optical depth and of depth times colour."""
-    covered = np.clip(-np.expm1(-depth), LEAST_COVERAGE, 1.0)
-    mean = np.column_stack(color) / np.maximum(depth, 1e-12)[:, None]  # a pixel of vanished Gaussians only: dark
-    return np.clip(mean, 0, 1) * covered[:, None], covered
 
 
 def display_values(linear: np.ndarray, scene: bpy.types.Scene) -> np.ndarray:
