@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from benchmark import line_chart
 from benchmark.blender_process import Renderer, run_stage
 from benchmark.generate import claim, load_scene
 from blender_addon.layout import Layout
 from blender_addon.presets import PRESETS
 from blender_addon.spec import SceneSpec
+from gof.evaluate import line_chart
 from gof.fields import VelocitySequence
 from gof.io.files import atomic_path, read_json, write_json
 

@@ -9,8 +9,8 @@ from typing import Literal
 
 import tyro
 
-from benchmark import line_chart
 from gof.dataset import Dataset
+from gof.evaluate import line_chart
 from gof.evaluate.run import evaluate
 from gof.io.files import atomic_path, read_json, write_json
 from gof.reconstruct.presets import PRESETS

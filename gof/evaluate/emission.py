@@ -19,7 +19,7 @@ from gof.errors import DataFormatError
 from gof.evaluate.bricks import StoredField
 from gof.evaluate.dve import DVEResult, Samples, Sums, state_at, weighted_sums
 from gof.evaluate.quadrature import rotation_matrices
-from gof.fields import CHUNK, VelocitySequence
+from gof.fields import CHUNK, VelocitySequence, open_array, read_array
 from gof.gaussians import TransientGaussians
 from gof.io.importers import Trajectory
 
@@ -53,17 +53,18 @@ class FlameGrid:
     """
 
     def __init__(self, path: Path):
-        import zarr
-
-        try:
-            self._array = zarr.open_array(str(path), mode="r")
-            attributes = dict(self._array.attrs)
-        except Exception as e:  # zarr raises many kinds; all mean the same to a user
-            raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e})") from e
+        self._array = open_array(path)
+        attributes = dict(self._array.attrs)
         if (attributes.get("schema"), attributes.get("version"), attributes.get("quantity")) != ("gof-grid", 1, "flame") or self._array.ndim != 4:
             raise DataFormatError(f"{path}: not a flame grid (schema gof-grid version 1, quantity flame, shape (T, X, Y, Z))")
-        self.path, self.times_s = path, np.asarray(attributes["time_s"], np.float64)
-        self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
+        try:
+            self.path, self.times_s = path, np.asarray(attributes["time_s"], np.float64)
+            self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
+        except (KeyError, TypeError, ValueError) as e:
+            raise DataFormatError(f"{path}: time_s or index_to_world of zarr.json are missing or do not hold numbers ({e})") from e
+        fits = self.times_s.shape == self._array.shape[:1] and self.index_to_world.shape == (4, 4)
+        if not fits or not np.isfinite(self.index_to_world).all():
+            raise DataFormatError(f"{path}: times {self.times_s.shape} and index_to_world {self.index_to_world.shape} do not fit shape {self._array.shape}")
 
     def places(self, time_s: float, count: int, rng: np.random.Generator) -> np.ndarray:
         """(count, 3) world m, drawn evenly from the emission of the stored frame at `time_s`; (0, 3) without flame.
@@ -76,9 +77,9 @@ class FlameGrid:
             raise DataFormatError(f"{self.path}: no frame at {time_s:g} s; the grid and the velocity store must have the same times")
         cells, shine = [], []
         for x in range(0, self._array.shape[1], CHUNK):  # a layer of chunks at a time, and of it what burns
-            flame = np.asarray(self._array[frame, x:x + CHUNK], np.float32)
-            if not (flame >= 0).all():
-                raise DataFormatError(f"{self.path}: frame {frame} holds NaN or negative values; make it again")
+            flame = read_array(self._array, (frame, slice(x, x + CHUNK)), self.path).astype(np.float32)
+            if not ((flame >= 0) & np.isfinite(flame)).all():
+                raise DataFormatError(f"{self.path}: frame {frame} holds NaN, Inf or negative values; make it again")
             burning = np.argwhere(flame)
             cells.append(burning + np.array([x, 0, 0]))
             shine.append(flame[tuple(burning.T)].astype(np.float64) ** EXPONENT)

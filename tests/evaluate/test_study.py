@@ -34,5 +34,7 @@ def test_the_study_shows_what_it_claims(tmp_path, capsys):
             assert falling == sorted(falling, reverse=True) and falling[3] < 1e-3
         assert error["grid", flow, "128^3 order 3", 0.5] < error["grid", flow, "32^3 order 3", 0.5] / 8
         assert error["precision", flow, "float32 kernel", 0.5] < 1e-6 < error["precision", flow, "float16 kernel", 0.5] < 1e-3
-    assert (tmp_path / "study_dve.png").stat().st_size > 20_000
+    charts = {path.stem: path.read_text() for path in tmp_path.glob("*.svg")}
+    assert sorted(charts) == ["study_dve_abc", "study_dve_gaussian_vortex", "study_dve_linear", "study_dve_taylor-green"]
+    assert "Monte Carlo" in charts["study_dve_abc"] and charts["study_dve_linear"].count("<circle") == 12
     assert all(r["seconds"] > 0 for r in rows)

@@ -54,4 +54,9 @@ def _range(values: list[float]) -> tuple[float, float]:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    return [m * 10.0**e for e in range(math.floor(low), math.ceil(high) + 1) for m in (1, 2, 5) if low <= math.log10(m) + e <= high]
+    """1, 2, 5 of every decade; with many decades only some powers of ten."""
+    decades = range(math.floor(low), math.ceil(high) + 1)
+    steps = (1, 2, 5) if high - low < 2.5 else (1,)
+    if high - low > 8:
+        decades = [e for e in decades if e % 4 == 0]
+    return [m * 10.0**e for e in decades for m in steps if low <= math.log10(m) + e <= high]
