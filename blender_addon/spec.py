@@ -24,6 +24,8 @@ from .scene import effects as effect_modules
 
 SCHEMA = "gof-scene"
 VERSION = 1
+MOST_PICTURES = 100_000
+LAST_FRAME = 1_048_574  # Blender counts no further
 
 Vector = tuple[float, float, float]
 
@@ -244,10 +246,14 @@ class SceneSpec:
             f"at least {-(-400 // min(self.cameras.sensor_px))} for this sensor",
             self.render.percentage,
         )
+        pictures = self.clip.frames * (self.cameras.count + self.cameras.eval_count)
+        require(pictures <= MOST_PICTURES, "clip.frames", f"such that all cameras make at most {MOST_PICTURES} pictures", pictures)
         names = self.effect_names
         require(len(set(names)) == len(names), "effects", "listed once each", names)
         require(self.first_frame + shutter.first_step(self) >= 1, "clip.warm_up_frames",
                 "long enough for the shutter to open before frame 0", self.clip.warm_up_frames)  # fmt: skip
+        require(self.last_frame <= LAST_FRAME, "clip.warm_up_frames", f"such that the solver ends by step {LAST_FRAME}, Blender's last",
+                self.last_frame)  # fmt: skip
         for axis, low, high in zip("xyz", self.domain.min, self.domain.max, strict=True):
             i = "xyz".index(axis)
             inside = (

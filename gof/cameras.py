@@ -47,6 +47,8 @@ class Camera:
                 raise DataFormatError(f"camera '{self.name}': {field} has shape {matrix.shape}, expected {shape}")
             if not np.isfinite(matrix).all():
                 raise NonFiniteError(f"camera '{self.name}': {field} holds NaN or Inf")
+        if not np.isfinite(self.row_time_s):
+            raise NonFiniteError(f"camera '{self.name}': row_time_s is {self.row_time_s}")
         if self.width < 1 or self.height < 1:
             raise DataFormatError(f"camera '{self.name}': size {self.width}x{self.height} is not positive")
         R = self.world_to_camera[:3, :3]
@@ -144,5 +146,7 @@ class Camera:
             )
         except KeyError as e:
             raise DataFormatError(f"{source}: camera field {e} is missing") from e
-        except (TypeError, ValueError) as e:
+        except (TypeError, ValueError, OverflowError) as e:
             raise DataFormatError(f"{source}: camera field cannot be read ({e})") from e
+        except (DataFormatError, NonFiniteError) as e:
+            raise type(e)(f"{source}: {e}") from e

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,7 @@ from gof.io.files import read_json
 
 SCHEMA, VERSION = "gof-dataset", 1
 _REQUIRED = ("name", "time_s", "cameras", "splits")
+FRAME = re.compile(r"\{frame(?::0?([1-9])d)?\}")  # all of Python's format language that file names may use
 
 
 @dataclass(frozen=True)
@@ -54,25 +56,28 @@ class Dataset:
         missing = [key for key in _REQUIRED if key not in meta]
         if missing:
             raise DataFormatError(f"{source}: fields {missing} are missing")
-        times = np.asarray(meta["time_s"], np.float64)
-        if times.ndim != 1 or len(times) == 0 or not (np.diff(times) > 0).all():
+        times = _seconds(meta["time_s"])
+        if times is None or len(times) == 0:
             raise DataFormatError(f"{source}: time_s must be a non-empty, strictly increasing list of seconds")
+        if not isinstance(meta["cameras"], list) or not all(isinstance(c, dict) for c in meta["cameras"]):
+            raise DataFormatError(f"{source}: cameras must be a list of objects")
+        if not isinstance(meta.get("velocity") or "", str):
+            raise DataFormatError(f"{source}: velocity must be the name of a store")
         cameras = [Camera.from_dict(c, str(source)) for c in meta["cameras"] if c.get("role", "train") == "train"]
         if not cameras:
             raise DataFormatError(f"{source}: no camera with role 'train'")
+        if len({c.name for c in cameras}) < len(cameras):
+            raise DataFormatError(f"{source}: two cameras have the same name")
         for name in ("train", "test"):
-            frames = meta["splits"].get(name)
-            if not isinstance(frames, list) or any(not 0 <= k < len(times) for k in frames):
+            frames = meta["splits"].get(name) if isinstance(meta["splits"], dict) else None
+            if not isinstance(frames, list) or any(type(k) is not int or not 0 <= k < len(times) for k in frames):
                 raise DataFormatError(f"{source}: splits.{name} must list frame numbers below {len(times)}")
         for entry in meta["cameras"]:
             own = entry.get("time_s")
             if own is None:
                 continue
-            try:
-                own = np.asarray(own, np.float64)
-            except (TypeError, ValueError):
-                own = np.empty(0)
-            if own.shape != times.shape or not np.isfinite(own).all() or not (np.diff(own) > 0).all():
+            own = _seconds(own)
+            if own is None or own.shape != times.shape:
                 raise DataFormatError(
                     f"{source}: camera '{entry.get('name')}': time_s must hold {len(times)} strictly increasing seconds, "
                     "one per frame of the dataset"
@@ -106,10 +111,7 @@ class Dataset:
         entry = self._entry(camera)
         if kind not in entry:
             raise DataFormatError(f"{self.path}/dataset.json: camera '{entry['name']}' has no '{kind}' files")
-        path = (self.path / entry[kind].format(frame=frame)).resolve()
-        if not path.is_relative_to(self.path.resolve()):
-            raise DataFormatError(f"{self.path}/dataset.json: '{entry[kind]}' points outside the dataset")
-        return path
+        return self._inside(FRAME.sub(lambda m: f"{frame:0{m[1] or 1}d}", str(entry[kind])))
 
     def image(self, camera: int, frame: int) -> np.ndarray:
         """(H, W, 3) float32 display sRGB in [0, 1]."""
@@ -144,22 +146,45 @@ class Dataset:
         """
         if not self.meta.get("velocity"):
             raise DataFormatError(f"{self.path}: has no ground-truth velocity (a real capture?)")
-        return VelocitySequence.open(self.path / self.meta["velocity"])
+        return VelocitySequence.open(self._inside(self.meta["velocity"]))
+
+    def _inside(self, name: str) -> Path:
+        """A path in the dataset, by its name in dataset.json, which may come from anybody."""
+        try:
+            path = (self.path / name).resolve()
+            path.exists()  # asks the file system whether there can be such a name
+        except (OSError, ValueError) as e:  # too long, a zero byte
+            raise DataFormatError(f"{self.path}/dataset.json: {name[:80]!r} cannot be a file name") from e
+        if not path.is_relative_to(self.path.resolve()):
+            raise DataFormatError(f"{self.path}/dataset.json: '{name[:80]}' points outside the dataset")
+        return path
 
     def _entry(self, camera: int) -> dict[str, Any]:
-        return next(c for c in self.meta["cameras"] if c["name"] == self.cameras[camera].name)
+        return next(c for c in self.meta["cameras"] if str(c.get("name")) == self.cameras[camera].name)
 
     def _read(self, path: Path, camera: int) -> np.ndarray:
         import cv2
 
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if not path.is_file():
+            raise DataFormatError(f"{path}: no such file")
+        try:
+            image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        except cv2.error:  # a header that announces more than 2^30 pixels
+            image = None
         if image is None:
-            raise DataFormatError(
-                f"{path}: {'cannot be decoded; delete it and resume the generation' if path.is_file() else 'no such file'}"
-            )
+            raise DataFormatError(f"{path}: cannot be decoded; delete it and resume the generation")
         expected = self.cameras[camera].height, self.cameras[camera].width
         if image.shape[:2] != expected:
             raise DataFormatError(
                 f"{path}: is {image.shape[1]}x{image.shape[0]}, the camera says {expected[1]}x{expected[0]}"
             )
         return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.float32) / 255
+
+
+def _seconds(value: Any) -> np.ndarray | None:
+    """A strictly increasing list of times as an array; None when it is none."""
+    try:
+        times = np.asarray(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return times if times.ndim == 1 and np.isfinite(times).all() and (np.diff(times) > 0).all() else None

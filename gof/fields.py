@@ -12,6 +12,7 @@ import numpy as np
 from gof.errors import DataFormatError
 
 SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
+LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side that a reader believes: twice what a scene may ask for
 
 
 @dataclass(frozen=True)
@@ -128,14 +129,18 @@ class VelocitySequence:
             units, layout = attributes["units"], attributes["layout"]
         except KeyError as e:
             raise DataFormatError(f"{path}: attribute {e} is missing from zarr.json") from e
+        except (TypeError, ValueError) as e:
+            raise DataFormatError(f"{path}: time_s or index_to_world in zarr.json do not hold numbers ({e})") from e
         if (units, layout) != ("m/s", "cell_centred"):
             raise DataFormatError(f"{path}: units '{units}', layout '{layout}'; expected 'm/s', 'cell_centred'")
         if array.ndim != 5 or array.shape[-1] != 3 or self.times_s.shape != array.shape[:1]:
             raise DataFormatError(
                 f"{path}: shape {array.shape} and {self.times_s.shape} times do not fit (T, X, Y, Z, 3)"
             )
-        if len(self.times_s) == 0 or not (np.diff(self.times_s) > 0).all():
-            raise DataFormatError(f"{path}: time_s must be strictly increasing and not empty")
+        if len(self.times_s) == 0 or not np.isfinite(self.times_s).all() or not (np.diff(self.times_s) > 0).all():
+            raise DataFormatError(f"{path}: time_s must be finite, strictly increasing and not empty")
+        if self.index_to_world.shape != (4, 4) or not np.isfinite(self.index_to_world).all() or not np.linalg.det(self.index_to_world):
+            raise DataFormatError(f"{path}: index_to_world must be a finite, invertible 4x4 matrix")
 
     @classmethod
     def open(cls, path: str | Path) -> VelocitySequence:
@@ -144,14 +149,7 @@ class VelocitySequence:
         Raises:
             DataFormatError: not a zarr array, wrong schema or version, missing attribute, times not increasing.
         """
-        import zarr
-
-        path = Path(path)
-        try:
-            array = zarr.open_array(str(path), mode="r")
-        except Exception as e:  # zarr raises many kinds; all mean the same to a user
-            raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e})") from e
-        return cls(array, path)
+        return cls(open_array(path), Path(path))
 
     @classmethod
     def create(cls, path: str | Path, fields: Iterable[VelocityField], dtype: str = "float32") -> VelocitySequence:
@@ -215,10 +213,7 @@ class VelocitySequence:
         if self._array.chunks[1:4] == (CHUNK,) * 3 and not (self._path / key).exists():
             return None
         box = tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)
-        try:
-            cells = np.asarray(self._array[(index, *box)])
-        except (RuntimeError, ValueError, OSError) as e:
-            raise DataFormatError(f"{self._path}: frame {index}, chunk {number} cannot be decoded ({e}); it is truncated, make it again") from e
+        cells = read_array(self._array, (index, *box), self._path)
         if not _all_finite(cells):
             raise DataFormatError(f"{self._path}: frame {index}, chunk {number} holds NaN or Inf; the store is damaged, make it again")
         return cells
@@ -244,10 +239,7 @@ class VelocitySequence:
     def frame(self, index: int) -> VelocityField:
         """The stored field number `index`."""
         if self._cached is None or self._cached[0] != index:
-            try:
-                velocity = np.asarray(self._array[index])
-            except (RuntimeError, ValueError, OSError) as e:  # what the codecs raise on damaged chunks
-                raise DataFormatError(f"{self._path}: frame {index} cannot be decoded ({e}); a chunk is truncated, make it again") from e
+            velocity = read_array(self._array, (index,), self._path)
             if not _all_finite(velocity):
                 raise DataFormatError(
                     f"{self._path}: frame {index} holds NaN or Inf; the store is damaged, make it again"
@@ -266,6 +258,37 @@ class VelocitySequence:
             return self.frame(parts[0][0])
         velocity = sum(np.float32(weight) * self.frame(index).velocity.astype(np.float32) for index, weight in parts)
         return VelocityField(velocity, self.index_to_world, float(time_s))
+
+
+def open_array(path: str | Path):
+    """A zarr array of cells over time for reading.
+
+    Raises:
+        DataFormatError: not a zarr array, of other things than floats, or too large for any simulation.
+    """
+    import zarr
+
+    try:
+        array = zarr.open_array(str(path), mode="r")
+        dict(array.attrs)
+    except Exception as e:  # zarr raises many kinds; all mean the same to a user
+        raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e})") from e
+    if array.dtype.kind != "f" or max(array.shape[1:4], default=0) > LARGEST or max(array.chunks[1:4], default=0) > LARGEST_CHUNK:
+        raise DataFormatError(f"{path}: {array.dtype} of shape {array.shape} in chunks of {array.chunks}; expected floats of at most {LARGEST} "
+                              f"cells a side in chunks of at most {LARGEST_CHUNK}")
+    return array
+
+
+def read_array(array, where: tuple, path: Path) -> np.ndarray:
+    """A part (frame, ...) of a zarr array.
+
+    Raises:
+        DataFormatError: a chunk is damaged.
+    """
+    try:
+        return np.asarray(array[where])
+    except Exception as e:  # each codec has its own errors for damage
+        raise DataFormatError(f"{path}: frame {where[0]} cannot be decoded ({type(e).__name__}: {e}); a chunk is truncated, make it again") from e
 
 
 def _all_finite(values: np.ndarray) -> bool:

@@ -47,7 +47,10 @@ class TransientGaussians:
     def __post_init__(self):
         for f in fields(self):
             kind = bool if f.name == "dynamic" else np.float32
-            setattr(self, f.name, np.ascontiguousarray(getattr(self, f.name), kind))
+            try:
+                setattr(self, f.name, np.ascontiguousarray(getattr(self, f.name), kind))
+            except (TypeError, ValueError) as e:
+                raise DataFormatError(f"'{f.name}' does not hold numbers ({e})") from e
         n = len(self.position)
         shapes = {
             "position": (n, 3),

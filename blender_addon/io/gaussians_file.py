@@ -10,14 +10,13 @@ wxyz); a cloud holds activated values.
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from . import FileFormatError, ftgs_file, ply_sequence
+from . import FileFormatError, ftgs_file, npz_file, ply_sequence
 from .cloud import SH_C0, GaussianCloud, checked, splats
 from .ply_file import PlyVertices, columns
 
@@ -85,11 +84,7 @@ def files_of(source: str | Path | Sequence[Path]) -> list[Path]:
 
 
 def _read_npz(path: Path, step: int) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            found = {key: data[key] for key in data.files}
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError, AttributeError, TypeError) as error:
-        raise FileFormatError(f"{path}: not a readable npz ({error}); truncated, or another kind of file?") from None
+    found = npz_file.arrays(path)
     schema = str(found.get("schema", "none"))
     if schema != NPZ_SCHEMA:
         raise FileFormatError(f"{path}: schema is '{schema}', expected '{NPZ_SCHEMA}'; write it with `gof convert`")
@@ -110,13 +105,9 @@ def _read_npz(path: Path, step: int) -> dict[str, np.ndarray]:
 
 def _count_npz(path: Path) -> int:
     try:
-        with zipfile.ZipFile(path) as archive, archive.open("x0.npy") as member:
-            version = np.lib.format.read_magic(member)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape = read(member)[0]
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, OSError):
+        return next(iter(npz_file.shapes(path)["x0"]), 0)
+    except npz_file.DAMAGE:
         return 0  # `load` says what is wrong
-    return shape[0] if shape else 0
 
 
 def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import zlib
 from itertools import product
@@ -12,6 +11,7 @@ import numpy as np
 
 from . import FileFormatError
 
+LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side that are believed
 CODECS = ({"bytes"}, {"bytes", "gzip"})
 
 
@@ -48,15 +48,19 @@ class TrueVelocity:
             self._chunk = tuple(description["chunk_grid"]["configuration"]["chunk_shape"][1:4])
             self._dtype = np.dtype(description["data_type"]).newbyteorder("<")
             self.time_s = np.array(attributes["time_s"], float)
-            self._to_index = np.linalg.inv(np.array(attributes["index_to_world"], float))
+            self._to_index = np.linalg.inv(np.array(attributes["index_to_world"], float).reshape(4, 4))
+            plain = all(type(n) is int and 0 < n <= LARGEST for n in (*self._shape, *self._chunk))
+            plain &= self._dtype.kind == "f" and len(self._chunk) == 3 and max(self._chunk) <= LARGEST_CHUNK
+            if not plain or not np.isfinite(self.time_s).all() or not np.isfinite(self._to_index).all():
+                raise ValueError(f"{self._dtype}, shape {self._shape} in chunks of {self._chunk}, or times that are not finite")
         except FileNotFoundError:
             raise FileFormatError(f"{path}: no zarr.json inside, so no velocity store; generate the dataset again") from None
-        except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, np.linalg.LinAlgError) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError, np.linalg.LinAlgError) as error:
             raise FileFormatError(f"{path}/zarr.json: not a velocity store ({type(error).__name__}: {error})") from None
         if attributes.get("schema") != "gof-velocity" or attributes.get("units") != "m/s":
             raise FileFormatError(f"{path}: schema '{attributes.get('schema')}' in {attributes.get('units')}; expected 'gof-velocity' in m/s")
         if codecs not in CODECS or len(self._shape) != 5 or self._shape[0] != len(self.time_s):
-            raise FileFormatError(f"{path}: codecs {sorted(codecs)}, shape {self._shape}; only gzip stores (T, X, Y, Z, 3) as "
+            raise FileFormatError(f"{path}: codecs {codecs}, shape {self._shape}; only gzip stores (T, X, Y, Z, 3) as "
                                   "`gof generate` writes them can be read here")
         self._gzip = "gzip" in codecs
 
@@ -108,8 +112,13 @@ class TrueVelocity:
 
     def _decode(self, file: Path) -> np.ndarray:
         try:
-            data = file.read_bytes()
-            values = np.frombuffer(gzip.decompress(data) if self._gzip else data, self._dtype).reshape(*self._chunk, 3)
+            data, size = file.read_bytes(), 3 * int(np.prod(self._chunk)) * self._dtype.itemsize
+            if self._gzip:  # never more than the chunk has room for, whatever the file would unpack to
+                stream = zlib.decompressobj(wbits=31)
+                data = stream.decompress(data, size + 1)
+                if not stream.eof:
+                    raise ValueError("cut off, or larger than a chunk")
+            values = np.frombuffer(data, self._dtype).reshape(*self._chunk, 3)
         except (OSError, EOFError, zlib.error, ValueError) as error:
             raise FileFormatError(f"{file}: cannot be decoded ({error}); truncated? Generate the dataset again") from None
         if not np.isfinite(values).all():

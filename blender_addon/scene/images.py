@@ -80,14 +80,14 @@ def write_png(path: Path, pixels: np.ndarray) -> None:
 
 
 def opens(path: Path) -> bool:
-    """Whether an image file exists and every pixel of it can be decoded."""
+    """Whether an image file exists and every pixel of it can be decoded to a finite value."""
     if not path.is_file():
         return False
     try:
-        _read(path)
+        pixels, _ = _read(path)
     except OSError:
         return False
-    return True
+    return bool(np.isfinite(pixels).all())
 
 
 def temporary(path: Path) -> Path:
@@ -103,9 +103,12 @@ def _read(path: Path, kind=oiio.FLOAT) -> tuple[np.ndarray, list[str]]:
     try:
         while image.seek_subimage(len(parts), 0):  # Blender 5.0 on writes one part a pass, of equal sizes
             parts.append(image.read_image(len(parts), 0, 0, image.spec().nchannels, kind))
-            names += image.spec().channelnames
             if parts[-1] is None:
                 raise OSError(f"{path}: {image.geterror()}")
+            try:
+                names += image.spec().channelnames
+            except UnicodeDecodeError as error:
+                raise OSError(f"{path}: names of its channels are damaged ({error})") from error
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1), names
     finally:
         image.close()

@@ -40,5 +40,7 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text())
     except FileNotFoundError as e:
         raise DataFormatError(f"{path}: no such file") from e
-    except (json.JSONDecodeError, UnicodeDecodeError) as e:
+    except OSError as e:
+        raise DataFormatError(f"{path}: cannot be read ({e.strerror})") from e
+    except (ValueError, RecursionError) as e:  # broken, not UTF-8, numbers of thousands of digits, brackets without end
         raise DataFormatError(f"{path}: not valid JSON ({e}); was it cut off while being copied?") from e

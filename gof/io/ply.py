@@ -52,7 +52,7 @@ class Ply:
 
     def splats(self) -> dict[str, np.ndarray]:
         """The 3DGS properties, activated: position, scale, rotation, opacity, and color as spherical harmonics (N, K, 3)."""
-        rest = sorted((n for n in self.vertex.dtype.names if n.startswith("f_rest_")), key=lambda n: int(n[7:]))
+        rest = sorted((n for n in self.vertex.dtype.names if re.fullmatch(r"f_rest_[0-9]{1,4}", n)), key=lambda n: int(n[7:]))
         dc = self.columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
         if len(rest) % 3:
             raise DataFormatError(f"{self.path}: {len(rest)} f_rest properties are not a multiple of 3")
@@ -104,13 +104,13 @@ def write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> No
 
 
 def _check_size(path: Path) -> None:
-    """Refuse a header that announces more points than the file can hold, before anything is allocated."""
+    """Refuse a header that announces more than the file can hold, before anything is allocated; a property takes a byte or more."""
     with open(path, "rb") as f:
         head = f.read(65536)
-    match = re.search(rb"^element\s+vertex\s+(\d+)", head, re.M)
-    if head[:3] != b"ply" or b"end_header" not in head or not match:
+    if head[:3] != b"ply" or b"end_header" not in head or not re.search(rb"^element\s+vertex\s", head, re.M):
         raise DataFormatError(f"{path}: not a PLY file with a 'vertex' element")
-    if int(match[1]) > path.stat().st_size:
-        raise DataFormatError(
-            f"{path}: header announces {int(match[1])} points, the file has {path.stat().st_size} bytes; truncated?"
-        )
+    for element in re.split(rb"^element\s", head.partition(b"end_header")[0], flags=re.M)[1:]:
+        words, properties = element.split(), len(re.findall(rb"^property\s", element, re.M))
+        if len(words) < 2 or not words[1].isdigit() or int(words[1][:30]) * max(properties, 1) > path.stat().st_size:
+            raise DataFormatError(f"{path}: header announces {b' '.join(words[1:2]).decode(errors='replace')} points with {properties} properties, the "
+                                  f"file has {path.stat().st_size} bytes; truncated?")

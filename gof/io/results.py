@@ -7,14 +7,14 @@ logit, f_dc/f_rest are SH coefficients (f_rest channel-major). Our additions are
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError
+from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
 from gof.io.files import atomic_path
+from gof.io.npz import read_npz
 from gof.io.ply import SH_C0, Ply, splat_columns, write
 
 NPZ_SCHEMA = "gof-linear/1"
@@ -45,8 +45,8 @@ def load(path: Path) -> TransientGaussians:
         raise DataFormatError(f"{path}: no such file")
     try:
         return TransientGaussians(**readers[path.suffix](path))
-    except DataFormatError as e:
-        raise e if str(path) in str(e) else DataFormatError(f"{path}: {e}") from e
+    except GofError as e:
+        raise e if str(path) in str(e) else type(e)(f"{path}: {e}") from e
 
 
 # ---------------------------------------------------------------- npz
@@ -70,18 +70,15 @@ def _save_npz(g: TransientGaussians, path: Path, source: str) -> None:
 
 
 def _load_npz(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            schema = str(data["schema"]) if "schema" in data else "none"
-            if schema != NPZ_SCHEMA:
-                raise DataFormatError(f"{path}: schema is '{schema}', this version reads '{NPZ_SCHEMA}'")
-            color = "rgb" if "rgb" in data else "sh"
-            missing = [key for key in (*_NPZ_FIELDS, color) if key not in data]
-            if missing:
-                raise DataFormatError(f"{path}: fields {missing} are missing")
-            return {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]}
-    except (zipfile.BadZipFile, EOFError, ValueError, OSError) as e:
-        raise DataFormatError(f"{path}: not a readable npz ({e}); truncated, or not an npz at all?") from e
+    data = read_npz(path)
+    schema = str(data.get("schema", "none"))
+    if schema != NPZ_SCHEMA:
+        raise DataFormatError(f"{path}: schema is '{schema[:40]}', this version reads '{NPZ_SCHEMA}'")
+    color = "rgb" if "rgb" in data else "sh"
+    missing = [key for key in (*_NPZ_FIELDS, color) if key not in data]
+    if missing:
+        raise DataFormatError(f"{path}: fields {missing} are missing")
+    return {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]}
 
 
 # ---------------------------------------------------------------- PLY

@@ -69,10 +69,12 @@ def _from_splats(source: Source) -> tuple[dict, dict]:
         missing = SPLATS - set(content)
         if missing:
             raise DataFormatError(f"{path}: fields {sorted(missing)} are missing")
-        meta = {k: content[k].item() for k in ("n_frames", "use_velocity") if k in content}
+        meta = {k: content[k].item() for k in ("n_frames", "use_velocity") if k in content and content[k].size == 1 and content[k].dtype.kind in "biuf"}
 
         def get(name, *shape):
             value = content[name]
+            if value.dtype.kind not in "biuf":
+                raise DataFormatError(f"{path}: '{name}' does not hold numbers")
             if value.ndim != len(shape) or any(b is not None and a != b for a, b in zip(value.shape, shape, strict=True)):
                 raise DataFormatError(f"{path}: '{name}' has shape {value.shape}, expected {shape}")
             return value.astype(np.float32)

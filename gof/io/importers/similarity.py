@@ -33,7 +33,7 @@ def decompose(matrix: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     matrix = np.asarray(matrix, np.float64)
     linear = matrix[:3, :3]
     s = np.cbrt(np.linalg.det(linear))
-    if not s > 0 or np.abs(linear @ linear.T / s**2 - np.eye(3)).max() > 1e-4:
+    if not np.isfinite(matrix).all() or not s > 0 or np.abs(linear @ linear.T / s**2 - np.eye(3)).max() > 1e-4:
         raise GofError("the world transform is not a similarity (sheared, mirrored or singular)")
     return float(s), linear / s, matrix[:3, 3]
 
@@ -64,9 +64,10 @@ def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) 
         raise GofError(f"alignment needs two cameras with the same name in both; found {names} of {sorted(source)[:5]} and {sorted(target)[:5]}")
     pose = [np.stack([np.linalg.inv(np.asarray(p[n], np.float64)) for n in names]) for p in (source, target)]
     centres = [p[:, :3, 3] for p in pose]
-    spread = [np.sqrt(np.mean(np.sum((c - c.mean(0)) ** 2, 1))) for c in centres]
-    if min(spread) < 1e-9:
-        raise GofError("alignment: all camera centres coincide, so the scale is unknown")
+    with np.errstate(over="ignore"):
+        spread = [np.sqrt(np.mean(np.sum((c - c.mean(0)) ** 2, 1))) for c in centres]
+    if not 1e-9 < min(spread) <= max(spread) < 1e30:
+        raise GofError(f"alignment: the camera centres spread {spread[0]:.2g} and {spread[1]:.2g} around their middle; no scale follows from that")
     points = [np.concatenate([c] + [c + d * p[:, :3, k] for k in range(3)]) for c, p, d in zip(centres, pose, spread, strict=True)]
     mean = [p.mean(0) for p in points]
     a, b = points[0] - mean[0], points[1] - mean[1]
@@ -98,9 +99,18 @@ def read_cameras(path: Path) -> dict[str, np.ndarray]:
     try:
         if "cameras" in content:
             content = {c["name"]: c["world_to_camera"] for c in content["cameras"]}
-        return {str(n): np.asarray(m, np.float64).reshape(4, 4) for n, m in content.items()}
+        found = {str(n): np.asarray(m, np.float64).reshape(4, 4) for n, m in content.items()}
     except (AttributeError, KeyError, TypeError, ValueError) as e:
         raise DataFormatError(f"{path}: no cameras with a name and a 4x4 world_to_camera in it ({e})") from e
+    _check_poses(found, path)
+    return found
+
+
+def _check_poses(poses: dict[str, np.ndarray], path: Path) -> None:
+    for name, pose in poses.items():
+        R = pose[:3, :3]
+        if not np.isfinite(pose).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:
+            raise DataFormatError(f"{path}: world_to_camera of '{name[:40]}' is not a rotation and a shift")
 
 
 def quaternion(R: np.ndarray) -> np.ndarray:
@@ -177,9 +187,13 @@ def read_colmap(folder: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
             for line in (folder / "points3D.txt").read_text().splitlines():
                 if line.strip() and not line.startswith("#"):
                     points.append(tuple(map(float, line.split()[1:4])))
+        cloud = np.array(points, np.float64).reshape(-1, 3)
     except (struct.error, ValueError, IndexError, FileNotFoundError) as e:
         raise DataFormatError(f"{folder}: the COLMAP model cannot be read ({e}); files missing or cut off?") from e
-    return poses, np.array(points, np.float64).reshape(-1, 3)
+    _check_poses(poses, folder)
+    if not np.isfinite(cloud).all():
+        raise DataFormatError(f"{folder}: points of the COLMAP model are NaN or Inf")
+    return poses, cloud
 
 
 def _pose(values: tuple) -> np.ndarray:
@@ -239,7 +253,18 @@ def world_from_training(path: Path) -> np.ndarray:
     if path.is_file():
         value = read_json(path)
         try:
-            return np.asarray(value["training_to_world"], np.float64).reshape(4, 4)
+            matrix = np.asarray(value["training_to_world"], np.float64).reshape(4, 4)
         except (KeyError, TypeError, ValueError) as e:
             raise DataFormatError(f"{path}: no 4x4 'training_to_world' in it") from e
-    return np.linalg.inv(normalisation(*read_colmap(path)))
+        if not np.isfinite(matrix).all():
+            raise DataFormatError(f"{path}: 'training_to_world' holds NaN or Inf")
+        return matrix
+    try:
+        found = np.linalg.inv(normalisation(*read_colmap(path)))
+    except DataFormatError as e:
+        raise e if str(path) in str(e) else DataFormatError(f"{path}: {e}") from e
+    except np.linalg.LinAlgError as e:
+        raise DataFormatError(f"{path}: the COLMAP model has no normalisation ({e}); do all cameras or points coincide?") from e
+    if not np.isfinite(found).all():
+        raise DataFormatError(f"{path}: the COLMAP model has no finite normalisation; do all cameras or points coincide?")
+    return found

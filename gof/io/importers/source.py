@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from gof.errors import DataFormatError, MissingDependencyError
 from gof.gaussians import TransientGaussians
 from gof.io.importers.trajectory import Trajectory
+from gof.io.npz import read_npz
 from gof.io.ply import Ply
 
 
@@ -82,12 +82,7 @@ class Source:
 
     @cached_property
     def npz(self) -> dict[str, np.ndarray]:
-        """All arrays of an npz; pickled ones are refused."""
-        try:
-            with np.load(self.path, allow_pickle=False) as data:
-                return {name: data[name] for name in data.files}
-        except (zipfile.BadZipFile, EOFError, ValueError, OSError) as e:
-            raise DataFormatError(f"{self.path}: not a readable npz without pickles ({e})") from e
+        return read_npz(self.path)
 
     @cached_property
     def ply(self) -> Ply:

@@ -41,6 +41,9 @@ class Trajectory:
     dynamic: np.ndarray | None = None
 
     def __post_init__(self):
+        for f in fields(self):
+            if getattr(self, f.name) is not None and np.asarray(getattr(self, f.name)).dtype.kind not in "biuf":
+                raise DataFormatError(f"trajectory '{f.name}' does not hold numbers")
         self.time_s = np.asarray(self.time_s, np.float64)
         steps, count = np.shape(self.position)[:2] if np.ndim(self.position) == 3 else (0, 0)
         self.color = np.full((count, 3), 0.5) if self.color is None else self.color
@@ -56,6 +59,8 @@ class Trajectory:
                 raise DataFormatError(f"trajectory '{name}' has shape {value.shape}, expected {' or '.join(map(str, shapes))}")
             require_finite(name, value, "Trajectory")
             setattr(self, name, value)
+        require_finite("time_s", self.time_s, "Trajectory")
+        require_finite("color", self.color, "Trajectory")
         if self.time_s.shape != (steps,) or steps < 2 or not (np.diff(self.time_s) > 0).all():
             raise DataFormatError(f"trajectory time_s has shape {self.time_s.shape}; expected ({steps},) strictly increasing seconds, at least 2")
         if self.dynamic.shape != (count,):

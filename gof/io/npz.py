@@ -1,0 +1,51 @@
+"""Reading npz files that nobody vouches for: no pickles, and no more memory than the file can honestly ask for."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from gof.errors import DataFormatError
+
+EXPANSION, ALWAYS = 100, 2**26  # an archive may unpack to this many times its size, or to this many bytes
+
+
+def read_npz(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of an npz.
+
+    Raises:
+        DataFormatError: not an npz, cut off, arrays of objects (they would run code), a header that announces more than the
+            file holds, or an archive that unpacks to more than 100 times its size.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            _check_sizes(archive, path)
+        with np.load(path, allow_pickle=False) as data:
+            arrays = {name: data[name] for name in data.files}
+    except DataFormatError:
+        raise
+    # numpy and zipfile meet damage with many kinds of error, among them NotImplementedError and UnicodeError
+    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError, RuntimeError, AttributeError, TypeError, KeyError, SyntaxError, OverflowError) as e:
+        raise DataFormatError(f"{path}: not a readable npz without pickles ({e}); truncated, or not an npz at all?") from e
+    foreign = [name for name, value in arrays.items() if not isinstance(value, np.ndarray) or value.dtype.kind not in "biufU"]
+    if foreign:
+        raise DataFormatError(f"{path}: fields {foreign} hold neither numbers nor text")
+    return arrays
+
+
+def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
+    members = archive.infolist()
+    total, limit = sum(m.file_size for m in members), max(EXPANSION * path.stat().st_size, ALWAYS)
+    if total > limit:
+        raise DataFormatError(f"{path}: unpacks to {total} bytes from {path.stat().st_size}; nothing honest is packed so tightly")
+    for member in members:
+        with archive.open(member) as file:
+            version = np.lib.format.read_magic(file)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(file)
+        if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
+            raise DataFormatError(f"{path}: '{member.filename}' announces shape {shape} of {dtype}, the file holds {member.file_size} bytes of it")
