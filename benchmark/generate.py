@@ -15,7 +15,7 @@ from blender_addon import spec as scene_spec
 from blender_addon.layout import Layout
 from blender_addon.spec import SceneSpec, SpecError
 from gof.errors import GofError
-from gof.io.files import read_json, write_json
+from gof.io.files import only_run_in, read_json, write_json
 from gof.stages import StageLog
 
 SCENES = Path(__file__).parent / "scenes"
@@ -61,7 +61,7 @@ def main(argv: list[str]) -> int:
     claim(layout, spec)
     log = StageLog(layout.costs)
     if not layout.description.exists() or config.views:
-        with _wall_clock(layout.costs):
+        with only_run_in(layout.hidden), _wall_clock(layout.costs):
             _make(spec, layout, log, config)
         print(_summary(layout.costs, log))
     if config.json:

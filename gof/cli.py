@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import sys
 
@@ -25,6 +26,8 @@ COMMANDS = {
     "report": ("gof.report", "pictures, animation, scores and costs on one self-contained HTML page"),
     "doctor": ("gof.doctor", "check this machine: Blender, Mantaflow, Dr.Jit, CUDA, OpenEXR, disk, weights"),
 }
+
+DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)  # what a user's disk can do to a run
 
 HELP = """\
 gof {version} - Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
@@ -61,6 +64,12 @@ def main(argv: list[str] | None = None) -> int:
         return importlib.import_module(COMMANDS[argv[0]][0]).main(argv[1:]) or 0
     except GofError as e:
         print(f"gof {argv[0]}: {e}", file=sys.stderr)
+        return 1
+    except OSError as e:
+        if e.errno not in DISK:
+            raise
+        print(f"gof {argv[0]}: {e.filename or 'a file'}: {e.strerror}; finished work is kept: make room, or choose another folder, and run the same "
+              "command again", file=sys.stderr)  # fmt: skip
         return 1
     except KeyboardInterrupt:
         print(f"\ngof {argv[0]}: stopped; finished work is kept, the same command resumes", file=sys.stderr)

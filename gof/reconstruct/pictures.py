@@ -25,10 +25,9 @@ def flow_colors(flow: np.ndarray, longest: float) -> np.ndarray:
 
 def save_picture(folder: Path, name: str, caption: str, image: np.ndarray) -> None:
     """Write folder/name.png from (H, W, 3) display values and its caption into folder/captions.json (kept in order)."""
+    levels = cv2.cvtColor((np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8), cv2.COLOR_RGB2BGR)
     with atomic_path(folder / f"{name}.png") as temporary:
-        cv2.imwrite(
-            str(temporary), cv2.cvtColor((np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8), cv2.COLOR_RGB2BGR)
-        )
+        temporary.write_bytes(cv2.imencode(".png", levels)[1].tobytes())
     captions = read_json(folder / "captions.json") if (folder / "captions.json").exists() else {}
     captions[f"{name}.png"] = caption
     write_json(folder / "captions.json", captions)

@@ -14,7 +14,7 @@ import tyro
 from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
-from gof.io.files import read_json, write_json
+from gof.io.files import only_run_in, read_json, write_json
 from gof.plates import save_plates
 from gof.reconstruct.optical_flow import FlowName
 from gof.reconstruct.presets import METHODS, PRESETS, step_ms
@@ -74,8 +74,13 @@ def reconstruct(config: ReconstructConfig) -> Path:
     Returns:
         path of result.npz.
     Raises:
-        GofError: `out` holds a reconstruction made with other settings; or see the stages.
+        GofError: `out` holds a reconstruction made with other settings, or another run is at work there; or see the stages.
     """
+    with only_run_in(config.out):
+        return _run_stages(config)
+
+
+def _run_stages(config: ReconstructConfig) -> Path:
     full, out, method = Dataset.open(config.dataset), config.out, METHODS[config.method]
     result = out / "result.npz"
     settings = {k: v for k, v in asdict(config).items() if k not in ("out", "json", "dataset", "preset", "flow_weights")}
