@@ -256,7 +256,7 @@ def test_cloud_shows_its_display_colours(rendered):
     depth = 600 * 2 * np.pi * 0.06 * 0.05**2 / 0.6**2  # the block is seen as 0.6 m x 0.6 m
     wanted = (1 - np.exp(-depth)) * np.array([0.8, 0.4, 0.1])
     assert 0.6 < 1 - np.exp(-depth) < 0.9
-    assert np.abs(middle - wanted).max() < 0.06
+    assert np.abs(middle - wanted).max() < 0.04  # 0.05 without the rounds of correction
 
 
 @pytest.mark.parametrize("transform", ["Standard", "Filmic", "AgX"])
