@@ -71,10 +71,9 @@ class Prediction:
         return self.bake_s + self.render_s + self.ground_truth_s
 
     def __str__(self) -> str:
-        minutes = duration
         return (
-            f"predicted: {minutes(self.total_s)} +- {100 * self.error:.0f} % (bake {minutes(self.bake_s)}, pictures "
-            f"{minutes(self.render_s)}, ground truth {minutes(self.ground_truth_s)}), {self.memory_mb / 1000:.1f} GB of "
+            f"predicted: {duration(self.total_s)} +- {100 * self.error:.0f} % (bake {duration(self.bake_s)}, pictures "
+            f"{duration(self.render_s)}, ground truth {duration(self.ground_truth_s)}), {self.memory_mb / 1000:.1f} GB of "
             f"memory, {self.disk_mb / 1000:.2f} GB of disk; measured on {self.measured_on}"
         )
 

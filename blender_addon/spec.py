@@ -209,9 +209,6 @@ class BlendFile:
     """Name of the empty that marks where the fire burns: its place and its turn about Z; its scale is ignored."""
 
 
-GROUND_TRUTH = ("grids", "flow", "vdb")
-
-
 @dataclass(frozen=True)
 class SceneSpec:
     """Everything that defines a dataset. Only the effects listed here are simulated, rendered and paid for."""
