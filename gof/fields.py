@@ -133,7 +133,7 @@ class VelocitySequence:
             raise DataFormatError(f"{path}: time_s or index_to_world in zarr.json do not hold numbers ({e})") from e
         if (units, layout) != ("m/s", "cell_centred"):
             raise DataFormatError(f"{path}: units '{units}', layout '{layout}'; expected 'm/s', 'cell_centred'")
-        if array.ndim != 5 or array.shape[-1] != 3 or self.times_s.shape != array.shape[:1]:
+        if array.ndim != 5 or array.shape[-1] != 3 or 0 in array.shape or self.times_s.shape != array.shape[:1]:
             raise DataFormatError(
                 f"{path}: shape {array.shape} and {self.times_s.shape} times do not fit (T, X, Y, Z, 3)"
             )

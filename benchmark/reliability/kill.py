@@ -35,7 +35,7 @@ class Job:
 
     def files(self, out: Path) -> dict[str, tuple[int, str]]:
         """(time of writing, digest of the content) of what is finished."""
-        found = sorted({p for pattern in self.finished for p in out.glob(pattern) if p.is_file() and not p.name.startswith(".")})
+        found = sorted({p for pattern in self.finished for p in out.glob(pattern) if p.is_file() and not p.name.startswith(".") and complete(p)})
         return {str(p.relative_to(out)): (p.stat().st_mtime_ns, digest(p)) for p in found}
 
 
@@ -55,6 +55,12 @@ class Record:
     difference: float = 0.0
     """Largest difference of a result's values from the uninterrupted run's, relative to their spread; results only."""
     failures: list[str] = field(default_factory=list)
+
+
+def complete(path: Path) -> bool:
+    """A picture is finished with its EXR, which is written last."""
+    folder = path.parent.with_name("exr") if path.parent.name in ("rgb", "mask") else path.parent
+    return path.suffix != ".png" or path.parent.name == "plates" or (folder / path.name).with_suffix(".exr").is_file()
 
 
 def digest(path: Path) -> str:

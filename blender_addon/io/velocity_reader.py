@@ -59,7 +59,7 @@ class TrueVelocity:
             raise FileFormatError(f"{path}/zarr.json: not a velocity store ({type(error).__name__}: {error})") from None
         if attributes.get("schema") != "gof-velocity" or attributes.get("units") != "m/s":
             raise FileFormatError(f"{path}: schema '{attributes.get('schema')}' in {attributes.get('units')}; expected 'gof-velocity' in m/s")
-        if codecs not in CODECS or len(self._shape) != 5 or self._shape[0] != len(self.time_s):
+        if codecs not in CODECS or len(self._shape) != 5 or self.time_s.shape != self._shape[:1]:
             raise FileFormatError(f"{path}: codecs {codecs}, shape {self._shape}; only gzip stores (T, X, Y, Z, 3) as "
                                   "`gof generate` writes them can be read here")
         self._gzip = "gzip" in codecs

@@ -16,6 +16,7 @@ except ModuleNotFoundError:  # the bpy wheel does not put Blender's own Python p
     sys.path.extend(str(folder) for folder in [*python.glob("python3*/site-packages"), python / "site-packages"])
     import OpenImageIO as oiio
 
+EXPANSION = 2100  # deflate packs zeros 1032 times, and halves become floats
 EXR_CHANNELS = ("R", "G", "B", "A", "Z", "flame.R", "flame.G", "flame.B")
 
 
@@ -102,6 +103,8 @@ def _read(path: Path, kind=oiio.FLOAT) -> tuple[np.ndarray, list[str]]:
     parts, names = [], []
     try:
         while image.seek_subimage(len(parts), 0):  # Blender 5.0 on writes one part a pass, of equal sizes
+            if image.spec().image_pixels() * image.spec().nchannels * 4 > EXPANSION * path.stat().st_size:
+                raise OSError(f"{path}: announces {image.spec().width}x{image.spec().height} pixels, more than the file can hold")
             parts.append(image.read_image(len(parts), 0, 0, image.spec().nchannels, kind))
             if parts[-1] is None:
                 raise OSError(f"{path}: {image.geterror()}")
