@@ -30,6 +30,7 @@ TAB = (1307, 276)
 ADD_FIRE, ADD_CAMERAS, NEXT_VIEW, BENCHMARK_BELOW = (1205, 357), (1205, 718), (1205, 739), (1152, 773)
 BAKE_AND_RENDER = (1205, 389)
 DESELECT = "bpy.ops.object.select_all(action='DESELECT')"  # the active object stays that of the panel
+SIDEBAR = "222x440+1098+60"
 FIRST_HEADER, HEADER_STEP = (1152, 97), 28  # of the panels when all are closed
 
 INSTALL = """
@@ -194,12 +195,13 @@ def benchmark(window: Window, out: Path) -> None:
     folder = window.work / "cube_fire"
     window.python(f"gof.benchmark.folder = {str(folder)!r}\nNone")
     window.settle()
+    window.photograph(out / "addon_plan.webp", crop=SIDEBAR)
     running = "bpy.types.GOF_OT_bake_render.job is not None"
     window.press(*BAKE_AND_RENDER, running)
     window.wait(lambda: window.python("'done' if bpy.types.GOF_OT_bake_render.job.stage == 'render' else ''"), 300)
     window.wait(lambda: len(list(folder.glob("cameras/*/exr/0*.exr"))) > 5, 300)
     window.settle()
-    window.photograph(out / "addon_benchmark.webp", crop="620x560+980+60")
+    window.photograph(out / "addon_benchmark.webp", crop=SIDEBAR)
     window.key("Escape")
     window.wait(lambda: not window.python(running))
     kept = len(list(folder.glob("cameras/*/exr/0*.exr")))
