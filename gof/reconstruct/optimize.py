@@ -60,7 +60,7 @@ def optimize(
     times_s: np.ndarray,
     cameras: list[Camera],
     schedule: Schedule,
-    rng: np.random.Generator,
+    seed: int,
     checkpoint: Path,
     progress: Callable[..., None] = lambda done, total, **_: None,
     evaluate: Callable[[int, TransientGaussians, list[np.ndarray]], float | None] = lambda *_: None,
@@ -70,6 +70,7 @@ def optimize(
     Args:
         voxel_size: m, bounds the scale (0.1 to 3 voxels).   frame_time_s: s.
         motion: training pictures (those that were delivered are used), masks and plates.   times_s: (C, F) when each camera took each of them (first line).
+        seed: of the order of the pictures.
         checkpoint: file to resume from and to write every 500 steps (removed by the caller when done); a disk too full
             for it is reported and does not end the run.
         progress: called with (done, total, note=...).
@@ -107,12 +108,13 @@ def optimize(
 
     targets, outside = {}, {}
     usable = np.argwhere(motion.delivered)
-    order, mean_loss, psnr = [], None, None
+    epoch, order, mean_loss, psnr = -1, usable, None, None
     decay = (schedule.position[1] / schedule.position[0]) ** (1 / max(schedule.iterations, 1))
     for step in range(start, schedule.iterations):
-        if not order:
-            order = rng.permutation(usable).tolist()
-        f, c = order.pop()
+        if step // len(usable) != epoch:  # every picture once, in an order of its own, the same when resumed
+            epoch = step // len(usable)
+            order = np.random.default_rng((seed, epoch)).permutation(usable)
+        f, c = order[step % len(usable)].tolist()
         if (f, c) not in targets:
             targets[f, c] = Target(motion.image[f, c])
             outside[f, c] = Float(np.ascontiguousarray(~motion.mask[f, c].ravel(), np.float32))

@@ -175,7 +175,7 @@ def _run_stages(config: ReconstructConfig) -> Path:
             ablations.change_times(config.ablation, times_s, dt),
             dataset.cameras,
             ablations.change_schedule(config.ablation, Schedule(config.iterations, method.velocity_rate, method.plate_rate)),
-            rng,
+            config.seed,
             checkpoint,
             progress,
             evaluate,

@@ -73,7 +73,7 @@ def test_interrupted_optimisation_resumes_from_its_checkpoint(rising_flame, tmp_
     real = optimize.render_splats
 
     def stop_after_50(*args, **kwargs):
-        steps.append(1)
+        steps.append(args[1].name)
         if len(steps) == 50:
             raise KeyboardInterrupt
         return real(*args, **kwargs)
@@ -84,6 +84,7 @@ def test_interrupted_optimisation_resumes_from_its_checkpoint(rising_flame, tmp_
     assert (tmp_path / "checkpoint.npz").exists() and not (tmp_path / "result.npz").exists()
     reconstruct(config(rising_flame, tmp_path, iterations=60))
     assert len(steps) == 50 + 20, "20 of 60 steps were left after the checkpoint at 40"
+    assert steps[40:50] == steps[50:60], "and they draw the same pictures"
 
 
 def test_nan_is_caught_and_named(rising_flame, tmp_path, monkeypatch):
