@@ -159,6 +159,8 @@ def finish(spec: SceneSpec, layout: Layout, progress) -> None:
     files += [path for name in spec.cameras.names for path in (layout.static(name), layout.static_exr(name))] + [
         layout.velocity / "zarr.json"
     ]
+    if effects.shows_board(spec):
+        files += [layout.board_mask(name) for name in spec.cameras.names]
     missing = [path for path in files if not path.is_file()]
     if missing:
         raise FileNotFoundError(
@@ -176,7 +178,7 @@ def finish(spec: SceneSpec, layout: Layout, progress) -> None:
             "effects": spec.effect_names,
             "time_s": [frame / spec.clip.fps for frame in range(spec.clip.frames)],
             "cameras": [
-                rig.describe(camera, spec) | layout.patterns(camera.name, "flow" in spec.ground_truth)
+                rig.describe(camera, spec) | layout.patterns(camera.name, "flow" in spec.ground_truth, effects.shows_board(spec))
                 for camera in rig.find(spec)
             ],
             "splits": {"train": [frame for frame in range(spec.clip.frames) if frame not in test], "test": test},

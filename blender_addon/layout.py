@@ -28,6 +28,7 @@ class Layout:
     }
     FLOW = "cameras/{camera}/flow/{frame:06d}.exr"
     STATIC = "static/{camera}.png"
+    BOARD_MASK = "cameras/{camera}/board_mask.png"
 
     @property
     def description(self) -> Path:
@@ -115,9 +116,12 @@ class Layout:
         """The linear form of the plate, with its depth."""
         return self.static(camera).with_suffix(".exr")
 
-    def patterns(self, camera: str, with_flow: bool = False) -> dict[str, str]:
+    def board_mask(self, camera: str) -> Path:
+        """Where a sync board is in the pictures, if the spec has one."""
+        return self.root / self.BOARD_MASK.format(camera=camera)
+
+    def patterns(self, camera: str, with_flow: bool = False, with_board: bool = False) -> dict[str, str]:
         """File name patterns of a camera as written in dataset.json; ``{frame:06d}`` stays open."""
-        kinds = self.PATTERNS | ({"flow": self.FLOW} if with_flow else {})
-        return {kind: pattern.replace("{camera}", camera) for kind, pattern in kinds.items()} | {
-            "static": self.STATIC.format(camera=camera)
-        }
+        kinds = self.PATTERNS | {"static": self.STATIC}
+        kinds |= ({"flow": self.FLOW} if with_flow else {}) | ({"board_mask": self.BOARD_MASK} if with_board else {})
+        return {kind: pattern.replace("{camera}", camera) for kind, pattern in kinds.items()}

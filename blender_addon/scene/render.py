@@ -80,7 +80,10 @@ def _set_up_denoiser(cycles) -> None:
 
 
 def plates(spec: SceneSpec, layout: Layout) -> None:
-    """Render each camera's view without the fire where it is missing: linear (.exr) and for display (.png)."""
+    """Render each camera's view without the fire where it is missing: linear (.exr) and for display (.png). Write the
+    masks of a sync board, if the spec has one."""
+    if effects.shows_board(spec):
+        _write_board_masks(spec, layout)
     scene, domain = bpy.context.scene, find_domain()
     missing = [
         (index, camera)
@@ -102,6 +105,12 @@ def plates(spec: SceneSpec, layout: Layout) -> None:
     domain.hide_render = False
     scene.cycles.samples = spec.render.samples
     scene.render.use_persistent_data = True
+
+
+def _write_board_masks(spec: SceneSpec, layout: Layout) -> None:
+    for index, path in enumerate(map(layout.board_mask, spec.cameras.names)):
+        if not images.opens(path):
+            images.write_png(path, np.rint(255 * effects.board_mask(spec, index)).astype(np.uint8)[..., None])
 
 
 class FrameRenderer:
@@ -156,7 +165,7 @@ class FrameRenderer:
                 return _beauty(passes), _flame(passes)
             _render_only(np.nonzero(weight)[0], len(weight), self._spec)
             passes = _render(self._cameras[camera], beside)
-            share = _as_picture(weight, self._spec).astype(np.float32)
+            share = rig.as_picture(weight, self._spec).astype(np.float32)
             total_beauty = total_beauty + share * _beauty(passes)
             total_flame = total_flame + share * _flame(passes)
         return total_beauty, total_flame
@@ -192,13 +201,6 @@ def _render_only(lines: np.ndarray, count: int, spec: SceneSpec) -> None:
     settings.border_min_x, settings.border_max_x, settings.border_min_y, settings.border_max_y = (
         (low, high, 0.0, 1.0) if direction in ("left", "right") else (0.0, 1.0, low, high)
     )
-
-
-def _as_picture(weight: np.ndarray, spec: SceneSpec) -> np.ndarray:
-    """Weights of lines in reading order as (H, 1, 1) or (1, W, 1), to be multiplied with a stored picture."""
-    direction = rig.READOUT[spec.cameras.roll_deg]
-    ordered = weight[::-1] if direction in ("left", "up") else weight
-    return ordered[None, :, None] if direction in ("left", "right") else ordered[:, None, None]
 
 
 def _leave_only_the_fire() -> None:

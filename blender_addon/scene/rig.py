@@ -91,6 +91,13 @@ def describe(camera: bpy.types.Object, spec: SceneSpec) -> dict:
     }
 
 
+def as_picture(values: np.ndarray, spec: SceneSpec) -> np.ndarray:
+    """Values of lines in reading order as (H, 1, 1) or (1, W, 1), to be combined with a stored picture."""
+    direction = READOUT[spec.cameras.roll_deg]
+    ordered = values[::-1] if direction in ("left", "up") else values
+    return ordered[None, :, None] if direction in ("left", "right") else ordered[:, None, None]
+
+
 def poses(rig: Rig) -> list[Matrix]:
     """Camera to world of all cameras, those for evaluation last: as they were placed, or on the arc."""
     if rig.placed:

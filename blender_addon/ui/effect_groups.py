@@ -26,13 +26,15 @@ def _descriptions(settings: type) -> dict[str, str]:
 
 
 def _properties(settings: type) -> dict:
-    """Blender properties of the fields that are a number or a choice; the others keep their defaults."""
+    """Blender properties of the fields that are a number, a place or a choice; the others keep their defaults."""
     kinds, notes, found = typing.get_type_hints(settings), _descriptions(settings), {}
     for field in dataclasses.fields(settings):
         common = {"name": field.name.replace("_", " ").capitalize(), "description": notes.get(field.name, "")}
         kind = kinds[field.name]
         if kind is float:
             found[field.name] = bpy.props.FloatProperty(**common, default=field.default, precision=3)
+        elif kind == tuple[float, float, float]:
+            found[field.name] = bpy.props.FloatVectorProperty(**common, default=field.default, precision=3)
         elif kind is int:
             found[field.name] = bpy.props.IntProperty(**common, default=field.default)
         elif typing.get_origin(kind) is typing.Literal:
@@ -71,6 +73,8 @@ def in_scene(name: str) -> bool:
 
 def exact(value):
     """A property's value as it was typed: Blender keeps single precision, 0.13 reads as 0.12999999523."""
+    if isinstance(value, bpy.types.bpy_prop_array):
+        return tuple(map(exact, value))
     return float(f"{value:.7g}") if isinstance(value, float) else value
 
 

@@ -45,18 +45,21 @@ def test_only_what_is_chosen_is_in_the_scene():
         result["vorticity"] = settings.vorticity
         fire.effects.vorticity.use, fire.effects.wind.use, fire.effects.wind.strength = False, True, 0.7
         fire.effects.motion_blur.use, fire.effects.wind.gusts = True, 0
+        fire.effects.sync_board.use, fire.effects.sync_board.position = True, (0.1, -0.4, 0.13)
         before = len(bpy.data.objects)
         bpy.ops.gof.add_fire()
         result["windy"], result["more"] = parts(), len(bpy.data.objects) - before
         settings = place.find(scene, "domain").modifiers["Fluid"].domain_settings
         result["calm"] = [settings.vorticity, settings.flame_vorticity, settings.flame_smoke, settings.use_noise]
         result["wind"] = place.find(scene, "effect").field.strength
-        result["spec"] = scene_spec.of_scene(scene).effect_names
+        spec = scene_spec.of_scene(scene)
+        result["spec"], result["board"] = spec.effect_names, spec.effects[1].position
     """)
     assert found["default"] == ["domain", "emitter", "place"] and found["vorticity"] > 0
     assert found["windy"] == ["domain", "effect", "emitter", "place"] and found["more"] == 1
     assert found["calm"] == [0.0, 0.0, 0.0, False]
-    assert found["wind"] == pytest.approx(0.7) and found["spec"] == ["motion_blur", "wind"]
+    assert found["wind"] == pytest.approx(0.7) and found["spec"] == ["motion_blur", "sync_board", "wind"]
+    assert found["board"] == [0.1, -0.4, 0.13], "as typed, not in single precision"
 
 
 def test_parts_are_those_the_generator_builds():

@@ -127,7 +127,7 @@ def test_every_effect_module_keeps_the_contract():
     for name in effects.names():
         module = effects.module(name)
         assert effects.name_of(module.Settings()) == name
-        hooks = {"apply", "ABSORBS_LIGHT", "steps_per_frame", "timing", "expose", "ENCODES"} & set(vars(module))
+        hooks = {"apply", "ABSORBS_LIGHT", "steps_per_frame", "timing", "overlay", "expose", "ENCODES"} & set(vars(module))
         assert hooks, "an effect changes something"
 
 

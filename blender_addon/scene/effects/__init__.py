@@ -3,7 +3,8 @@
 A module holds ``Settings`` (a frozen dataclass, the JSON form of the effect) and some of these, all optional:
 
 ``apply(fire, settings, spec)``
-    changes a built ``scene.fire.FireObjects`` before the bake; the only place where an effect imports bpy.
+    changes a built ``scene.fire.FireObjects`` before the bake. Only here and where the scene is open may an effect
+    import bpy.
 ``ABSORBS_LIGHT = True``
     says that the effect dims what is behind it, so that frames cannot be rendered as the fire-free plate plus the
     fire's light.
@@ -11,8 +12,12 @@ A module holds ``Settings`` (a frozen dataclass, the JSON form of the effect) an
     solver steps it needs from one frame to the next.
 ``timing(settings, spec, camera, frame) -> shutter.Timing``
     what it adds to the time at which a picture is taken.
+``overlay(light, settings, spec, camera, frame) -> light``
+    draws over the light that reaches the sensor, (H, W, 3) linear; frame -1 is the plate. The scene is open.
+``board_mask(settings, spec, camera) -> mask``
+    (H, W) in [0, 1], 1 where a sync board is, which scores leave out; for the dataset. The scene is open.
 ``expose(light, settings, spec, camera, frame) -> light``
-    turns the light that reaches the sensor, (H, W, 3) linear, into what the sensor reports; frame -1 is the plate.
+    turns the light that reaches the sensor, likewise, into what the sensor reports.
 ``ENCODES = True``
     says that the display pictures of a camera pass through a codec as one video (``scene.video``).
 """
@@ -86,11 +91,22 @@ def timing(settings: Any, spec: SceneSpec, camera: int, frame: int) -> Timing:
 
 
 def expose(light: np.ndarray, spec: SceneSpec, camera: int, frame: int) -> np.ndarray:
-    """Light at the sensor to what the sensor reports, through the effects in the order of the spec."""
-    for settings in spec.effects:
-        if hook := _hook(settings, "expose"):
-            light = hook(light, settings, spec, camera, frame)
+    """Rendered light to what the sensor reports: what is drawn over it first, then the sensor, in the order of the spec."""
+    for name in ("overlay", "expose"):
+        for settings in spec.effects:
+            if hook := _hook(settings, name):
+                light = hook(light, settings, spec, camera, frame)
     return light
+
+
+def shows_board(spec: SceneSpec) -> bool:
+    """Whether pictures have a board in them that scores leave out."""
+    return any(_hook(settings, "board_mask") for settings in spec.effects)
+
+
+def board_mask(spec: SceneSpec, camera: int) -> np.ndarray:
+    """(H, W) in [0, 1]: 1 where a board is."""
+    return sum(hook(settings, spec, camera) for settings in spec.effects if (hook := _hook(settings, "board_mask")))
 
 
 def _hook(settings: Any, name: str):
