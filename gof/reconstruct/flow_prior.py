@@ -158,6 +158,12 @@ class _Layers:
         return cls(axis, np.maximum(radius, 0.5 * voxels.voxel_size))
 
 
+def flame_radius(voxels: FlameVoxels, emission: np.ndarray) -> float:
+    """RMS distance, m, of the light from the axis of its layer; emission (V,) >= 0 must not be all 0."""
+    light = np.bincount(voxels.index[:, 2], emission, voxels.resolution[2])
+    return float(np.sqrt((light * _Layers.of(voxels, emission).radius ** 2).sum() / light.sum()))
+
+
 @dataclass(frozen=True)
 class _Scene:
     """What a clip has one of: its scales, its mean flow, its axis."""
@@ -194,7 +200,7 @@ class _Scene:
             speed=float(np.sqrt(energy / total.sum())),
             height=(voxels.center[:, 2] - foot) / flame_height,
             flame_height=flame_height,
-            flame_radius=float(np.sqrt((light * layers.radius**2).sum() / light.sum())),
+            flame_radius=flame_radius(voxels, total),
             layers=layers,
             mean_velocity=momentum / (total + 1e-3 * total.mean())[:, None],
             mean_brightness=_brightness_in_layer(voxels, total / len(emission)),

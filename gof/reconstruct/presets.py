@@ -47,6 +47,7 @@ class Method:
         smooth_voxels: emission-weighted smoothing of the fused flow, std-dev in voxels; 0 = none.
         flow_prior: the fused flow is corrected to the gas' own velocity (`flow_prior`).
         seed_emission: seeds in proportion to a voxel's emission, not as many in every voxel of the hull.
+        short_lives: t_sigma by how fast gas crosses the flame (`seeds.lifetime_s`), not four frame times.
         opacity: of a new Gaussian.
         velocity_rate: learning rate, voxels per frame time.
         plate_rate: learning rate of the plates, display values; 0 = they stay as they are.
@@ -58,12 +59,35 @@ class Method:
     smooth_voxels: float
     flow_prior: bool
     seed_emission: bool
+    short_lives: bool
     opacity: float
     velocity_rate: float
     plate_rate: float
 
 
 METHODS = {
-    "gof": Method(True, True, "full", 3.0, True, True, 0.1, 0.0002, 0.001),
-    "paper": Method(False, False, "paper", 0.0, False, False, 0.4, 0.00075, 0.0),  # 1e-2 of the position's per ms at 400 Hz
+    "gof": Method(
+        lit_plates=True,
+        round_flame=True,
+        fusion="full",
+        smooth_voxels=3.0,
+        flow_prior=True,
+        seed_emission=True,
+        short_lives=True,
+        opacity=0.1,
+        velocity_rate=0.0002,
+        plate_rate=0.001,
+    ),
+    "paper": Method(
+        lit_plates=False,
+        round_flame=False,
+        fusion="paper",
+        smooth_voxels=0.0,
+        flow_prior=False,
+        seed_emission=False,
+        short_lives=False,
+        opacity=0.4,
+        velocity_rate=0.00075,  # 1e-2 of the position's per ms at 400 Hz
+        plate_rate=0.0,
+    ),
 }

@@ -95,7 +95,7 @@ def _run_stages(config: ReconstructConfig) -> Path:
     from gof.reconstruct.heldout import HeldOut
     from gof.reconstruct.motion import estimate_motion
     from gof.reconstruct.optical_flow import flow_method
-    from gof.reconstruct.seeds import sample_seeds
+    from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
     from gof.reconstruct.shrink import shrink
     from gof.reconstruct.voxels import carve, tomography
 
@@ -147,10 +147,11 @@ def _run_stages(config: ReconstructConfig) -> Path:
         )
 
     with log.measure("seeds") as figures:
-        seeds = sample_seeds(voxels, frames, dt, config.gaussians, method.opacity, rng)
+        t_sigma = lifetime_s(voxels, frames, dt) if method.short_lives else LIFETIME_FRAMES[1] * dt
+        seeds = sample_seeds(voxels, frames, t_sigma, config.gaussians, method.opacity, rng)
         seeds = ablations.change_seeds(config.ablation, seeds, rng)
         seeds.save(out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
-        figures.update(gaussians=len(seeds))
+        figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
 
     from gof.reconstruct.optimize import Schedule, optimize
 

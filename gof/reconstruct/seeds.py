@@ -6,22 +6,39 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
+from gof.reconstruct.flow_prior import flame_radius
 from gof.reconstruct.voxels import FlameVoxels
 
 SCALE_MIN, SCALE_MAX = 0.1, 3.0  # bounds of a dynamic Gaussian's std-dev, in voxels (paper)
 SCALE_INITIAL = 0.7  # in voxels: neighbouring seeds overlap
-LIFETIME_FRAMES = 4.0  # t_sigma in frame times (paper)
+LIFETIME_FRAMES = 1.0, 4.0  # bounds of t_sigma in frame times; the paper's is the upper one
+CROSSING = 0.4  # of the flame's radius: how far gas goes in a lifetime
+
+
+def lifetime_s(voxels: FlameVoxels, frames: list[dict], frame_time_s: float) -> float:
+    """t_sigma: how long the gas goes straight, which is as long as it takes to cross a good third of the flame's radius.
+
+    A Gaussian that lives longer than the eddies do must be wrong for a part of its life, however its velocity is chosen; one
+    that lives shorter than a frame time is seen once, and nothing of its motion. Args as `sample_seeds`, with "emission" (V,).
+    """
+    emission = np.stack([f["emission"] * f["known"] for f in frames])
+    energy = sum((e[:, None] * f["velocity"] ** 2).sum() for e, f in zip(emission, frames, strict=True))
+    low, high = (n * frame_time_s for n in LIFETIME_FRAMES)
+    if not energy > 0:
+        return high
+    speed = np.sqrt(energy / emission.sum())
+    return float(np.clip(CROSSING * flame_radius(voxels, emission.sum(0)) / speed, low, high))
 
 
 def sample_seeds(
-    voxels: FlameVoxels, frames: list[dict], frame_time_s: float, budget: int, opacity: float, rng: np.random.Generator
+    voxels: FlameVoxels, frames: list[dict], t_sigma: float, budget: int, opacity: float, rng: np.random.Generator
 ) -> TransientGaussians:
     """Gaussians placed where each frame's emission is, moving with the fused flow.
 
     Args:
         frames: per training frame {"time_s", "density" (V,) of seeds, any unit, >= 0, "velocity" (V, 3) m/s, "known" (V,) bool,
             "image" (C, H, W, 3) display values}.
-        frame_time_s: time between frames, > 0 (sets the lifetime).
+        t_sigma: of every seed, s, > 0.
         budget: number of Gaussians in all, shared among the frames by how many voxels their density fills.
         opacity: initial opacity, 0..1.
     Raises:
@@ -47,7 +64,7 @@ def sample_seeds(
                 position=position,
                 velocity=frame["velocity"][chosen],
                 t_mu=np.full(n, frame["time_s"]),
-                t_sigma=np.full(n, LIFETIME_FRAMES * frame_time_s),
+                t_sigma=np.full(n, t_sigma),
                 scale=np.full((n, 3), SCALE_INITIAL * voxels.voxel_size),
                 rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
                 opacity=np.full(n, opacity),
