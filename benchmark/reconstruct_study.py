@@ -100,9 +100,15 @@ def study_settings(config: StudyConfig, dataset: Dataset, base: dict) -> list[di
     for key in ("iterations", "gaussians", "longest_side"):
         values = [round(base[key] * factor) for factor in FACTORS]
         series[key] = {f"{key}-{v}": base | {key: v} for v in values if key != "longest_side" or v <= largest}
-    groups = {
-        group: [run_one(config, dataset, name, settings) for name, settings in runs.items()] for group, runs in series.items()
-    }
+    known: dict[tuple, dict] = {}  # the preset itself is a point of every series
+
+    def once(name: str, settings: dict) -> dict:
+        key = tuple(sorted(settings.items()))
+        if key not in known:
+            known[key] = run_one(config, dataset, name, settings)
+        return known[key] | {"name": name}
+
+    groups = {group: [once(name, settings) for name, settings in runs.items()] for group, runs in series.items()}
     parts = []
     for key, label in (("l2", "DVE L2"), ("cos_sim", "DVE CosSim"), ("psnr_flame", "held-out flame PSNR, dB")):
         lines = {group: [(row["seconds"], row[key] or 0, row["name"].split("-")[-1]) for row in rows] for group, rows in groups.items()}

@@ -23,6 +23,13 @@ class _Picture:
     plate: np.ndarray
     mask: np.ndarray
 
+    def draw(self, gaussians: TransientGaussians, plates: list[np.ndarray], near: float) -> np.ndarray:
+        """(H, W, 3) display values in [0, 1]; args as `HeldOut.score`."""
+        from gof.render import render
+
+        plate = self.plate if self.number is None else plates[self.number]
+        return np.clip(render(gaussians, self.camera, self.time_s, background=plate, near=near)["color"], 0, 1)
+
 
 class HeldOut:
     """The pictures of a dataset's test frames, read once.
@@ -46,12 +53,9 @@ class HeldOut:
             "psnr", "ssim", "psnr_flame", "ssim_flame" of the training cameras, and "psnr_flame_novel" of cameras with role
             "eval"; None without such pictures.
         """
-        from gof.render import render
-
         values = {name: [] for name in ("psnr", "ssim", "psnr_flame", "ssim_flame", "psnr_flame_novel")}
         for p in self.pictures:
-            plate = p.plate if p.number is None else plates[p.number]
-            image = np.clip(render(gaussians, p.camera, p.time_s, background=plate, near=near)["color"], 0, 1)
+            image = p.draw(gaussians, plates, near)
             if p.number is None:
                 values["psnr_flame_novel"].append(psnr(image, p.truth, p.mask))
                 continue
@@ -60,6 +64,18 @@ class HeldOut:
                 values[f"{name}_flame"].append(score(image, p.truth, p.mask))
         finite = {name: [x for x in v if x is not None and np.isfinite(x)] for name, v in values.items()}
         return {name: round(float(np.mean(v)), 4) if v else None for name, v in finite.items()}
+
+    def side_by_side(self, gaussians: TransientGaussians, plates: list[np.ndarray], near: float) -> np.ndarray | None:
+        """(2 H, C W, 3): a held-out frame in the middle of the clip, above what the Gaussians make of it. None without one."""
+        training = [p for p in self.pictures if p.number is not None]
+        if not training:
+            return None
+        frames = len(training) // len(plates)
+        shown = [training[c * frames + frames // 2] for c in range(len(plates))]
+        if len({p.truth.shape for p in shown}) > 1:  # cameras of different sizes do not make a grid
+            shown = shown[:1]
+        drawn = [p.draw(gaussians, plates, near) for p in shown]
+        return np.vstack([np.hstack([p.truth for p in shown]), np.hstack(drawn)])
 
 
 def _pictures(dataset: Dataset, training: bool) -> list[_Picture]:

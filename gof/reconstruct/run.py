@@ -160,6 +160,13 @@ def _run_stages(config: ReconstructConfig) -> Path:
     times_s = np.stack([dataset.camera_times_s(c)[motion.frames] for c in range(len(dataset.cameras))])
     curve = Curve(out / "curve.json", resumed=checkpoint.exists())
 
+    def show(name: str, caption: str, gaussians: TransientGaussians, plates: list[np.ndarray]) -> None:
+        image = held_out.side_by_side(gaussians, plates, near=voxels.voxel_size)
+        if image is not None:
+            pictures.save_picture(out / "stages", name, f"A held-out frame, above {caption}", image)
+
+    show("4_seeds", "the seeds before any optimisation", seeds, list(motion.plate))
+
     def evaluate(step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
         gaussians.save(out / "snapshot.npz", source=f"gof reconstruct, step {step}")  # for `gof view`
         return curve.add(step, lambda: held_out.score(gaussians, plates, near=voxels.voxel_size))
@@ -181,6 +188,7 @@ def _run_stages(config: ReconstructConfig) -> Path:
             progress,
             evaluate,
         )
+    show("5_result", "the result", gaussians, plates)
     save_plates(out, [camera.name for camera in dataset.cameras], plates)
     gaussians.save(out / "result.ply", source=f"gof reconstruct {dataset.meta['name']}")
     gaussians.save(result, source=f"gof reconstruct {dataset.meta['name']}")

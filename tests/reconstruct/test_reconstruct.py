@@ -51,7 +51,7 @@ def test_optimisation_improves_on_its_seeds(rising_flame, result):
 def test_files_pictures_and_costs_are_left(result):
     out = result.parent
     names = {p.name for p in out.rglob("*") if p.is_file()}
-    assert {"result.npz", "result.ply", "costs.json", "1_masks.png", "2_optical_flow.png", "3_flow_field.png"} <= names
+    assert {"result.npz", "result.ply", "costs.json", "1_masks.png", "2_optical_flow.png", "3_flow_field.png", "4_seeds.png", "5_result.png"} <= names
     assert "checkpoint.npz" not in names
     a, b = TransientGaussians.load(out / "result.ply"), TransientGaussians.load(result)
     np.testing.assert_allclose(a.velocity, b.velocity)
