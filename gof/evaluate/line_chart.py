@@ -13,7 +13,7 @@ COLOURS = ("#c2410c", "#1d4ed8", "#15803d", "#7e22ce")
 
 
 def write(path: Path, title: str, x_label: str, y_label: str, series: dict[str, list[tuple[float, float, str]]]) -> None:
-    """Write a chart; a point is (x, y, label), x and y > 0 (others are left out)."""
+    """Write a chart; a point is (x, y, label), x and y > 0 (others are left out). The legend stands below."""
     series = {name: [p for p in points if p[0] > 0 and p[1] > 0] for name, points in series.items()}
     everything = [point for points in series.values() for point in points]
     x_low, x_high = _range([p[0] for p in everything])
@@ -24,8 +24,9 @@ def write(path: Path, title: str, x_label: str, y_label: str, series: dict[str, 
         up = (math.log10(y) - y_low) / (y_high - y_low)
         return LEFT + across * (WIDTH - LEFT - RIGHT), HEIGHT - BOTTOM - up * (HEIGHT - TOP - BOTTOM)
 
-    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="sans-serif" font-size="12">',
-             f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/>',
+    page = HEIGHT + 16 * len(series) + 4
+    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {page}" font-family="sans-serif" font-size="12">',
+             f'<rect width="{WIDTH}" height="{page}" fill="white"/>',
              f'<text x="{LEFT}" y="20" font-size="14" font-weight="bold">{escape(title)}</text>',
              f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 10}" text-anchor="middle">{escape(x_label)}</text>',
              f'<text transform="translate(16 {HEIGHT / 2}) rotate(-90)" text-anchor="middle">{escape(y_label)}</text>']  # fmt: skip
@@ -40,8 +41,10 @@ def write(path: Path, title: str, x_label: str, y_label: str, series: dict[str, 
         line = " ".join(f"{x:.1f},{y:.1f}" for x, y in at)
         parts.append(f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="2"/>')
         for (x, y), point in zip(at, points, strict=True):
-            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/><text x="{x + 6:.1f}" y="{y - 6:.1f}" fill="{colour}">{escape(point[2])}</text>')
-        parts.append(f'<text x="{WIDTH - RIGHT}" y="{TOP + 14 + 15 * index}" text-anchor="end" fill="{colour}">{escape(name)}</text>')
+            side, anchor = (6, "start") if x < 0.8 * WIDTH else (-6, "end")
+            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>'
+                         f'<text x="{x + side:.1f}" y="{y - 6:.1f}" text-anchor="{anchor}" fill="{colour}">{escape(point[2])}</text>')  # fmt: skip
+        parts.append(f'<text x="{LEFT}" y="{HEIGHT + 6 + 16 * index}" fill="{colour}">{escape(name)}</text>')
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join([*parts, "</svg>"]) + "\n")
 

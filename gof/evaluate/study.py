@@ -132,7 +132,7 @@ def write_charts(rows: list[dict[str, Any]], folder: Path) -> list[Path]:
             if study == "grid":
                 picked = [r for r in picked if r["setting"].endswith("order 3")]
             if picked:
-                lines[label] = [(r["seconds"], max(r["error"], 1e-17), r["setting"].replace(" order 3", "")) for r in picked]
+                lines[label] = [(r["seconds"], max(r["error"], 1e-17), r["setting"].removesuffix(" order 3").removesuffix(" samples")) for r in picked]
         paths.append(folder / f"study_dve_{flow.lower().replace(' ', '_')}.svg")
         line_chart.write(paths[-1], f"{flow}: error of the expected velocity", "seconds per 10 000 Gaussians", "relative L2 error", lines)
     return paths
