@@ -102,6 +102,19 @@ def tiles(
     return material
 
 
+def _bands(add, colours: Sequence[Colour], low: float, high: float):
+    """A colour ramp in steps: the first colour from 0 on, the others evenly between low and high."""
+    ramp = add("ShaderNodeValToRGB")
+    ramp.color_ramp.interpolation = "CONSTANT"
+    elements = ramp.color_ramp.elements
+    while len(elements) < len(colours):
+        elements.new(0.5)
+    for index, colour in enumerate(colours):
+        elements[index].position = low + (high - low) * index / len(colours) if index else 0.0
+        elements[index].color = (*colour, 1.0)
+    return ramp
+
+
 def blotches(name: str, colours: Sequence[Colour], scale: float, roughness: float = 0.7) -> bpy.types.Material:
     """Sharp-edged coloured cells of about 1/scale metres, like a print, a terrazzo floor or peeling paint."""
     material, add, link, output = _new(name)
@@ -109,14 +122,7 @@ def blotches(name: str, colours: Sequence[Colour], scale: float, roughness: floa
     cells = add("ShaderNodeTexVoronoi")
     cells.inputs["Scale"].default_value = scale
     pick = add("ShaderNodeSeparateColor")
-    ramp = add("ShaderNodeValToRGB")
-    ramp.color_ramp.interpolation = "CONSTANT"
-    elements = ramp.color_ramp.elements
-    while len(elements) < len(colours):
-        elements.new(0.5)
-    for index, colour in enumerate(colours):
-        elements[index].position = index / len(colours)
-        elements[index].color = (*colour, 1.0)
+    ramp = _bands(add, colours, 0.0, 1.0)
     surface = _principled(add, link, output, roughness)
     link(coordinates.outputs["UV"], cells.inputs["Vector"])
     link(cells.outputs["Color"], pick.inputs["Color"])
@@ -133,14 +139,7 @@ def landscape(name: str, colours: Sequence[Colour], scale: float, roughness: flo
     ground.inputs["Scale"].default_value = scale
     ground.inputs["Detail"].default_value = 5.0
     ground.inputs["Distortion"].default_value = 0.8
-    ramp = add("ShaderNodeValToRGB")
-    ramp.color_ramp.interpolation = "CONSTANT"
-    elements = ramp.color_ramp.elements
-    while len(elements) < len(colours):
-        elements.new(0.5)
-    for index, colour in enumerate(colours):
-        elements[index].position = 0.34 + 0.36 * index / len(colours) if index else 0.0
-        elements[index].color = (*colour, 1.0)
+    ramp = _bands(add, colours, 0.34, 0.7)  # where most of the noise's values are
     surface = _principled(add, link, output, roughness)
     link(coordinates.outputs["UV"], ground.inputs["Vector"])
     link(ground.outputs["Fac"], ramp.inputs["Fac"])
