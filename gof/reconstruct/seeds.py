@@ -11,7 +11,7 @@ from gof.reconstruct.voxels import FlameVoxels
 
 SCALE_MIN, SCALE_MAX = 0.1, 3.0  # bounds of a dynamic Gaussian's std-dev, in voxels (paper)
 SCALE_INITIAL = 0.7  # in voxels: neighbouring seeds overlap
-LIFETIME_FRAMES = 1.0, 4.0  # bounds of t_sigma in frame times; the paper's is the upper one
+LIFETIME_FRAMES = 1.25, 4.0  # bounds of t_sigma in frame times; the paper's is the upper one
 CROSSING = 0.4  # of the flame's radius: how far gas goes in a lifetime
 
 
@@ -19,7 +19,7 @@ def lifetime_s(voxels: FlameVoxels, frames: list[dict], frame_time_s: float) -> 
     """t_sigma: how long the gas goes straight, which is as long as it takes to cross a good third of the flame's radius.
 
     A Gaussian that lives longer than the eddies do must be wrong for a part of its life, however its velocity is chosen; one
-    that lives shorter than a frame time is seen once, and nothing of its motion. Args as `sample_seeds`, with "emission" (V,).
+    that lives much shorter than the time between two frames holds for one of them, and for nothing in between. Args as `sample_seeds`, with "emission" (V,).
     """
     emission = np.stack([f["emission"] * f["known"] for f in frames])
     energy = sum((e[:, None] * f["velocity"] ** 2).sum() for e, f in zip(emission, frames, strict=True))

@@ -233,7 +233,8 @@ def test_killed_render_redoes_no_finished_frame(toy, tmp_path):
     assert len(finished) >= 4 + 2 * 3
     assert {path for path in finished if after[path] != before[path]} == set()
     assert len([name for name in after if name.startswith("cameras")]) == 3 * IMAGES
-    assert json.loads(run.stdout.splitlines()[-1]) == {"progress": {"stage": "render", "done": IMAGES, "total": IMAGES}}
+    progress, cost = (json.loads(line) for line in run.stdout.splitlines()[-2:])
+    assert progress == {"progress": {"stage": "render", "done": IMAGES, "total": IMAGES}} and cost["cost"]["cpu_s"] > 0
     assert not list(layout.root.rglob(".tmp-*")), "no draft is left"
 
 
