@@ -19,12 +19,20 @@ import tyro
 from gof.errors import GofError
 from gof.io.files import write_json
 
-WEIGHTS_VARIABLE = "GOF_WEIGHTS"  # folder with optional model weights
+WEIGHTS_VARIABLE = "GOF_WEIGHTS"  # folder with optional model weights, for this check; commands take each folder by an option
 WEIGHTS = {
-    "depth_anything_v2": "monocular depth (Depth-Anything-V2-Small-hf, Apache-2.0: config.json and model.safetensors)",
-    "memfof": "the paper's optical flow (optical-flow-MEMFOF-Tartan-T-TSKH, BSD-3: config.json and model.safetensors); "
-    "the built-in is OpenCV's DIS",
-    "lpips": "the LPIPS score (torchvision's alexnet-owt-7be5be79.pth, BSD-3)",
+    "depth_anything_v2": (
+        "monocular depth (Depth-Anything-V2-Small-hf, Apache-2.0: config.json and model.safetensors); without it stereo is completed along edges",
+        "gof static --depth-weights",
+    ),
+    "memfof": (
+        "the paper's optical flow (optical-flow-MEMFOF-Tartan-T-TSKH, BSD-3: config.json and model.safetensors); without it OpenCV's DIS",
+        "gof reconstruct --flow memfof --flow-weights",
+    ),
+    "scores": (
+        "LPIPS and CGVQM (docs/leaderboard.md names the files); without them these two scores are left out",
+        "gof evaluate --weights",
+    ),
 }
 
 
@@ -158,13 +166,10 @@ def check_disk() -> tuple[str, str]:
 
 def check_weights(name: str) -> Callable[[], tuple[str, str]]:
     def check() -> tuple[str, str]:
-        folder = os.environ.get(WEIGHTS_VARIABLE)
+        (what, option), folder = WEIGHTS[name], os.environ.get(WEIGHTS_VARIABLE)
         if folder and (Path(folder) / name).exists():
-            return "ok", str(Path(folder) / name)
-        return (
-            "missing",
-            f"{WEIGHTS[name]}. Put it at ${WEIGHTS_VARIABLE}/{name}; this version works without it and does not read it yet",
-        )
+            return "ok", f"{option} {Path(folder) / name}"
+        return "missing", f"{what}. To use it: {option} FOLDER (found here when it is ${WEIGHTS_VARIABLE}/{name})"
 
     return check
 
