@@ -19,7 +19,7 @@ from .. import led_board
 
 @dataclass(frozen=True)
 class Settings:
-    position: tuple[float, float, float] = (0.0, -0.3, 0.13)
+    position: tuple[float, float, float] = (0.0, -0.45, 0.13)
     """Centre of the board, world metres."""
     facing_deg: float = -90.0
     """Direction the board looks to, counter-clockwise from +X. A camera behind it does not see it."""
