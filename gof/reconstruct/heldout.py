@@ -21,7 +21,8 @@ class _Picture:
     time_s: float
     truth: np.ndarray
     plate: np.ndarray
-    mask: np.ndarray
+    mask: np.ndarray  # of the flame
+    counts: np.ndarray | None  # (H, W) weight of each pixel, 0 on the sync board; None = all
 
     def draw(self, gaussians: TransientGaussians, plates: list[np.ndarray], near: float) -> np.ndarray:
         """(H, W, 3) display values in [0, 1]; args as `HeldOut.score`."""
@@ -34,7 +35,8 @@ class _Picture:
 class HeldOut:
     """The pictures of a dataset's test frames, read once.
 
-    A picture's flame is the dataset's own mask; where there is none (a real capture), the motion mask of that picture.
+    A picture's flame is the dataset's own mask; where there is none (a real capture), the motion mask of that picture. Pixels of
+    the sync board do not count.
     """
 
     def __init__(self, dataset: Dataset, longest_side: int):
@@ -60,7 +62,7 @@ class HeldOut:
                 values["psnr_flame_novel"].append(psnr(image, p.truth, p.mask))
                 continue
             for name, score in (("psnr", psnr), ("ssim", ssim)):
-                values[name].append(score(image, p.truth))
+                values[name].append(score(image, p.truth, p.counts))
                 values[f"{name}_flame"].append(score(image, p.truth, p.mask))
         finite = {name: [x for x in v if x is not None and np.isfinite(x)] for name, v in values.items()}
         return {name: round(float(np.mean(v)), 4) if v else None for name, v in finite.items()}
@@ -81,9 +83,10 @@ class HeldOut:
 def _pictures(dataset: Dataset, training: bool) -> list[_Picture]:
     result = []
     for c, camera in enumerate(dataset.cameras):
-        plate, times = dataset.static(c), dataset.camera_times_s(c)
+        plate, times, counts = dataset.static(c), dataset.camera_times_s(c), dataset.board_weight(c)
         for k in dataset.test_frames:
             truth, mask = dataset.image(c, k), dataset.mask(c, k)
             mask = flame_mask(truth, plate).astype(np.float32) if mask is None else mask
-            result.append(_Picture(camera, c if training else None, float(times[k]), truth, plate, mask))
+            mask = mask if counts is None else mask * counts
+            result.append(_Picture(camera, c if training else None, float(times[k]), truth, plate, mask, counts))
     return result

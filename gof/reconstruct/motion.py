@@ -22,7 +22,7 @@ class Motion:
 
     Attributes:
         frames: (F,) dataset frame numbers, all from the training split.
-        image: (F, C, H, W, 3) float32 display sRGB.
+        image: (F, C, H, W, 3) float32 display sRGB; the plate where a sync board is.
         static: (C, H, W, 3) float32 display sRGB, the views without fire, in the dark.
         plate: (C, H, W, 3) float32 display sRGB, the views without flame, but in its light.
         intensity: (F, C, H, W) float32 linear light above `plate`, >= 0.
@@ -122,6 +122,12 @@ def _frame_velocity(
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
+def _without_board(dataset: Dataset, camera: int, images: np.ndarray, static: np.ndarray) -> np.ndarray:
+    """(F, H, W, 3) pictures, on the sync board like the plate: its LEDs are no fire, and nothing of the flame is seen there."""
+    weight = dataset.board_weight(camera)
+    return images if weight is None else static + weight[..., None] * (images - static)
+
+
 def estimate_motion(
     dataset: Dataset,
     lit_plates: bool = True,
@@ -146,8 +152,8 @@ def estimate_motion(
     frames, cameras = np.array(sorted(dataset.train_frames)), range(len(dataset.cameras))
     if not len(frames):
         raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
-    images = [np.stack([dataset.image(c, k) for k in frames]) for c in cameras]
     static = [dataset.static(c) for c in cameras]
+    images = [_without_board(dataset, c, np.stack([dataset.image(c, k) for k in frames]), static[c]) for c in cameras]
     masks = [np.stack([flame_mask(image, static[c]) for image in images[c]]) for c in cameras]
     if not any(mask.any() for mask in masks):
         raise DataFormatError(

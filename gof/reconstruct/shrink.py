@@ -23,6 +23,10 @@ class _Shrunk(Dataset):
         mask = self.full.mask(camera, frame)
         return None if mask is None else self._resized(mask, camera)
 
+    def board_weight(self, camera: int) -> np.ndarray | None:
+        weight = self.full.board_weight(camera)
+        return None if weight is None else self._resized(weight, camera)
+
     def _resized(self, image: np.ndarray, camera: int) -> np.ndarray:
         import cv2
 

@@ -145,6 +145,26 @@ def test_moving_foliage_is_not_flame(tmp_path, plain):
     np.testing.assert_allclose(mean_velocity(gaussians), RISE, atol=0.4)
 
 
+def test_the_sync_boards_leds_are_no_flame(tmp_path, plain):
+    """Blinking orange LEDs beside the flame, in every camera: with the board's mask they are as if they were not there."""
+    def blink(images):
+        images[::2, :, 70:90, 4:12] = [1.0, 0.6, 0.1]
+        return images
+
+    folder = write_flame(tmp_path / "board", change=blink)
+    believed = estimate_motion(Dataset.open(folder)).mask[:, :, 72:88, 5:11]
+    assert believed.mean() > 0.4, "otherwise the test says nothing"
+    board = np.zeros((96, 48), np.uint8)
+    board[66:94, 2:14] = 255
+    for c in range(3):
+        cv2.imwrite(str(folder / f"cameras/cam_{c}/board_mask.png"), board)
+    edit(folder, lambda meta: [camera.update(board_mask=f"cameras/{camera['name']}/board_mask.png") for camera in meta["cameras"]])
+    assert not estimate_motion(Dataset.open(folder)).mask[:, :, 72:88, 5:11].any()
+    scores, gaussians = run(folder, tmp_path / "out")
+    assert scores["psnr"] > plain[1]["psnr"] - 1.5
+    np.testing.assert_allclose(mean_velocity(gaussians), RISE, atol=0.4)
+
+
 def test_texture_in_one_camera_only(tmp_path):
     """Two cameras see a featureless glow: there is nothing to follow in them, and nothing breaks."""
     def glow(images):
