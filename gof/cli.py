@@ -11,7 +11,7 @@ from gof.errors import GofError
 
 # name -> (module with main(argv), one line of help). This table is the only place where gof names the other rooms.
 COMMANDS = {
-    "demo": ("benchmark.demo", "make, reconstruct, score and show a small real fire (about 6 minutes on 2 cores)"),
+    "demo": ("benchmark.demo", "make, reconstruct, score and show a small real fire (about 5 minutes on 2 cores)"),
     "generate": ("benchmark.generate", "scene spec -> simulated fire, three rendered videos, ground-truth velocity"),
     "static": ("gof.reconstruct.static.run", "videos of a fire -> dataset: fire-free plates, camera poses, frame times"),
     "background": ("gof.reconstruct.static.background", "the scene without fire as static Gaussians, for views no camera took"),
