@@ -55,6 +55,8 @@ class ReconstructConfig:
     """Folder with config.json and model.safetensors of a MEMFOF checkpoint; never downloaded."""
     flow_prior: bool = True
     """Correct the fused flow, which follows texture, to the gas' own velocity, as learnt on simulated flames (ours; z must be up)."""
+    until: Literal["motion", "flow-field", "seeds", "result"] = "result"
+    """Stop after this stage and look at its pictures; without it the same command goes on."""
     ablation: Ablation = "none"
     """Leave a part of the method out, as in the paper's ablations (see gof.reconstruct.ablations)."""
     seed: int = 0
@@ -69,10 +71,10 @@ class ReconstructConfig:
 
 
 def reconstruct(config: ReconstructConfig) -> Path:
-    """Run all stages that are not finished yet.
+    """Run the stages, up to `until`; a finished result is kept, an interrupted optimisation resumed.
 
     Returns:
-        path of result.npz.
+        path of result.npz; or of the folder of pictures, OUT/stages, when stopped before.
     Raises:
         GofError: `out` holds a reconstruction made with other settings, or another run is at work there; or see the stages.
     """
@@ -83,7 +85,7 @@ def reconstruct(config: ReconstructConfig) -> Path:
 def _run_stages(config: ReconstructConfig) -> Path:
     full, out, method = Dataset.open(config.dataset), config.out, METHODS[config.method]
     result = out / "result.npz"
-    settings = {k: v for k, v in asdict(config).items() if k not in ("out", "json", "dataset", "preset", "flow_weights")}
+    settings = {k: v for k, v in asdict(config).items() if k not in ("out", "json", "dataset", "preset", "flow_weights", "until")}
     settings["dataset"] = str(full.path.resolve().name)
     _claim(out / "settings.json", settings)
     if result.exists() and (out / "result.ply").exists():
@@ -116,6 +118,8 @@ def _run_stages(config: ReconstructConfig) -> Path:
         motion = ablations.change_plates(config.ablation, motion)
         pictures.save_motion(out / "stages", motion)
         figures.update(frames=len(motion.frames), cameras=len(dataset.cameras))
+    if config.until == "motion":
+        return out / "stages"
 
     with log.measure("flow_field") as figures, progress_bar("flow field") as progress:
         voxels = carve(dataset.cameras, motion.mask, config.voxels)
@@ -145,6 +149,8 @@ def _run_stages(config: ReconstructConfig) -> Path:
         figures.update(
             voxels=len(voxels.center), voxel_size_m=round(voxels.voxel_size, 5), resolution=voxels.resolution.tolist()
         )
+    if config.until == "flow-field":
+        return out / "stages"
 
     with log.measure("seeds") as figures:
         t_sigma = lifetime_s(voxels, frames, dt) if method.short_lives else LIFETIME_FRAMES[1] * dt
@@ -166,6 +172,8 @@ def _run_stages(config: ReconstructConfig) -> Path:
             pictures.save_picture(out / "stages", name, f"A held-out frame, above {caption}", image)
 
     show("4_seeds", "the seeds before any optimisation", seeds, list(motion.plate))
+    if config.until == "seeds":
+        return out / "stages"
 
     def evaluate(step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
         gaussians.save(out / "snapshot.npz", source=f"gof reconstruct, step {step}")  # for `gof view`
@@ -233,6 +241,9 @@ def main(argv: list[str]) -> int:
     """`gof reconstruct DATASET [--out DIR] [--json FILE]`; see --help."""
     config = tyro.cli(ReconstructConfig, prog="gof reconstruct", args=argv)
     result = reconstruct(config)
+    if result.is_dir():
+        print(f"stopped after {config.until}: pictures in {result}; the same command without --until goes on")
+        return 0
     stages = [asdict(s) for s in StageLog(config.out / "costs.json").stages()]
     summary = {"result": str(result), "gaussians": len(TransientGaussians.load(result)), "stages": stages}
     scores = {k: v for k, v in read_json(config.out / "curve.json")[-1].items() if v is not None}

@@ -7,7 +7,7 @@ from gof.dataset import Dataset
 from gof.errors import GofError, NonFiniteError
 from gof.evaluate import dve
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.run import reconstruct
+from gof.reconstruct.run import main, reconstruct
 from gof.render import render
 from tests.reconstruct.rising_flame import RISE, config, mean_velocity, write_flame
 
@@ -63,6 +63,18 @@ def test_a_finished_result_is_kept_and_other_settings_are_refused(rising_flame, 
     assert result.stat().st_mtime_ns == before
     with pytest.raises(GofError, match=r"iterations differ"):
         reconstruct(config(rising_flame, result.parent, iterations=7))
+
+
+def test_stages_one_by_one(rising_flame, tmp_path, capsys):
+    options = ["--gaussians", "300", "--voxels", "24", "--no-flow-prior"]
+    options = [str(rising_flame), "--out", str(tmp_path / "o"), "--iterations", "5", *options]
+    made = {"motion": "2_optical_flow", "flow-field": "3_flow_field", "seeds": "4_seeds"}
+    for stage, picture in made.items():
+        assert main([*options, "--until", stage]) == 0
+        assert f"stopped after {stage}" in capsys.readouterr().out
+        assert max(p.stem for p in (tmp_path / "o/stages").glob("*.png")) == picture
+    assert len(TransientGaussians.load(tmp_path / "o/seeds.npz")) > 250
+    assert main(options) == 0 and (tmp_path / "o/result.npz").exists()
 
 
 def test_interrupted_optimisation_resumes_from_its_checkpoint(rising_flame, tmp_path, monkeypatch):
