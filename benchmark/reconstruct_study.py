@@ -111,7 +111,11 @@ def study_settings(config: StudyConfig, dataset: Dataset, base: dict) -> list[di
     groups = {group: [once(name, settings) for name, settings in runs.items()] for group, runs in series.items()}
     parts = []
     for key, label in (("l2", "DVE L2"), ("cos_sim", "DVE CosSim"), ("psnr_flame", "held-out flame PSNR, dB")):
-        lines = {group: [(row["seconds"], row[key] or 0, row["name"].split("-")[-1]) for row in rows] for group, rows in groups.items()}
+        lines, labelled = {}, set()
+        for group, rows in groups.items():
+            points = [(row["seconds"], row[key] or 0, row["name"].split("-")[-1]) for row in rows]
+            lines[group] = [(x, y, "" if (x, y) in labelled else name) for x, y, name in points]
+            labelled |= {(x, y) for x, y, _ in points}
         line_chart.write(config.out / f"{key}.svg", f"{label} against time", "seconds of the reconstruction", label, lines)
         parts.append(f"![{label}]({key}.svg)")
     columns = ["iterations", "gaussians", "longest_side", "seconds", "l2", "cos_sim", "psnr_flame", "ssim_flame", "psnr_flame_novel"]

@@ -32,10 +32,10 @@ def write(path: Path, title: str, x_label: str, y_label: str, series: dict[str, 
              f'<text transform="translate(16 {HEIGHT / 2}) rotate(-90)" text-anchor="middle">{escape(y_label)}</text>']  # fmt: skip
     for value in _ticks(x_low, x_high):
         x, _ = place(value, 10**y_low)
-        parts.append(f'<path d="M{x:.1f} {TOP}V{HEIGHT - BOTTOM}" stroke="#ddd"/><text x="{x:.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{value:g}</text>')
+        parts.append(f'<path d="M{x:.1f} {TOP}V{HEIGHT - BOTTOM}" stroke="#ddd"/><text x="{x:.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{value:.6g}</text>')
     for value in _ticks(y_low, y_high):
         _, y = place(10**x_low, value)
-        parts.append(f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="#ddd"/><text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>')
+        parts.append(f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="#ddd"/><text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.6g}</text>')
     for index, (name, points) in enumerate(series.items()):
         colour, at = COLOURS[index % len(COLOURS)], [place(p[0], p[1]) for p in points]
         line = " ".join(f"{x:.1f},{y:.1f}" for x, y in at)
@@ -52,14 +52,20 @@ def write(path: Path, title: str, x_label: str, y_label: str, series: dict[str, 
 def _range(values: list[float]) -> tuple[float, float]:
     """Limits of a logarithmic axis (powers of ten as real numbers), with some room."""
     low, high = math.log10(min(values, default=1.0)), math.log10(max(values, default=10.0))
-    room = max(0.06 * (high - low), 0.05)
+    room = max(0.06 * (high - low), 0.02)
     return low - room, high + room
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """1, 2, 5 of every decade; with many decades only some powers of ten."""
+    """1, 2, 5 of every decade; with many decades only some powers of ten; within one decade even steps."""
     decades = range(math.floor(low), math.ceil(high) + 1)
     steps = (1, 2, 5) if high - low < 2.5 else (1,)
     if high - low > 8:
         decades = [e for e in decades if e % 4 == 0]
-    return [m * 10.0**e for e in decades for m in steps if low <= math.log10(m) + e <= high]
+    ticks = [m * 10.0**e for e in decades for m in steps if low <= math.log10(m) + e <= high]
+    if len(ticks) > 2:
+        return ticks
+    span = 10**high - 10**low
+    unit = 10.0 ** math.floor(math.log10(span / 2))
+    step = next(m * unit for m in (1, 2, 5, 10) if span / (m * unit) <= 6)
+    return [k * step for k in range(math.ceil(10**low / step), math.floor(10**high / step) + 1) if k > 0]
