@@ -78,7 +78,7 @@ class Window:
         environment = {key: value for key, value in os.environ.items() if not key.startswith("BLENDER_")}
         # Debian's Blender takes the libraries of the python3 that it finds first, which must be Debian's.
         self._environment = environment | {"BLENDER_USER_RESOURCES": str(work / "user"), "DISPLAY": DISPLAY,
-                                           "LIBGL_ALWAYS_SOFTWARE": "1", "PATH": "/usr/bin:/bin"}  # fmt: skip
+                                           "LIBGL_ALWAYS_SOFTWARE": "1", "PATH": os.defpath}  # fmt: skip
         scripts = {name: work / f"{name}.py" for name in ("install", "obey")}
         for path, text in zip(scripts.values(), (INSTALL, OBEY), strict=True):
             path.write_text(text)

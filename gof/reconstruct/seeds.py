@@ -16,10 +16,17 @@ CROSSING = 0.4  # of the flame's radius: how far gas goes in a lifetime
 
 
 def lifetime_s(voxels: FlameVoxels, frames: list[dict], frame_time_s: float) -> float:
-    """t_sigma: how long the gas goes straight, which is as long as it takes to cross a good third of the flame's radius.
+    """How long the gas goes straight: as long as it takes to cross a good third of the flame's radius.
 
-    A Gaussian that lives longer than the eddies do must be wrong for a part of its life, however its velocity is chosen; one
-    that lives much shorter than the time between two frames holds for one of them, and for nothing in between. Args as `sample_seeds`, with "emission" (V,).
+    A Gaussian that lives longer than the eddies do must be wrong for a part of its life, however its velocity is chosen; one that
+    lives much shorter than the time between two frames holds for one of them, and for nothing in between. The paper has four frame
+    times always.
+
+    Args:
+        frames: per training frame {"emission" (V,) >= 0, "velocity" (V, 3) m/s, "known" (V,) bool}.
+        frame_time_s: time between frames, s, > 0.
+    Returns:
+        t_sigma in s, within `LIFETIME_FRAMES` frame times; the longest where nothing known moves or shines.
     """
     emission = np.stack([f["emission"] * f["known"] for f in frames])
     energy = sum((e[:, None] * f["velocity"] ** 2).sum() for e, f in zip(emission, frames, strict=True))

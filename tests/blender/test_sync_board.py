@@ -2,6 +2,7 @@
 
 import ctypes
 import json
+import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -42,6 +43,7 @@ def test_layout_is_that_of_the_template():
     np.testing.assert_array_equal(led_board.MARKER, (drawn > 0) != template.inverted)
 
 
+@pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
 def test_lights_are_the_firmwares(tmp_path):
     library = tmp_path / "board.so"
     subprocess.run(["cc", "-shared", "-fPIC", "-o", library, FIRMWARE / "gof_board.c"], check=True)
