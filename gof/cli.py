@@ -5,29 +5,23 @@ from __future__ import annotations
 import errno
 import importlib
 import sys
+from functools import cache
+from importlib.metadata import entry_points
 
 from gof import __version__
+from gof.commands import COMMANDS, Command
 from gof.errors import GofError
 
-# name -> (module with main(argv), one line of help). This table is the only place where gof names the other rooms.
-COMMANDS = {
-    "demo": ("benchmark.demo", "make, reconstruct, score and show a small real fire (about 5 minutes on 2 cores)"),
-    "generate": ("benchmark.generate", "scene spec -> simulated fire, three rendered videos, ground-truth velocity"),
-    "static": ("gof.reconstruct.static.run", "videos of a fire -> dataset: fire-free plates, camera poses, frame times"),
-    "background": ("gof.reconstruct.static.background", "the scene without fire as static Gaussians, for views no camera took"),
-    "reconstruct": ("gof.reconstruct.run", "three videos -> transient flame Gaussians with velocities"),
-    "evaluate": ("gof.evaluate.run", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with"),
-    "convert": ("gof.io.convert", "any method's result -> .npz, .ply or .ftgs.ply in metres, seconds and m/s"),
-    "leaderboard": ("gof.evaluate.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time"),
-    "study": ("benchmark.study", "accuracy against time, as tables and plots: of the DVE (dve), of the generator (generate)"),
-    "import": ("benchmark.import_result", "result -> animated point cloud in a .blend, and a rendered preview"),
-    "view": ("gof.view", "result in the browser, in 3D with a time slider; also while it is being optimised"),
-    "capture": ("gof.capture.run", "the camera rig: LED board, frame times from footage, calibration, board masks"),
-    "report": ("gof.report", "pictures, animation, scores and costs on one self-contained HTML page"),
-    "doctor": ("gof.doctor", "check this machine: Blender, Mantaflow, Dr.Jit, CUDA, OpenEXR, disk, weights"),
-}
+ALIASES = {"static": "ingest"}  # old name -> new name, for one version
 
-DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)  # what a user's disk can do to a run
+DISK = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EROFS,
+    errno.EACCES,
+    errno.EPERM,
+)  # what a user's disk can do to a run
 
 HELP = """\
 gof {version} - Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
@@ -47,29 +41,47 @@ Every command resumes what it finds half done, and writes its figures with --jso
 """
 
 
+@cache
+def commands() -> dict[str, Command]:
+    """Every command by name, in the order of the work: gof's own and those that installed packages add (`gof.commands`)."""
+    found = dict(COMMANDS)
+    for table in entry_points(group="gof.commands"):
+        found |= table.load()
+    return dict(sorted(found.items(), key=lambda item: item[1].place))
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one command. Returns the exit status: 0 done, 1 a named error, 2 wrong usage, 130 Ctrl-C."""
     argv = sys.argv[1:] if argv is None else argv
     if not argv or argv[0] in ("-h", "--help", "help"):
-        lines = "\n".join(f"  {name:<12} {text}" for name, (_, text) in COMMANDS.items())
+        lines = "\n".join(f"  {name:<12} {command.help}" for name, command in commands().items())
         print(HELP.format(version=__version__, commands=lines))
         return 0
     if argv[0] == "--version":
         print(f"gof {__version__}")
         return 0
-    if argv[0] not in COMMANDS:
-        print(f"gof: no command '{argv[0]}'; commands: {', '.join(COMMANDS)}", file=sys.stderr)
+    if argv[0] in ALIASES:
+        print(
+            f"gof {argv[0]} is now called gof {ALIASES[argv[0]]}; the old name goes with the next version",
+            file=sys.stderr,
+        )
+        argv = [ALIASES[argv[0]], *argv[1:]]
+    if argv[0] not in commands():
+        print(f"gof: no command '{argv[0]}'; commands: {', '.join(commands())}", file=sys.stderr)
         return 2
     try:
-        return importlib.import_module(COMMANDS[argv[0]][0]).main(argv[1:]) or 0
+        return importlib.import_module(commands()[argv[0]].module).main(argv[1:]) or 0
     except GofError as e:
         print(f"gof {argv[0]}: {e}", file=sys.stderr)
         return 1
     except OSError as e:
         if e.errno not in DISK:
             raise
-        print(f"gof {argv[0]}: {e.filename or 'a file'}: {e.strerror}; finished work is kept: make room, or choose another folder, and run the same "
-              "command again", file=sys.stderr)  # fmt: skip
+        print(
+            f"gof {argv[0]}: {e.filename or 'a file'}: {e.strerror}; finished work is kept: make room, or choose another folder, and run the same "
+            "command again",
+            file=sys.stderr,
+        )
         return 1
     except KeyboardInterrupt:
         print(f"\ngof {argv[0]}: stopped; finished work is kept, the same command resumes", file=sys.stderr)

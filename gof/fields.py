@@ -139,7 +139,11 @@ class VelocitySequence:
             )
         if len(self.times_s) == 0 or not np.isfinite(self.times_s).all() or not (np.diff(self.times_s) > 0).all():
             raise DataFormatError(f"{path}: time_s must be finite, strictly increasing and not empty")
-        if self.index_to_world.shape != (4, 4) or not np.isfinite(self.index_to_world).all() or not np.linalg.det(self.index_to_world):
+        if (
+            self.index_to_world.shape != (4, 4)
+            or not np.isfinite(self.index_to_world).all()
+            or not np.linalg.det(self.index_to_world)
+        ):
             raise DataFormatError(f"{path}: index_to_world must be a finite, invertible 4x4 matrix")
 
     @classmethod
@@ -215,7 +219,9 @@ class VelocitySequence:
         box = tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)
         cells = read_array(self._array, (index, *box), self._path)
         if not _all_finite(cells):
-            raise DataFormatError(f"{self._path}: frame {index}, chunk {number} holds NaN or Inf; the store is damaged, make it again")
+            raise DataFormatError(
+                f"{self._path}: frame {index}, chunk {number} holds NaN or Inf; the store is damaged, make it again"
+            )
         return cells
 
     def bracket(self, time_s: float) -> list[tuple[int, float]]:
@@ -273,9 +279,15 @@ def open_array(path: str | Path):
         dict(array.attrs)
     except Exception as e:  # zarr raises many kinds; all mean the same to a user
         raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e})") from e
-    if array.dtype.kind != "f" or max(array.shape[1:4], default=0) > LARGEST or max(array.chunks[1:4], default=0) > LARGEST_CHUNK:
-        raise DataFormatError(f"{path}: {array.dtype} of shape {array.shape} in chunks of {array.chunks}; expected floats of at most {LARGEST} "
-                              f"cells a side in chunks of at most {LARGEST_CHUNK}")
+    if (
+        array.dtype.kind != "f"
+        or max(array.shape[1:4], default=0) > LARGEST
+        or max(array.chunks[1:4], default=0) > LARGEST_CHUNK
+    ):
+        raise DataFormatError(
+            f"{path}: {array.dtype} of shape {array.shape} in chunks of {array.chunks}; expected floats of at most {LARGEST} "
+            f"cells a side in chunks of at most {LARGEST_CHUNK}"
+        )
     return array
 
 
@@ -288,7 +300,9 @@ def read_array(array, where: tuple, path: Path) -> np.ndarray:
     try:
         return np.asarray(array[where])
     except Exception as e:  # each codec has its own errors for damage
-        raise DataFormatError(f"{path}: frame {where[0]} cannot be decoded ({type(e).__name__}: {e}); a chunk is truncated, make it again") from e
+        raise DataFormatError(
+            f"{path}: frame {where[0]} cannot be decoded ({type(e).__name__}: {e}); a chunk is truncated, make it again"
+        ) from e
 
 
 def _all_finite(values: np.ndarray) -> bool:

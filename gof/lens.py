@@ -34,9 +34,7 @@ class Lens:
     def from_fov(cls, width: int, height: int, fov_deg: float) -> Lens:
         """Square pixels, centred; `fov_deg` is the horizontal field of view, 0 to 180 exclusive."""
         if not 0 < fov_deg < 180:
-            raise DataFormatError(
-                f"a horizontal field of view of {fov_deg} degrees; it must lie between 0 and 180"
-            )
+            raise DataFormatError(f"a horizontal field of view of {fov_deg} degrees; it must lie between 0 and 180")
         focal = 0.5 * width / np.tan(np.deg2rad(fov_deg) / 2)
         return cls(width, height, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]))
 
@@ -55,15 +53,9 @@ class Lens:
                 np.ravel(np.asarray(d.get("distortion", []), np.float64)),
             )
         except (KeyError, TypeError, ValueError) as e:
-            raise DataFormatError(
-                f"{source}: needs width, height, K (3x3) and optionally distortion ({e})"
-            ) from e
+            raise DataFormatError(f"{source}: needs width, height, K (3x3) and optionally distortion ({e})") from e
         good = lens.K.shape == (3, 3) and np.isfinite(lens.K).all() and (np.diag(lens.K) > 0).all()
-        if (
-            not good
-            or len(lens.distortion) not in (0, 4, 5, 8, 12, 14)
-            or not np.isfinite(lens.distortion).all()
-        ):
+        if not good or len(lens.distortion) not in (0, 4, 5, 8, 12, 14) or not np.isfinite(lens.distortion).all():
             raise DataFormatError(
                 f"{source}: K must be 3x3 with positive focal lengths, distortion 4, 5, 8, 12 or 14 OpenCV numbers"
             )
@@ -71,7 +63,12 @@ class Lens:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready; inverse of `from_dict`."""
-        return {"width": self.width, "height": self.height, "K": self.K.tolist(), "distortion": self.distortion.tolist()}
+        return {
+            "width": self.width,
+            "height": self.height,
+            "K": self.K.tolist(),
+            "distortion": self.distortion.tolist(),
+        }
 
     def turned(self, turn: Turn) -> Lens:
         """The pinhole that remains after undistorting and turning the pictures."""

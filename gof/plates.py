@@ -42,7 +42,9 @@ def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray
         return static
     stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if stored is None or stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
-        raise DataFormatError(f"{path}: not a 16-bit RGB PNG; remove the file to use the dataset's plate, or reconstruct again")
+        raise DataFormatError(
+            f"{path}: not a 16-bit RGB PNG; remove the file to use the dataset's plate, or reconstruct again"
+        )
     plate = stored[..., ::-1].astype(np.float32) / LEVELS
     if plate.shape == static.shape:
         return plate

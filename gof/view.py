@@ -71,7 +71,9 @@ def newest(path: Path) -> Path:
     for name in ("result.npz", "snapshot.npz"):
         if (path / name).is_file():
             return path / name
-    raise GofError(f"{path}: the reconstruction there has no result and no snapshot yet; the first comes after 250 steps")
+    raise GofError(
+        f"{path}: the reconstruction there has no result and no snapshot yet; the first comes after 250 steps"
+    )
 
 
 class Viewer:
@@ -161,8 +163,15 @@ class Viewer:
             fov = 2 * np.arctan(camera.height / 2 / camera.K[1, 1])
             middle = self.dataset.times_s.size // 2
             frustum = self.server.scene.add_camera_frustum(
-                f"/cameras/{camera.name}", float(fov), camera.width / camera.height, scale=0.2, color=(110, 110, 110),
-                image=np.uint8(255 * self.dataset.image(number, middle)), wxyz=_quaternion(pose[:3, :3]), position=pose[:3, 3])  # fmt: skip
+                f"/cameras/{camera.name}",
+                float(fov),
+                camera.width / camera.height,
+                scale=0.2,
+                color=(110, 110, 110),
+                image=np.uint8(255 * self.dataset.image(number, middle)),
+                wxyz=_quaternion(pose[:3, :3]),
+                position=pose[:3, 3],
+            )
 
             @frustum.on_click
             def _(event, frustum=frustum):

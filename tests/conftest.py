@@ -28,17 +28,25 @@ def look_at(name: str, position, target, width=36, height=64, focal_px=80.0) -> 
 def arc(n=3, radius=3.0, target=(0, 0, 1.0), **kwargs) -> list[Camera]:
     """n cameras on a 70-degree arc around `target` at its height."""
     angles = np.deg2rad(np.linspace(-35, 35, n)) if n > 1 else [0.0]
-    return [look_at(f"cam_{i}", np.add(target, [radius * np.sin(a), -radius * np.cos(a), 0]), target, **kwargs)
-            for i, a in enumerate(angles)]
+    return [
+        look_at(f"cam_{i}", np.add(target, [radius * np.sin(a), -radius * np.cos(a), 0]), target, **kwargs)
+        for i, a in enumerate(angles)
+    ]
 
 
 def random_gaussians(n=40, seed=0, sh_coefficients=0) -> TransientGaussians:
     rng = np.random.default_rng(seed)
     return TransientGaussians(
-        position=rng.normal(0, 0.3, (n, 3)) + [0, 0, 1], velocity=rng.normal(0, 1, (n, 3)), t_mu=rng.uniform(0, 1, n),
-        t_sigma=np.where(rng.random(n) < 0.2, np.inf, rng.uniform(0.02, 0.5, n)), scale=rng.uniform(0.01, 0.1, (n, 3)),
-        rotation=rng.normal(size=(n, 4)), opacity=rng.uniform(0, 1, n),
-        color=rng.random((n, sh_coefficients, 3) if sh_coefficients else (n, 3)), dynamic=rng.random(n) < 0.8)
+        position=rng.normal(0, 0.3, (n, 3)) + [0, 0, 1],
+        velocity=rng.normal(0, 1, (n, 3)),
+        t_mu=rng.uniform(0, 1, n),
+        t_sigma=np.where(rng.random(n) < 0.2, np.inf, rng.uniform(0.02, 0.5, n)),
+        scale=rng.uniform(0.01, 0.1, (n, 3)),
+        rotation=rng.normal(size=(n, 4)),
+        opacity=rng.uniform(0, 1, n),
+        color=rng.random((n, sh_coefficients, 3) if sh_coefficients else (n, 3)),
+        dynamic=rng.random(n) < 0.8,
+    )
 
 
 @pytest.fixture
@@ -48,6 +56,7 @@ def gaussians() -> TransientGaussians:
 
 def write_dataset(folder: Path, cameras, images, statics, times_s, fields=None, masks=None, test_frames=()) -> Path:
     """A dataset folder by docs/formats.md. images (T, C, H, W, 3), statics (C, H, W, 3) display values, masks (T, C, H, W)."""
+
     def write(path: Path, image):
         path.parent.mkdir(parents=True, exist_ok=True)
         values = (np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -55,8 +64,12 @@ def write_dataset(folder: Path, cameras, images, statics, times_s, fields=None, 
 
     entries = []
     for c, camera in enumerate(cameras):
-        entry = camera.to_dict() | {"role": "train", "roll_deg": 0, "rgb": f"cameras/{camera.name}/rgb/{{frame:06d}}.png",
-                                    "static": f"static/{camera.name}.png"}
+        entry = camera.to_dict() | {
+            "role": "train",
+            "roll_deg": 0,
+            "rgb": f"cameras/{camera.name}/rgb/{{frame:06d}}.png",
+            "static": f"static/{camera.name}.png",
+        }
         if masks is not None:
             entry["mask"] = f"cameras/{camera.name}/mask/{{frame:06d}}.png"
         entries.append(entry)
@@ -68,9 +81,18 @@ def write_dataset(folder: Path, cameras, images, statics, times_s, fields=None, 
     if fields is not None:
         VelocitySequence.create(folder / "velocity.zarr", fields)
     train = [k for k in range(len(times_s)) if k not in test_frames]
-    meta = {"schema": "gof-dataset", "version": 1, "name": folder.name, "spec": {}, "effects": [], "time_s": list(map(float, times_s)),
-            "cameras": entries, "splits": {"train": train, "test": list(test_frames)},
-            "velocity": "velocity.zarr" if fields is not None else None, "provenance": {}}
+    meta = {
+        "schema": "gof-dataset",
+        "version": 1,
+        "name": folder.name,
+        "spec": {},
+        "effects": [],
+        "time_s": list(map(float, times_s)),
+        "cameras": entries,
+        "splits": {"train": train, "test": list(test_frames)},
+        "velocity": "velocity.zarr" if fields is not None else None,
+        "provenance": {},
+    }
     (folder / "dataset.json").write_text(json.dumps(meta))
     return folder
 
@@ -82,5 +104,13 @@ def tiny_dataset(tmp_path) -> Path:
     cameras = arc(2)
     images = rng.random((4, 2, 64, 36, 3))
     fields = [VelocityField.from_array(np.full((4, 5, 6, 3), 0.5 * k), (-1, -1, 0), 0.5, 0.01 * k) for k in range(4)]
-    return write_dataset(tmp_path / "tiny", cameras, images, images[0] * 0.5, 0.01 * np.arange(4), fields,
-                         masks=rng.random((4, 2, 64, 36)) > 0.5, test_frames=[2])
+    return write_dataset(
+        tmp_path / "tiny",
+        cameras,
+        images,
+        images[0] * 0.5,
+        0.01 * np.arange(4),
+        fields,
+        masks=rng.random((4, 2, 64, 36)) > 0.5,
+        test_frames=[2],
+    )

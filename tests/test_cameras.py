@@ -44,14 +44,24 @@ def test_dict_round_trip_and_scaling():
     again = Camera.from_dict(camera.to_dict())
     assert again.to_dict() == camera.to_dict()
     half = camera.scaled(360, 640)
-    np.testing.assert_allclose(half.project(np.array([[0.1, 0.2, 2]]))[0], camera.project(np.array([[0.1, 0.2, 2]]))[0] / 2)
+    np.testing.assert_allclose(
+        half.project(np.array([[0.1, 0.2, 2]]))[0], camera.project(np.array([[0.1, 0.2, 2]]))[0] / 2
+    )
     assert half.row_time_s == pytest.approx(6e-6), "half as many lines take the same time"
 
 
-@pytest.mark.parametrize("change, error", [
-    ({"K": np.eye(4)}, "K has shape"), ({"width": 0}, "not positive"), ({"readout": "sideways"}, "readout"),
-    ({"world_to_camera": np.diag([1, 1, -1, 1])}, "rigid"), ({"world_to_camera": 2 * np.eye(4)}, "rigid"),
-    ({"K": np.diag([0, 1, 1])}, "focal"), ({"K": "text"}, "cannot be read")])
+@pytest.mark.parametrize(
+    "change, error",
+    [
+        ({"K": np.eye(4)}, "K has shape"),
+        ({"width": 0}, "not positive"),
+        ({"readout": "sideways"}, "readout"),
+        ({"world_to_camera": np.diag([1, 1, -1, 1])}, "rigid"),
+        ({"world_to_camera": 2 * np.eye(4)}, "rigid"),
+        ({"K": np.diag([0, 1, 1])}, "focal"),
+        ({"K": "text"}, "cannot be read"),
+    ],
+)
 def test_bad_cameras_are_refused(change, error):
     with pytest.raises(DataFormatError, match=error):
         Camera.from_dict({"name": "a", "width": 4, "height": 4, "K": np.eye(3), "world_to_camera": np.eye(4)} | change)

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from benchmark import generate
-from blender_addon import spec as scene_spec
+from gof.commands.evaluate import evaluate
 from gof.dataset import Dataset
-from gof.evaluate.run import evaluate
+from gof_benchmark.commands import generate
+from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY
 from tests.conftest import random_gaussians
 
@@ -28,7 +28,12 @@ def client():
 def test_the_generator_on_two_workers(client, tmp_path):
     pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
     scene_spec.save(replace(TOY, name="cluster"), tmp_path / "spec.json")
-    assert generate.main([str(tmp_path / "spec.json"), "--out", str(tmp_path / "data"), "--scheduler", client.scheduler.address]) == 0
+    assert (
+        generate.main(
+            [str(tmp_path / "spec.json"), "--out", str(tmp_path / "data"), "--scheduler", client.scheduler.address]
+        )
+        == 0
+    )
     dataset = Dataset.open(tmp_path / "data")
     assert all(dataset.image(camera, frame).any() for camera in range(3) for frame in range(5))
     costs = {stage["name"]: stage for stage in json.loads((tmp_path / "data" / "costs.json").read_text())["stages"]}

@@ -28,9 +28,18 @@ def test_reading(tiny_dataset):
     np.testing.assert_allclose(d.velocity.at(0.02).sample(np.array([[0, 0, 1.0]])), 1.0)
 
 
-@pytest.mark.parametrize("fields, error", [
-    ({"schema": "else"}, "schema"), ({"version": 3}, "version 1"), ({"time_s": None}, "time_s"), ({"time_s": [0, 0, 1, 2]}, "increasing"),
-    ({"splits": {"train": [0], "test": [9]}}, "splits.test"), ({"cameras": []}, "no camera"), ({"cameras": [{"name": "a"}]}, "width")])
+@pytest.mark.parametrize(
+    "fields, error",
+    [
+        ({"schema": "else"}, "schema"),
+        ({"version": 3}, "version 1"),
+        ({"time_s": None}, "time_s"),
+        ({"time_s": [0, 0, 1, 2]}, "increasing"),
+        ({"splits": {"train": [0], "test": [9]}}, "splits.test"),
+        ({"cameras": []}, "no camera"),
+        ({"cameras": [{"name": "a"}]}, "width"),
+    ],
+)
 def test_wrong_metadata_is_named(tiny_dataset, fields, error):
     change(tiny_dataset, **fields)
     with pytest.raises(DataFormatError, match=error):

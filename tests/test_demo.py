@@ -14,7 +14,7 @@ from gof.gaussians import TransientGaussians
 
 def spec(folder):
     """The built-in demo scene, coarse: 6 frames of 72x128 pixels, frame 4 held out."""
-    from benchmark.generate import load_scene
+    from gof_benchmark.commands.generate import load_scene
 
     data = load_scene("demo", "toy").to_dict()
     data["clip"] |= {"frames": 6, "warm_up_frames": 40}
@@ -26,8 +26,20 @@ def spec(folder):
 
 
 def command(folder, scene):
-    return [sys.executable, "-m", "gof", "demo", "--scene", str(scene), "--gaussians", "3000", "--iterations", "150",
-            "--out", str(folder / "demo")]  # fmt: skip
+    return [
+        sys.executable,
+        "-m",
+        "gof",
+        "demo",
+        "--scene",
+        str(scene),
+        "--gaussians",
+        "3000",
+        "--iterations",
+        "150",
+        "--out",
+        str(folder / "demo"),
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +52,11 @@ def demo(tmp_path_factory):
     def finished():
         """Files of finished frames; a frame's EXR is written last."""
         frames = [(exr.parent.parent, exr.stem) for exr in cameras.glob("*/exr/0*.exr")]
-        files = [f / kind / f"{k}.{suffix}" for f, k in frames for kind, suffix in (("rgb", "png"), ("mask", "png"), ("exr", "exr"))]
+        files = [
+            f / kind / f"{k}.{suffix}"
+            for f, k in frames
+            for kind, suffix in (("rgb", "png"), ("mask", "png"), ("exr", "exr"))
+        ]
         return {p: p.stat().st_mtime_ns for p in files}
 
     first = subprocess.Popen(command(folder, scene), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -86,7 +102,7 @@ def test_the_blend_opens_and_holds_scene_and_cloud(demo):
     out = demo[0] / "demo"
     code = f"""
 import bpy, numpy as np, os
-bpy.ops.wm.open_mainfile(filepath={str(out / 'result.blend')!r})
+bpy.ops.wm.open_mainfile(filepath={str(out / "result.blend")!r})
 names = {{o.type for o in bpy.data.objects}}
 assert 'CAMERA' in names and sum(o.type == 'MESH' for o in bpy.data.objects) > 10, names
 cloud = next(o for o in bpy.data.objects if any(m.type == 'NODES' for m in o.modifiers) and len(o.data.vertices) > 1000)
@@ -98,7 +114,9 @@ print('cloud of', len(cloud.data.vertices), flush=True); os._exit(0)
 
 def test_a_third_start_does_nothing(demo):
     folder = demo[0]
-    times = {p: p.stat().st_mtime_ns for p in (folder / "demo").rglob("*") if p.is_file() and p.name not in ("scores.json",)}
+    times = {
+        p: p.stat().st_mtime_ns for p in (folder / "demo").rglob("*") if p.is_file() and p.name not in ("scores.json",)
+    }
     done = subprocess.run(command(folder, folder / "toy.json"), capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and done.stdout.count("finished before") == 5
     assert {p: p.stat().st_mtime_ns for p in times} == times

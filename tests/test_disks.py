@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from blender_addon import spec as scene_spec
+from gof.commands.reconstruct import reconstruct
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
 from gof.io.files import only_run_in, write_json
-from gof.reconstruct.run import reconstruct
+from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY
 from tests.reconstruct.rising_flame import config, write_flame
 
@@ -24,7 +24,9 @@ class Disk:
     def __init__(self, path: Path):
         self.path = path
         path.mkdir()
-        if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(path)], capture_output=True).returncode:
+        if subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(path)], capture_output=True
+        ).returncode:
             pytest.skip("mounting a file system takes root")
 
     def remount(self, options: str) -> None:
@@ -73,8 +75,11 @@ def test_results_cannot_be_spoilt_by_a_full_disk(disk, gaussians):
 
 def test_read_only_folders_are_named(disk, flame):
     disk.remount("ro")
-    for command in (("reconstruct", flame, "--out", disk.path / "out"), ("generate", "demo", "--preset", "toy", "--out", disk.path / "data"),
-                    ("evaluate", disk.path / "none.npz", "--truth", flame, "--json", disk.path / "x.json")):  # fmt: skip
+    for command in (
+        ("reconstruct", flame, "--out", disk.path / "out"),
+        ("generate", "demo", "--preset", "toy", "--out", disk.path / "data"),
+        ("evaluate", disk.path / "none.npz", "--truth", flame, "--json", disk.path / "x.json"),
+    ):
         run = gof(*command)
         assert run.returncode == 1 and "Traceback" not in run.stderr, run.stderr
         assert str(disk.path) in run.stderr
@@ -86,7 +91,7 @@ def test_generate_on_a_full_disk_keeps_its_folder_and_goes_on(disk, tmp_path):
     disk.remount("size=300k")
     command = ("generate", tmp_path / "spec.json", "--out", disk.path / "data")
     run = gof(*command)
-    assert run.returncode == 1 and "Traceback (most recent call last):\n  File \"<frozen" not in run.stderr, run.stderr
+    assert run.returncode == 1 and 'Traceback (most recent call last):\n  File "<frozen' not in run.stderr, run.stderr
     assert str(disk.path) in run.stderr and not (disk.path / "data" / "dataset.json").exists()
     disk.remount("size=200m")
     run = gof(*command)

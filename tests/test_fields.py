@@ -29,7 +29,9 @@ def test_sampling_equals_scipy_everywhere_inside():
     field = VelocityField.from_array(rng.normal(size=(5, 9, 4, 3)), (0, 0, 0), 0.5)
     points = rng.uniform(0, 1, (500, 3)) * np.array([5, 9, 4]) * 0.5
     index = field.to_index(points) - 0.5
-    expected = np.stack([map_coordinates(field.velocity[..., c], index.T, order=1, mode="nearest") for c in range(3)], -1)
+    expected = np.stack(
+        [map_coordinates(field.velocity[..., c], index.T, order=1, mode="nearest") for c in range(3)], -1
+    )
     np.testing.assert_allclose(field.sample(points), expected, atol=2e-6)
 
 
@@ -55,7 +57,9 @@ def test_borders_outside_and_bad_points():
     assert field.sample(np.empty((0, 3))).shape == (0, 3)
 
 
-@pytest.mark.parametrize("velocity, voxel", [(np.zeros((3, 3, 3)), 1), (np.zeros((0, 3, 3, 3)), 1), (np.zeros((2, 2, 2, 3)), 0)])
+@pytest.mark.parametrize(
+    "velocity, voxel", [(np.zeros((3, 3, 3)), 1), (np.zeros((0, 3, 3, 3)), 1), (np.zeros((2, 2, 2, 3)), 0)]
+)
 def test_impossible_grids_are_refused(velocity, voxel):
     with pytest.raises(DataFormatError):
         VelocityField.from_array(velocity, (0, 0, 0), voxel)
@@ -93,9 +97,18 @@ def test_times_outside_the_clock_are_refused(tmp_path):
             store.at(t)
 
 
-@pytest.mark.parametrize("change, error", [
-    ({"schema": "other"}, "schema"), ({"version": 2}, "version 2"), ({"units": "cm/s"}, "cm/s"), ({"layout": "staggered"}, "staggered"),
-    ({"time_s": [0, 0, 1]}, "increasing"), ({"time_s": [0, 1]}, "times"), ({"index_to_world": None}, "index_to_world")])
+@pytest.mark.parametrize(
+    "change, error",
+    [
+        ({"schema": "other"}, "schema"),
+        ({"version": 2}, "version 2"),
+        ({"units": "cm/s"}, "cm/s"),
+        ({"layout": "staggered"}, "staggered"),
+        ({"time_s": [0, 0, 1]}, "increasing"),
+        ({"time_s": [0, 1]}, "times"),
+        ({"index_to_world": None}, "index_to_world"),
+    ],
+)
 def test_wrong_attributes_are_named(tmp_path, change, error):
     sequence(tmp_path / "v.zarr")
     path = tmp_path / "v.zarr" / "zarr.json"

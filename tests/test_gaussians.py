@@ -75,8 +75,10 @@ def test_nan_is_named(name):
         TransientGaussians(**values)
 
 
-@pytest.mark.parametrize("name, value, rule", [("scale", -1.0, "linear"), ("opacity", 2.0, "logit"), ("t_sigma", 0.0, "> 0"),
-                                               ("rotation", 0.0, "non-zero")])
+@pytest.mark.parametrize(
+    "name, value, rule",
+    [("scale", -1.0, "linear"), ("opacity", 2.0, "logit"), ("t_sigma", 0.0, "> 0"), ("rotation", 0.0, "non-zero")],
+)
 def test_values_out_of_range_are_named(name, value, rule):
     values = {f: getattr(random_gaussians(5), f).copy() for f in FIELDS}
     values[name][2] = value

@@ -8,9 +8,15 @@ from gof.errors import DataFormatError
 from gof.io.files import write_json
 from gof.lens import Lens, prepare, read_cameras, row_delay
 
-LENS = Lens(320, 180, np.array([[280.0, 0, 163], [0, 280.5, 88], [0, 0, 1]]), np.array([-0.25, 0.06, 0.0005, -0.0005, 0.0]))
+LENS = Lens(
+    320, 180, np.array([[280.0, 0, 163], [0, 280.5, 88], [0, 0, 1]]), np.array([-0.25, 0.06, 0.0005, -0.0005, 0.0])
+)
 # A sensor reads its rows downwards; where later rows lie after the picture is turned.
-TURNS = [("none", "down", None), ("clockwise", "left", cv2.ROTATE_90_CLOCKWISE), ("counterclockwise", "right", cv2.ROTATE_90_COUNTERCLOCKWISE)]
+TURNS = [
+    ("none", "down", None),
+    ("clockwise", "left", cv2.ROTATE_90_CLOCKWISE),
+    ("counterclockwise", "right", cv2.ROTATE_90_COUNTERCLOCKWISE),
+]
 
 
 @pytest.mark.parametrize("turn, readout, code", TURNS)

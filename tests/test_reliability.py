@@ -9,16 +9,16 @@ import zipfile
 import numpy as np
 import pytest
 
-from benchmark.reliability import damage, fuzz, kill
-from benchmark.reliability.formats import finite, formats
-from blender_addon.io import FileFormatError, gaussians_file
-from blender_addon.records import SpecError
-from blender_addon.spec import SceneSpec
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
 from gof.io.importers import read_result
 from gof.io.importers.similarity import align_cameras, read_cameras, world_from_training
+from gof_benchmark.evidence.reliability import damage, fuzz, kill
+from gof_benchmark.evidence.reliability.formats import finite, formats
+from gof_blender.pure.checked_json import SpecError
+from gof_blender.pure.io import FileFormatError, gaussians_file
+from gof_blender.pure.spec import SceneSpec
 from tests.conftest import arc, random_gaussians
 
 NEED_BLENDER_OR_TORCH = ("pictures .exr", "checkpoint .pth")
@@ -43,7 +43,14 @@ def test_an_input_is_the_same_again(tmp_path, name):
 def test_hangs_crashes_and_greed_are_failures(monkeypatch):
     """Readers that go wrong on purpose, in place of one that does not."""
     monkeypatch.setattr(fuzz, "LIMIT_S", 0.5)
-    for word, state in (("hang", "hang"), ("crash", "crash"), ("greed", "memory"), ("nan", "not finite"), ("value", "exception"), ("mute", "unnamed")):
+    for word, state in (
+        ("hang", "hang"),
+        ("crash", "crash"),
+        ("greed", "memory"),
+        ("nan", "not finite"),
+        ("value", "exception"),
+        ("mute", "unnamed"),
+    ):
         monkeypatch.setattr(fuzz, "work", Misbehaving(word))
         tally = fuzz.examine("scene spec", 0, range(1))
         assert tally.verdicts == {state: 1}, word
@@ -119,13 +126,18 @@ def npz_with(path, name: str, header: dict, body: bytes, compression=zipfile.ZIP
 
 def readers(path):
     """Both readers of a result, and the error that each names."""
-    return (lambda: TransientGaussians.load(path), GofError), (lambda: read_result(path), GofError), (lambda: gaussians_file.load(path), FileFormatError)
+    return (
+        (lambda: TransientGaussians.load(path), GofError),
+        (lambda: read_result(path), GofError),
+        (lambda: gaussians_file.load(path), FileFormatError),
+    )
 
 
 @pytest.mark.parametrize("shape", [(10**18, 3), (2**28, 3), (2**63, 2**63)])
 def test_an_npz_that_announces_too_much_is_refused_unread(tmp_path, shape):
     path = npz_with(tmp_path / "r.npz", "x0", {"descr": "<f4", "shape": shape}, bytes(36))
     for read, error in readers(path):
+
         def refused(read=read, error=error):
             with pytest.raises(error, match=r"r\.npz"):
                 read()
@@ -144,6 +156,7 @@ def test_a_zip_bomb_is_refused_unread(tmp_path):
             file.write(bytes(2**20))
     assert path.stat().st_size < 2**20
     for read, error in readers(path):
+
         def refused(read=read, error=error):
             with pytest.raises(error, match="unpacks to|packed more tightly"):
                 read()
@@ -163,8 +176,15 @@ def test_pickles_are_never_run_by_any_reader(tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
-@pytest.mark.parametrize("element", [b"element vertex 1000000000000000000", b"element vertex -1", b"element vertex x",
-                                     b"element face 1000000000000000000\nproperty list uchar int i\nelement vertex 3"])  # fmt: skip
+@pytest.mark.parametrize(
+    "element",
+    [
+        b"element vertex 1000000000000000000",
+        b"element vertex -1",
+        b"element vertex x",
+        b"element face 1000000000000000000\nproperty list uchar int i\nelement vertex 3",
+    ],
+)
 def test_a_ply_header_that_announces_too_much_is_refused_unread(tmp_path, element):
     path = random_gaussians(3).save(tmp_path / "r.ply")
     path.write_bytes(path.read_bytes().replace(b"element vertex 3", element))
@@ -176,7 +196,18 @@ def test_a_ply_header_that_announces_too_much_is_refused_unread(tmp_path, elemen
     assert allocated(refused) < 2**24
 
 
-@pytest.mark.parametrize("name", ["../../etc/{frame:06d}.png", "/etc/passwd", "a\0b", "x" * 5000, "{frame:0999999999d}.png", "{other}", "{frame.real}"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../../etc/{frame:06d}.png",
+        "/etc/passwd",
+        "a\0b",
+        "x" * 5000,
+        "{frame:0999999999d}.png",
+        "{other}",
+        "{frame.real}",
+    ],
+)
 def test_picture_names_from_strangers(tiny_dataset, name):
     meta = json.loads((tiny_dataset / "dataset.json").read_text())
     meta["cameras"][0]["rgb"] = name
@@ -192,9 +223,18 @@ def test_the_velocity_store_may_not_leave_the_dataset(tiny_dataset):
         _ = Dataset.open(tiny_dataset).velocity
 
 
-@pytest.mark.parametrize("fields", [
-    {"time_s": ["a"]}, {"time_s": [0.0, float("nan"), 1, 2]}, {"cameras": ["x"]}, {"splits": 3}, {"splits": {"train": ["a"], "test": []}},
-    {"velocity": 7}, {"cameras": "twice"}])  # fmt: skip
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"time_s": ["a"]},
+        {"time_s": [0.0, float("nan"), 1, 2]},
+        {"cameras": ["x"]},
+        {"splits": 3},
+        {"splits": {"train": ["a"], "test": []}},
+        {"velocity": 7},
+        {"cameras": "twice"},
+    ],
+)
 def test_wrong_types_in_dataset_json_are_named(tiny_dataset, fields):
     meta = json.loads((tiny_dataset / "dataset.json").read_text())
     if fields == {"cameras": "twice"}:
@@ -230,7 +270,10 @@ def test_cameras_that_are_none(tmp_path):
         (tmp_path / "poses.json").write_text(json.dumps({name: bad.tolist() for name in target}))
         with pytest.raises(DataFormatError, match="not a rotation"):
             read_cameras(tmp_path / "poses.json")
-    far = {name: pose + np.array([[0, 0, 0, 1e300 * k]] * 3 + [[0, 0, 0, 0]]) for k, (name, pose) in enumerate(target.items())}
+    far = {
+        name: pose + np.array([[0, 0, 0, 1e300 * k]] * 3 + [[0, 0, 0, 0]])
+        for k, (name, pose) in enumerate(target.items())
+    }
     with pytest.raises(GofError, match="alignment"):
         align_cameras(far, target)
     (tmp_path / "world.json").write_text('{"training_to_world": [[NaN,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}')
@@ -241,7 +284,9 @@ def test_cameras_that_are_none(tmp_path):
 @pytest.mark.parametrize("clip", [{"frames": 10**18}, {"warm_up_frames": 10**18}])
 def test_a_scene_without_end_is_refused_at_once(clip):
     with pytest.raises(SpecError, match=f"clip.{next(iter(clip))}"):
-        SceneSpec.from_dict({"schema": "gof-scene", "version": 1, "name": "x", "clip": clip, "effects": [{"name": "motion_blur"}]})
+        SceneSpec.from_dict(
+            {"schema": "gof-scene", "version": 1, "name": "x", "clip": clip, "effects": [{"name": "motion_blur"}]}
+        )
 
 
 def test_kill_sees_what_was_rewritten_lost_or_spoilt(tmp_path):

@@ -23,8 +23,10 @@ def test_log_replaces_and_adds_up(tmp_path):
 
 
 def test_worker_reports_cost_and_last_figures(tmp_path):
-    code = ("from gof.stages import progress_bar; x = bytearray(150 << 20); import time\n"
-            "with progress_bar('work') as update:\n  [update(i, 3, note='n') or time.sleep(.4) for i in range(1, 4)]\nprint('chatter')")
+    code = (
+        "from gof.stages import progress_bar; x = bytearray(150 << 20); import time\n"
+        "with progress_bar('work') as update:\n  [update(i, 3, note='n') or time.sleep(.4) for i in range(1, 4)]\nprint('chatter')"
+    )
     cost = run_worker([sys.executable, "-c", code], "work", tmp_path / "log.txt")
     assert 1.2 <= cost.seconds < 20 and cost.peak_mb > 150
     assert cost.settings["done"] == 3 and (tmp_path / "log.txt").read_text() == "chatter\n"
@@ -52,7 +54,9 @@ def test_progress_passes_through_nested_workers():
     assert run_worker([sys.executable, "-c", outer], "top").settings["stage"] == "inner"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="kept by the Linux kernel; elsewhere the worker stops at its next progress line")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="kept by the Linux kernel; elsewhere the worker stops at its next progress line"
+)
 def test_killing_the_parent_kills_the_whole_chain(tmp_path):
     import os
     import signal
@@ -63,7 +67,13 @@ def test_killing_the_parent_kills_the_whole_chain(tmp_path):
 
     inner = f"import os, time; open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(60)"
     outer = f"import sys; from gof.stages import run_worker; run_worker([sys.executable, '-c', {inner!r}], 'inner')"
-    top = subprocess.Popen([sys.executable, "-c", f"import sys; from gof.stages import run_worker; run_worker([sys.executable, '-c', {outer!r}], 'x')"])
+    top = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            f"import sys; from gof.stages import run_worker; run_worker([sys.executable, '-c', {outer!r}], 'x')",
+        ]
+    )
     for _ in range(200):
         if (tmp_path / "pid").exists() and (tmp_path / "pid").read_text():
             break

@@ -17,9 +17,28 @@ BELOW = {
     "gof.reconstruct": {"gof", "gof.render", "gof.io", "gof.evaluate", "gof.capture"},
     "gof.report": {"gof", "gof.render", "gof.io", "gof.evaluate"},
     "gof": {"gof.io", "gof.render", "gof.evaluate"},
-    "benchmark": {"blender_addon", "gof", "gof.render", "gof.io", "gof.evaluate", "gof.capture", "gof.reconstruct", "gof.report"},
+    "benchmark": {
+        "blender_addon",
+        "gof",
+        "gof.render",
+        "gof.io",
+        "gof.evaluate",
+        "gof.capture",
+        "gof.reconstruct",
+        "gof.report",
+    },
 }
-BASE = {"errors", "cameras", "gaussians", "fields", "dataset", "stages", "lens", "plates", "__init__"}  # of gof: below every part
+BASE = {
+    "errors",
+    "cameras",
+    "gaussians",
+    "fields",
+    "dataset",
+    "stages",
+    "lens",
+    "plates",
+    "__init__",
+}  # of gof: below every part
 
 
 def part_of(module: str) -> str:
@@ -43,7 +62,11 @@ def imports(path: Path):
 
 @pytest.mark.parametrize("part", BELOW)
 def test_imports_go_one_way(part):
-    files = [f for f in (ROOT / part.replace(".", "/")).rglob("*.py") if part_of(".".join(f.relative_to(ROOT).with_suffix("").parts)) == part]
+    files = [
+        f
+        for f in (ROOT / part.replace(".", "/")).rglob("*.py")
+        if part_of(".".join(f.relative_to(ROOT).with_suffix("").parts)) == part
+    ]
     assert files
     wrong = []
     for file in files:
@@ -56,14 +79,33 @@ def test_imports_go_one_way(part):
 
 def test_the_base_needs_no_part_above_it():
     allowed = {"gof", "gof.io"}  # gof.io.files: reading and writing safely
-    wrong = [f"gof/{name}.py:{line} imports {module}" for name in BASE for module, line in imports(ROOT / "gof" / f"{name}.py")
-             if part_of(module) not in allowed | {""}]  # fmt: skip
+    wrong = [
+        f"gof/{name}.py:{line} imports {module}"
+        for name in BASE
+        for module, line in imports(ROOT / "gof" / f"{name}.py")
+        if part_of(module) not in allowed | {""}
+    ]
     assert not wrong, "\n".join(wrong)
 
 
 def test_the_add_on_needs_numpy_and_blender_only():
-    blenders_own = {"bpy", "mathutils", "bl_ui", "addon_utils", "bpy_extras", "manta", "_cycles", "OpenImageIO", "openvdb", "pyopenvdb"}
+    blenders_own = {
+        "bpy",
+        "mathutils",
+        "bl_ui",
+        "addon_utils",
+        "bpy_extras",
+        "manta",
+        "_cycles",
+        "OpenImageIO",
+        "openvdb",
+        "pyopenvdb",
+    }
     allowed = set(sys.stdlib_module_names) | blenders_own | {"numpy", "blender_addon"}
-    wrong = [f"{file.relative_to(ROOT)}:{line} imports {module}" for file in (ROOT / "blender_addon").rglob("*.py")
-             for module, line in imports(file) if module.split(".")[0] not in allowed | {""}]  # fmt: skip
+    wrong = [
+        f"{file.relative_to(ROOT)}:{line} imports {module}"
+        for file in (ROOT / "blender_addon").rglob("*.py")
+        for module, line in imports(file)
+        if module.split(".")[0] not in allowed | {""}
+    ]
     assert not wrong, "\n".join(wrong)

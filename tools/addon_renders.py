@@ -20,10 +20,10 @@ import bpy
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-import blender_addon
-from blender_addon import import_result
-from blender_addon.io import gaussians_file
-from blender_addon.scene import gaussian_nodes, images, point_cloud
+import gof_blender
+from gof_blender.pure.io import gaussians_file
+from gof_blender.scene import gaussian_nodes, images, point_cloud
+from gof_blender.worker import import_result
 
 TIME_S = 0.2  # of the clip
 SHARES = {"arrows": 0.08, "streaks": 0.3}
@@ -90,7 +90,9 @@ def side_by_side(result: Path, dataset: Path, folder: Path, frame: int, camera: 
     true = view / "rgb" / f"{frame:06d}.png"
     error = (pixels(own) - pixels(true)) ** 2
     flame = pixels(view / "mask" / f"{frame:06d}.png")[..., 0] > 0
-    print(f"{camera}, frame {frame}: PSNR {-10 * np.log10(error.mean()):.2f} dB, on the flame {-10 * np.log10(error[flame].mean()):.2f} dB")
+    print(
+        f"{camera}, frame {frame}: PSNR {-10 * np.log10(error.mean()):.2f} dB, on the flame {-10 * np.log10(error[flame].mean()):.2f} dB"
+    )
     return [true, own]
 
 
@@ -113,7 +115,7 @@ def main() -> None:
     parser.add_argument("--camera", default="cam_1", help="its camera")
     args = parser.parse_args()
     result, dataset, out = args.result.resolve(), args.dataset.resolve(), args.out.resolve()
-    blender_addon.register()
+    gof_blender.register()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         join(modes(result, folder), out / "addon_modes.webp")

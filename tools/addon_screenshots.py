@@ -77,20 +77,45 @@ class Window:
         self.work = work
         environment = {key: value for key, value in os.environ.items() if not key.startswith("BLENDER_")}
         # Debian's Blender takes the libraries of the python3 that it finds first, which must be Debian's.
-        self._environment = environment | {"BLENDER_USER_RESOURCES": str(work / "user"), "DISPLAY": DISPLAY,
-                                           "LIBGL_ALWAYS_SOFTWARE": "1", "PATH": os.defpath}  # fmt: skip
+        self._environment = environment | {
+            "BLENDER_USER_RESOURCES": str(work / "user"),
+            "DISPLAY": DISPLAY,
+            "LIBGL_ALWAYS_SOFTWARE": "1",
+            "PATH": os.defpath,
+        }
         scripts = {name: work / f"{name}.py" for name in ("install", "obey")}
         for path, text in zip(scripts.values(), (INSTALL, OBEY), strict=True):
             path.write_text(text)
-        subprocess.run(["blender", "-b", "--factory-startup", "--python-exit-code", "1", "--python", scripts["install"], "--", zip_path],
-                       env=self._environment, check=True, stdout=subprocess.DEVNULL, timeout=120)  # fmt: skip
-        self._screen = subprocess.Popen(["Xvfb", DISPLAY, "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24", "+extension", "GLX"],
-                                        stderr=subprocess.DEVNULL)  # fmt: skip
+        subprocess.run(
+            [
+                "blender",
+                "-b",
+                "--factory-startup",
+                "--python-exit-code",
+                "1",
+                "--python",
+                scripts["install"],
+                "--",
+                zip_path,
+            ],
+            env=self._environment,
+            check=True,
+            stdout=subprocess.DEVNULL,
+            timeout=120,
+        )
+        self._screen = subprocess.Popen(
+            ["Xvfb", DISPLAY, "-screen", "0", f"{SCREEN[0]}x{SCREEN[1]}x24", "+extension", "GLX"],
+            stderr=subprocess.DEVNULL,
+        )
         time.sleep(1)
         place = ["-p", "0", "0", *map(str, SCREEN)]
         with open(work / "blender.log", "w") as log:
-            self._blender = subprocess.Popen(["blender", "--no-window-focus", *place, "--python", scripts["obey"], "--", work],
-                                             env=self._environment, stdout=log, stderr=log)  # fmt: skip
+            self._blender = subprocess.Popen(
+                ["blender", "--no-window-focus", *place, "--python", scripts["obey"], "--", work],
+                env=self._environment,
+                stdout=log,
+                stderr=log,
+            )
 
     def __enter__(self) -> Window:
         return self
@@ -118,7 +143,9 @@ class Window:
         end = time.monotonic() + seconds
         while not condition():
             if self._blender.poll() is not None or time.monotonic() > end:
-                raise TimeoutError(f"Blender has ended ({self._blender.poll()}) or does not do what it should; see {self.work}")
+                raise TimeoutError(
+                    f"Blender has ended ({self._blender.poll()}) or does not do what it should; see {self.work}"
+                )
             time.sleep(0.1)
 
     def press(self, x: int, y: int, check: str = "True", key: str | None = None) -> None:
@@ -230,7 +257,9 @@ def reconstruction(window: Window, out: Path, result: Path, dataset: Path, pytho
     window.python("bpy.ops.gof.score()\nNone", 600)
     window.python("bpy.ops.gof.show_errors()\nNone", 300)
     # EEVEE of Blender 3.4 draws no points
-    window.python("from gaussians_on_fire.scene import point_cloud\npoint_cloud.inputs(bpy.data.objects['result Error'])['Mode'] = 1\nNone")
+    window.python(
+        "from gaussians_on_fire.scene import point_cloud\npoint_cloud.inputs(bpy.data.objects['result Error'])['Mode'] = 1\nNone"
+    )
     window.python(f"bpy.ops.view3d.view_all(); {DESELECT}\nNone")
     window.settle()
     window.rest()
@@ -242,7 +271,12 @@ def main() -> int:
     parser.add_argument("--result", type=Path, required=True, help="a reconstruction, for the last two panels")
     parser.add_argument("--dataset", type=Path, required=True, help="the dataset it was made from")
     parser.add_argument("--out", type=Path, default=build_addon.ROOT / "docs" / "images", help="folder of the pictures")
-    parser.add_argument("--work", type=Path, default=build_addon.ROOT / "out" / "addon_window", help="folder for everything else; emptied")
+    parser.add_argument(
+        "--work",
+        type=Path,
+        default=build_addon.ROOT / "out" / "addon_window",
+        help="folder for everything else; emptied",
+    )
     parser.add_argument("--python", type=Path, default=Path(sys.executable), help="a Python that gof is installed in")
     args = parser.parse_args()
     missing = [name for name in NEEDED if not shutil.which(name)]

@@ -34,9 +34,11 @@ def version() -> str:
     """The project's version, if all that name one agree. Raises SystemExit that says which does not."""
     project = constant(ROOT / "gof" / "__init__.py", "__version__")
     named = {
-        "blender_manifest.toml: version": tomllib.loads((SOURCE / "blender_manifest.toml").read_text(encoding="utf-8"))["version"],
+        "blender_manifest.toml: version": tomllib.loads((SOURCE / "blender_manifest.toml").read_text(encoding="utf-8"))[
+            "version"
+        ],
         "__init__.py: bl_info['version']": ".".join(map(str, constant(SOURCE / "__init__.py", "bl_info")["version"])),
-        "generate.py: GENERATOR_VERSION": constant(SOURCE / "generate.py", "GENERATOR_VERSION"),
+        "worker/generate.py: GENERATOR_VERSION": constant(SOURCE / "worker" / "generate.py", "GENERATOR_VERSION"),
     }
     for where, other in named.items():
         if other != project:

@@ -28,9 +28,12 @@ def write(rig: Rig) -> None:
             seen[index].append((*pixels[point], int(point) + 1))
     folder = rig.root / "sparse" / "0"
     with atomic_path(folder / "cameras.txt") as path:
-        path.write_text("".join(
-            f"{index + 1} PINHOLE {c.width} {c.height} {' '.join(f'{v:.17g}' for v in c.K[[0, 1, 0, 1], [0, 1, 2, 2]])}\n"
-            for index, c in enumerate(rig.cameras)))  # fmt: skip
+        path.write_text(
+            "".join(
+                f"{index + 1} PINHOLE {c.width} {c.height} {' '.join(f'{v:.17g}' for v in c.K[[0, 1, 0, 1], [0, 1, 2, 2]])}\n"
+                for index, c in enumerate(rig.cameras)
+            )
+        )
     with atomic_path(folder / "images.txt") as path:
         lines = []
         for index, camera in enumerate(rig.cameras):
@@ -39,10 +42,14 @@ def write(rig: Rig) -> None:
             lines.append(" ".join(f"{x:.6f} {y:.6f} {point}" for x, y, point in seen[index]))
         path.write_text("\n".join(lines) + "\n")
     with atomic_path(folder / "points3D.txt") as path:
-        path.write_text("".join(
-            f"{point + 1} {' '.join(f'{v:.9g}' for v in position[point])} {' '.join(map(str, colour[point]))} 0 "
-            f"{' '.join(f'{image} {index}' for image, index in track)}\n"
-            for point, track in enumerate(tracks) if len(track) >= 2))  # fmt: skip
+        path.write_text(
+            "".join(
+                f"{point + 1} {' '.join(f'{v:.9g}' for v in position[point])} {' '.join(map(str, colour[point]))} 0 "
+                f"{' '.join(f'{image} {index}' for image, index in track)}\n"
+                for point, track in enumerate(tracks)
+                if len(track) >= 2
+            )
+        )
 
 
 def quaternion_wxyz(rotation: np.ndarray) -> np.ndarray:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from .. import mantaflow
-from ..spec import SceneSpec
-from . import backgrounds, fire, render, rig
+from ..pure.spec import SceneSpec
+from . import backgrounds, fire, mantaflow, render, rig
 
 
 def scene(spec: SceneSpec) -> fire.FireObjects:

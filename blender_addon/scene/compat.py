@@ -18,8 +18,11 @@ def add_socket(tree: bpy.types.NodeTree, name: str, kind: str, output: bool = Fa
 def input_sockets(tree: bpy.types.NodeTree) -> dict[str, bpy.types.bpy_struct]:
     """Inputs of a node group by name; a modifier keeps its values under their `identifier`."""
     if hasattr(tree, "interface"):
-        return {item.name: item for item in tree.interface.items_tree
-                if item.item_type == "SOCKET" and item.in_out == "INPUT"}
+        return {
+            item.name: item
+            for item in tree.interface.items_tree
+            if item.item_type == "SOCKET" and item.in_out == "INPUT"
+        }
     return {item.name: item for item in tree.inputs}
 
 

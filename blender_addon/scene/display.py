@@ -19,7 +19,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..io.cloud import GaussianCloud
+from ..pure.io.cloud import GaussianCloud
 from . import compat
 
 STOPS = np.linspace(-14.0, 8.0, 1024)  # linear greys measured, in powers of two
@@ -94,7 +94,9 @@ class _Picture:
     def blend(self, color: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean (P, 3) of colours (N, 3) in each of P pixels, coverage (P, 1), and share (M,) of each Gaussian in its pixel's."""
         total = np.bincount(self.owner, self.depth)
-        sums = np.column_stack([np.bincount(self.owner, self.depth * color[self.rows, channel]) for channel in range(3)])
+        sums = np.column_stack(
+            [np.bincount(self.owner, self.depth * color[self.rows, channel]) for channel in range(3)]
+        )
         covered = np.clip(-np.expm1(-total), LEAST_COVERAGE, 1.0)
         part = covered / np.maximum(total, 1e-12)
         # a pixel of vanished Gaussians only: dark
@@ -110,7 +112,9 @@ def _pictures(cloud: GaussianCloud) -> Iterator[_Picture]:
     brightest = np.where(bounded, cloud.t_mu, 0.0)
     lifetime = 1.0
     if bounded.any():
-        lifetime = max(float(np.median((last - first)[bounded])) / 7, float(np.ptp(brightest[bounded])) / MOST_SLICES, 1e-9)
+        lifetime = max(
+            float(np.median((last - first)[bounded])) / 7, float(np.ptp(brightest[bounded])) / MOST_SLICES, 1e-9
+        )
     slices = np.round(brightest / lifetime)
     for number in np.unique(slices):
         time = np.float32(number * lifetime)

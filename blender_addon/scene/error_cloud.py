@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..io.velocity_reader import TrueVelocity
+from ..pure.io.velocity_reader import TrueVelocity
 from . import gaussian_nodes, point_cloud
 
 ARROWS = 3000  # of one view; more are a thicket
@@ -40,8 +40,11 @@ def add_truth(thing: bpy.types.Object, truth: TrueVelocity) -> CentreError:
     point_cloud.add_column(mesh, "gs_true_velocity", true)
     error = np.linalg.norm(velocity - true, axis=1)[compared].astype(float)
     power = float((true[compared].astype(float) ** 2).sum())
-    return CentreError(float(np.median(error)) if len(error) else float("nan"),
-                       float(np.sqrt((error**2).sum() / power)) if power > 0 else float("nan"), int(compared.sum()))
+    return CentreError(
+        float(np.median(error)) if len(error) else float("nan"),
+        float(np.sqrt((error**2).sum() / power)) if power > 0 else float("nan"),
+        int(compared.sum()),
+    )
 
 
 def positions(mesh: bpy.types.Mesh) -> np.ndarray:
@@ -63,9 +66,14 @@ def show(thing: bpy.types.Object) -> list[bpy.types.Object]:
     width = 1.5 * float(across[1] - across[0])
     fastest = point_cloud.value_range(thing.data, "speed")[1]
     views = []
-    for number, (name, mode, color, vectors) in enumerate((
-            ("Error", "points", "error", "velocity"), ("True Velocity", "arrows", "speed", "true velocity"),
-            ("Error Arrows", "arrows", "error", "error")), 1):
+    for number, (name, mode, color, vectors) in enumerate(
+        (
+            ("Error", "points", "error", "velocity"),
+            ("True Velocity", "arrows", "speed", "true velocity"),
+            ("Error Arrows", "arrows", "error", "error"),
+        ),
+        1,
+    ):
         view = point_cloud.add_view(thing.data, f"{thing.name} {name}")
         view["gof_view_of"] = thing.name
         view.matrix_world = thing.matrix_world

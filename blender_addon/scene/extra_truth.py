@@ -11,10 +11,10 @@ from functools import partial
 import bpy
 import numpy as np
 
-from ..io import projected_flow, vdb_file
-from ..io.velocity_store import VelocityWriter, scalar
-from ..layout import Layout
-from ..spec import SceneSpec
+from ..pure.io import projected_flow, vdb_file
+from ..pure.io.velocity_store import VelocityWriter, scalar
+from ..pure.layout import Layout
+from ..pure.spec import SceneSpec
 from . import images, rig, velocity
 from .fire import find_domain
 
@@ -57,7 +57,9 @@ def flow(spec: SceneSpec, layout: Layout, progress) -> None:
         if missing:
             bpy.context.scene.frame_set(spec.blender_frame(frame))
             moving, emission = _velocity(domain, spec), _scalars(domain)["flame"] ** 1.3  # as the flame's material
-            project = partial(projected_flow.flow, emission=emission, velocity=moving, index_to_world=velocity.index_to_world(domain))
+            project = partial(
+                projected_flow.flow, emission=emission, velocity=moving, index_to_world=velocity.index_to_world(domain)
+            )
         for camera in missing:
             mask = images.read_png(layout.frame(camera.name, frame).mask)[..., 0] > 0
             K, pose = rig.intrinsics(camera, bpy.context.scene), rig.world_to_camera(camera)

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..spec import SceneSpec
+from ..pure.spec import SceneSpec
 from . import effects, material, meshes
 
 DOMAIN_NAME = "Fire Domain"
@@ -142,4 +142,6 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
 def _curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
     if hasattr(action, "fcurves"):  # until Blender 4.5
         return list(action.fcurves)
-    return [curve for layer in action.layers for strip in layer.strips for bag in strip.channelbags for curve in bag.fcurves]
+    return [
+        curve for layer in action.layers for strip in layer.strips for bag in strip.channelbags for curve in bag.fcurves
+    ]

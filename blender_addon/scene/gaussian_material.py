@@ -26,10 +26,19 @@ def ellipsoids(name: str) -> bpy.types.Material:
     """Ellipsoids: in the Gaussian's own whitened space it is a ball, and lengths count standard deviations."""
     material, nodes = _new(name)
     hit = nodes.add("ShaderNodeNewGeometry").outputs
-    ray = nodes.add("ShaderNodeVectorTransform", {"Vector": hit["Incoming"]}, vector_type="VECTOR",
-                    convert_from="WORLD", convert_to="OBJECT").outputs[0]
-    turned = nodes.add("ShaderNodeVectorRotate", {"Vector": ray, "Rotation": _attribute(nodes, "gs_euler")["Vector"]},
-                       rotation_type="EULER_XYZ", invert=True).outputs[0]
+    ray = nodes.add(
+        "ShaderNodeVectorTransform",
+        {"Vector": hit["Incoming"]},
+        vector_type="VECTOR",
+        convert_from="WORLD",
+        convert_to="OBJECT",
+    ).outputs[0]
+    turned = nodes.add(
+        "ShaderNodeVectorRotate",
+        {"Vector": ray, "Rotation": _attribute(nodes, "gs_euler")["Vector"]},
+        rotation_type="EULER_XYZ",
+        invert=True,
+    ).outputs[0]
     whitened = nodes.vector("DIVIDE", turned, _attribute(nodes, "gs_scale")["Vector"])
     _splat(nodes, hit, whitened, _attribute(nodes, "gs_local")["Vector"])
     return material
@@ -62,7 +71,9 @@ def _glow(nodes: Nodes) -> bpy.types.NodeSocket:
     color = _attribute(nodes, "gs_color")
     camera = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
     others = nodes.math("MULTIPLY", nodes.math("SUBTRACT", 1.0, camera), color["Alpha"])
-    return nodes.add("ShaderNodeEmission", {"Color": color["Color"], "Strength": nodes.math("ADD", camera, others)}).outputs[0]
+    return nodes.add(
+        "ShaderNodeEmission", {"Color": color["Color"], "Strength": nodes.math("ADD", camera, others)}
+    ).outputs[0]
 
 
 def _splat(nodes: Nodes, hit, ray, place) -> None:
@@ -80,7 +91,9 @@ def _splat(nodes: Nodes, hit, ray, place) -> None:
     opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), front)
     # Each sample either sees this Gaussian or passes, by chance: the same picture on average, but a ray ends after a few
     # layers instead of crossing all of them, and dense parts have no noise because every sample ends in the flame.
-    chance = nodes.add("ShaderNodeTexWhiteNoise", {"Vector": hit["Position"], "W": alpha}, noise_dimensions="4D").outputs["Value"]
+    chance = nodes.add(
+        "ShaderNodeTexWhiteNoise", {"Vector": hit["Position"], "W": alpha}, noise_dimensions="4D"
+    ).outputs["Value"]
     seen = nodes.math("LESS_THAN", chance, opacity)
     clear = nodes.add("ShaderNodeBsdfTransparent").outputs[0]
     mixed = nodes.add("ShaderNodeMixShader", {0: seen, 1: clear, 2: _glow(nodes)}).outputs[0]

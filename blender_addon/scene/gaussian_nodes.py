@@ -34,13 +34,26 @@ INPUTS = (  # name, kind, default, least, largest, description
     ("Color Min", FLOAT, 0.0, -1e6, 1e6, "Value at the dark end of the colour map (m/s or s)"),
     ("Color Max", FLOAT, 1.0, -1e6, 1e6, "Value at the bright end of the colour map (m/s or s)"),
     ("Emission", FLOAT, 1.0, 0.0, 1e6, "Brightness of the flame; 1 looks as in the footage"),
-    ("Light on Scene", FLOAT, 1.0, 0.0, 1e6, "Factor on the light that the flame throws on everything else; a colour map throws none"),
+    (
+        "Light on Scene",
+        FLOAT,
+        1.0,
+        0.0,
+        1e6,
+        "Factor on the light that the flame throws on everything else; a colour map throws none",
+    ),
     ("Line Time", FLOAT, 0.02, 0.0, 1e3, "Length of arrows and streaks: the way of this many seconds"),
     ("Arrows Show", WHOLE, 0, 0, 2, "0 velocity, 1 true velocity, 2 velocity error; the last two once scored"),
     ("Frame Rate", FLOAT, 24.0, 0.001, 1e6, "Follows the scene"),
-)  # fmt: skip
-VIRIDIS = ((0.267, 0.005, 0.329), (0.254, 0.265, 0.530), (0.164, 0.471, 0.558), (0.134, 0.659, 0.518),
-           (0.478, 0.821, 0.318), (0.993, 0.906, 0.144))  # display sRGB
+)
+VIRIDIS = (
+    (0.267, 0.005, 0.329),
+    (0.254, 0.265, 0.530),
+    (0.164, 0.471, 0.558),
+    (0.134, 0.659, 0.518),
+    (0.478, 0.821, 0.318),
+    (0.993, 0.906, 0.144),
+)  # display sRGB
 
 
 def node_group() -> bpy.types.NodeTree:
@@ -72,22 +85,37 @@ def _write(nodes: Nodes) -> None:
     radius = nodes.math("MULTIPLY", _mean_scale(nodes), EXTENT)
     visible = nodes.math("GREATER_THAN", given["Share"], _number_of_its_own(nodes))
     opaque = nodes.math("SUBTRACT", 1.0, nodes.math("LESS_THAN", alpha, given["Opacity Cut"]))
-    points = nodes.add("GeometryNodeMeshToPoints", {"Mesh": given["Geometry"], "Radius": radius,
-                                                    "Selection": nodes.math("MULTIPLY", visible, opaque)}).outputs[0]
+    points = nodes.add(
+        "GeometryNodeMeshToPoints",
+        {"Mesh": given["Geometry"], "Radius": radius, "Selection": nodes.math("MULTIPLY", visible, opaque)},
+    ).outputs[0]
     velocity = nodes.named("gs_velocity", "FLOAT_VECTOR")
     # Fields are evaluated on the geometry that reaches a node: nothing below is computed for what is not drawn.
     points = nodes.store(points, "gs_alpha", "FLOAT", alpha)
     points = nodes.store(points, "gs_color", "FLOAT_COLOR", _color(nodes, given, velocity, age))
     points = nodes.store(points, "velocity", "FLOAT_VECTOR", nodes.vector("SCALE", velocity, Scale=given["Time Scale"]))
-    points = nodes.add("GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}).outputs[0]
+    points = nodes.add(
+        "GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}
+    ).outputs[0]
     points = _without(nodes, points, "gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light")
     lines = gaussian_material.lines(f"{NAME} Lines")
-    nodes.add("NodeGroupOutput", {"Geometry": nodes.choose(
-        "GEOMETRY", given["Mode"],
-        _dressed(nodes, _without(nodes, points, "gs_scale", "gs_euler", "gs_velocity"), gaussian_material.points(f"{NAME} Points")),
-        _dressed(nodes, _ellipsoids(nodes, points), gaussian_material.ellipsoids(f"{NAME} Ellipsoids")),
-        _dressed(nodes, _arrows(nodes, points, given), lines),
-        _dressed(nodes, _streaks(nodes, points, given, velocity), lines))})
+    nodes.add(
+        "NodeGroupOutput",
+        {
+            "Geometry": nodes.choose(
+                "GEOMETRY",
+                given["Mode"],
+                _dressed(
+                    nodes,
+                    _without(nodes, points, "gs_scale", "gs_euler", "gs_velocity"),
+                    gaussian_material.points(f"{NAME} Points"),
+                ),
+                _dressed(nodes, _ellipsoids(nodes, points), gaussian_material.ellipsoids(f"{NAME} Ellipsoids")),
+                _dressed(nodes, _arrows(nodes, points, given), lines),
+                _dressed(nodes, _streaks(nodes, points, given, velocity), lines),
+            )
+        },
+    )
 
 
 def _opacity(nodes: Nodes, time, age) -> bpy.types.NodeSocket:
@@ -119,7 +147,9 @@ def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
     error = nodes.vector("DISTANCE", velocity, nodes.named("gs_true_velocity", "FLOAT_VECTOR"), output="Value")
     value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error)
     span = nodes.math("MAXIMUM", nodes.math("SUBTRACT", given["Color Max"], given["Color Min"]), 1e-9)
-    ramp = nodes.add("ShaderNodeValToRGB", {"Fac": nodes.math("DIVIDE", nodes.math("SUBTRACT", value, given["Color Min"]), span)})
+    ramp = nodes.add(
+        "ShaderNodeValToRGB", {"Fac": nodes.math("DIVIDE", nodes.math("SUBTRACT", value, given["Color Min"]), span)}
+    )
     for k, display in enumerate(VIRIDIS):
         place = k / (len(VIRIDIS) - 1)
         stop = ramp.color_ramp.elements[k] if k < 2 else ramp.color_ramp.elements.new(place)
@@ -129,9 +159,12 @@ def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
     shown = nodes.choose("VECTOR", mapped, nodes.named("gs_light", "FLOAT_VECTOR"), ramp.outputs["Color"])
     light = nodes.vector("SCALE", shown, Scale=given["Emission"])
     sides = nodes.add("ShaderNodeSeparateXYZ", {"Vector": light}).outputs
-    lit = nodes.math("MULTIPLY", given["Light on Scene"], nodes.math("SUBTRACT", 1.0, mapped))  # a colour map lights nothing
-    return nodes.add("FunctionNodeCombineColor", {"Red": sides[0], "Green": sides[1], "Blue": sides[2],
-                                                  "Alpha": lit}).outputs[0]
+    lit = nodes.math(
+        "MULTIPLY", given["Light on Scene"], nodes.math("SUBTRACT", 1.0, mapped)
+    )  # a colour map lights nothing
+    return nodes.add(
+        "FunctionNodeCombineColor", {"Red": sides[0], "Green": sides[1], "Blue": sides[2], "Alpha": lit}
+    ).outputs[0]
 
 
 def _without(nodes: Nodes, geometry, *names: str) -> bpy.types.NodeSocket:
@@ -146,21 +179,26 @@ def _dressed(nodes: Nodes, geometry, material: bpy.types.Material) -> bpy.types.
 
 
 def _instances(nodes: Nodes, points, mesh, rotation, scale) -> bpy.types.NodeSocket:
-    instances = nodes.add("GeometryNodeInstanceOnPoints", {"Points": points, "Instance": mesh, "Rotation": rotation,
-                                                           "Scale": scale}).outputs[0]
+    instances = nodes.add(
+        "GeometryNodeInstanceOnPoints", {"Points": points, "Instance": mesh, "Rotation": rotation, "Scale": scale}
+    ).outputs[0]
     # One mesh: a ray crosses dozens of Gaussians, and Cycles finds overlapping instances far more slowly.
     return nodes.add("GeometryNodeRealizeInstances", {"Geometry": instances}).outputs[0]
 
 
 def _ellipsoids(nodes: Nodes, points) -> bpy.types.NodeSocket:
     # Renderers cross fewer surfaces with close balls; the viewport has fewer vertices to move with icosahedra.
-    close, coarse = (nodes.add("GeometryNodeMeshIcoSphere", {"Radius": radius, "Subdivisions": level}).outputs["Mesh"]
-                     for radius, level in ((EXTENT, 2), (ICOSAHEDRON_RADIUS, 1)))
+    close, coarse = (
+        nodes.add("GeometryNodeMeshIcoSphere", {"Radius": radius, "Subdivisions": level}).outputs["Mesh"]
+        for radius, level in ((EXTENT, 2), (ICOSAHEDRON_RADIUS, 1))
+    )
     ball = nodes.choose("GEOMETRY", nodes.add("GeometryNodeIsViewport").outputs[0], close, coarse)
     place = nodes.add("GeometryNodeInputPosition").outputs[0]
     ball = nodes.store(ball, "gs_local", "FLOAT_VECTOR", place)
     points = _without(nodes, points, "gs_velocity")
-    return _instances(nodes, points, ball, nodes.named("gs_euler", "FLOAT_VECTOR"), nodes.named("gs_scale", "FLOAT_VECTOR"))
+    return _instances(
+        nodes, points, ball, nodes.named("gs_euler", "FLOAT_VECTOR"), nodes.named("gs_scale", "FLOAT_VECTOR")
+    )
 
 
 def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
@@ -168,8 +206,9 @@ def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
     velocity, true = nodes.named("gs_velocity", "FLOAT_VECTOR"), nodes.named("gs_true_velocity", "FLOAT_VECTOR")
     shown = nodes.choose("VECTOR", given["Arrows Show"], velocity, true, nodes.vector("SUBTRACT", velocity, true))
     shaft = _cone(nodes, bottom=0.03, top=0.03, depth=0.7)
-    head = nodes.add("GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.09, top=0.0, depth=0.3),
-                                               "Translation": (0, 0, 0.7)}).outputs[0]
+    head = nodes.add(
+        "GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.09, top=0.0, depth=0.3), "Translation": (0, 0, 0.7)}
+    ).outputs[0]
     mesh = nodes.add("GeometryNodeJoinGeometry")
     for part in (shaft, head):
         nodes.plug(mesh, "Geometry", part)
@@ -180,8 +219,9 @@ def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
 
 def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
     """The way behind the centre that took Line Time seconds; thinner than the Gaussian."""
-    mesh = nodes.add("GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.0, top=0.3, depth=1.0),
-                                               "Translation": (0, 0, -1.0)}).outputs[0]
+    mesh = nodes.add(
+        "GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.0, top=0.3, depth=1.0), "Translation": (0, 0, -1.0)}
+    ).outputs[0]
     thick = _mean_scale(nodes)
     length = nodes.math("MULTIPLY", nodes.vector("LENGTH", velocity, output="Value"), given["Line Time"])
     scale = nodes.add("ShaderNodeCombineXYZ", {"X": thick, "Y": thick, "Z": length}).outputs[0]
@@ -189,7 +229,9 @@ def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
 
 
 def _cone(nodes: Nodes, bottom: float, top: float, depth: float) -> bpy.types.NodeSocket:
-    return nodes.add("GeometryNodeMeshCone", {"Vertices": 5, "Radius Bottom": bottom, "Radius Top": top, "Depth": depth}).outputs["Mesh"]
+    return nodes.add(
+        "GeometryNodeMeshCone", {"Vertices": 5, "Radius Bottom": bottom, "Radius Top": top, "Depth": depth}
+    ).outputs["Mesh"]
 
 
 def _towards(nodes: Nodes, direction) -> bpy.types.NodeSocket:

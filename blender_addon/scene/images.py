@@ -104,7 +104,9 @@ def _read(path: Path, kind=oiio.FLOAT) -> tuple[np.ndarray, list[str]]:
     try:
         while image.seek_subimage(len(parts), 0):  # Blender 5.0 on writes one part a pass, of equal sizes
             if image.spec().image_pixels() * image.spec().nchannels * 4 > EXPANSION * path.stat().st_size:
-                raise OSError(f"{path}: announces {image.spec().width}x{image.spec().height} pixels, more than the file can hold")
+                raise OSError(
+                    f"{path}: announces {image.spec().width}x{image.spec().height} pixels, more than the file can hold"
+                )
             parts.append(image.read_image(len(parts), 0, 0, image.spec().nchannels, kind))
             if parts[-1] is None:
                 raise OSError(f"{path}: {image.geterror()}")

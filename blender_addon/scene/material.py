@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import bpy
 
-from ..fuels import Fuel
+from ..pure.fuels import Fuel
 
 Colour = tuple[float, float, float]
 

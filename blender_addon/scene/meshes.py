@@ -138,6 +138,9 @@ def crossed_logs(name: str, radius: float, collection: bpy.types.Collection, **p
             uvs += [(0.0, left), (0.0, right), (length, right), (length, left)]
         faces.append(tuple(first + segment for segment in reversed(range(segments))))
         faces.append(tuple(first + segments + segment for segment in range(segments)))
-        ring = [(thick * math.cos(2 * math.pi * s / segments), thick * math.sin(2 * math.pi * s / segments)) for s in range(segments)]
+        ring = [
+            (thick * math.cos(2 * math.pi * s / segments), thick * math.sin(2 * math.pi * s / segments))
+            for s in range(segments)
+        ]
         uvs += ring[::-1] + ring
     return add(name, vertices, faces, collection, uvs, **place)

@@ -40,12 +40,18 @@ class Nodes:
         return pick(self.add("GeometryNodeInputNamedAttribute", {"Name": name}, data_type=kind).outputs, "Attribute")
 
     def store(self, geometry, name: str, kind: str, value, domain: str = "POINT") -> bpy.types.NodeSocket:
-        return self.add("GeometryNodeStoreNamedAttribute", {"Geometry": geometry, "Name": name, "Value": value},
-                        data_type=kind, domain=domain).outputs["Geometry"]
+        return self.add(
+            "GeometryNodeStoreNamedAttribute",
+            {"Geometry": geometry, "Name": name, "Value": value},
+            data_type=kind,
+            domain=domain,
+        ).outputs["Geometry"]
 
     def equal(self, whole, number: int) -> bpy.types.NodeSocket:
         """Whether an integer is `number`."""
-        return self.add("FunctionNodeCompare", {"A": whole, "B": number}, data_type="INT", operation="EQUAL").outputs["Result"]
+        return self.add("FunctionNodeCompare", {"A": whole, "B": number}, data_type="INT", operation="EQUAL").outputs[
+            "Result"
+        ]
 
     def choose(self, kind: str, whole, *choices) -> bpy.types.NodeSocket:
         """choices[whole]; the first for any other integer. Only what is chosen is evaluated."""

@@ -13,9 +13,8 @@ from dataclasses import replace
 import bpy
 from mathutils import Matrix, Vector
 
-from .. import mantaflow
-from ..spec import Clip, SceneSpec
-from . import effects, fire, rig
+from ..pure.spec import Clip, SceneSpec
+from . import effects, fire, mantaflow, rig
 
 PART = "gof_part"
 PLACE, DOMAIN, EMITTER = "place", "domain", "emitter"
@@ -66,7 +65,9 @@ def add_fire(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object) -
     frames_per_second = scene.render.fps / scene.render.fps_base
     here = replace(
         spec,
-        clip=Clip(frames=max(scene.frame_end, 1), fps=frames_per_second, warm_up_frames=0, time_scale=spec.clip.time_scale),
+        clip=Clip(
+            frames=max(scene.frame_end, 1), fps=frames_per_second, warm_up_frames=0, time_scale=spec.clip.time_scale
+        ),
         effects=tuple(effect for effect in spec.effects if effects.changes_scene(effect)),
     )
     collection = _collection(scene, "Fire")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..io.cloud import GaussianCloud
+from ..pure.io.cloud import GaussianCloud
 from . import compat, display, gaussian_nodes
 
 TRANSPARENT_LAYERS = 1024  # surfaces a ray may pass, two per Gaussian; where it must stop the picture turns black
@@ -43,8 +43,9 @@ def inputs(thing: bpy.types.Object | None) -> CloudInputs | None:
     return None
 
 
-def add_point_cloud(cloud: GaussianCloud, start_frame: float, mode: str = "ellipsoids",
-                    name: str = "Flame Gaussians") -> bpy.types.Object:
+def add_point_cloud(
+    cloud: GaussianCloud, start_frame: float, mode: str = "ellipsoids", name: str = "Flame Gaussians"
+) -> bpy.types.Object:
     """Add the reconstruction to the current scene.
 
     Args:
@@ -160,6 +161,8 @@ def euler_angles(rotation: np.ndarray) -> np.ndarray:
 
 def _line_time(cloud: GaussianCloud) -> float:
     """Seconds in which a fast Gaussian passes a tenth of the cloud: arrows as long as that can be told apart."""
-    fast = float(np.percentile(np.linalg.norm(cloud.velocity[cloud.dynamic], axis=1), 98)) if cloud.dynamic.any() else 0.0
+    fast = (
+        float(np.percentile(np.linalg.norm(cloud.velocity[cloud.dynamic], axis=1), 98)) if cloud.dynamic.any() else 0.0
+    )
     size = float(np.ptp(np.percentile(cloud.position, [2, 98], axis=0), axis=0).max())
     return 0.1 * size / fast if fast > 0 and size > 0 else 0.02

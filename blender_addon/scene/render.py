@@ -16,10 +16,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .. import shutter
-from ..layout import Layout
-from ..records import SpecError
-from ..spec import SceneSpec
+from ..pure import shutter
+from ..pure.checked_json import SpecError
+from ..pure.layout import Layout
+from ..pure.spec import SceneSpec
 from . import effects, images, rig
 from .fire import find_domain
 

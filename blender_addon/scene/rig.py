@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
-from .. import shutter
-from ..spec import Rig, SceneSpec
+from ..pure import shutter
+from ..pure.spec import Rig, SceneSpec
 
 SENSOR_MM = 36.0  # long side of the sensor
 READOUT = {0: "down", 90: "left", 180: "up", -90: "right"}
@@ -103,7 +103,9 @@ def poses(rig: Rig) -> list[Matrix]:
     if rig.placed:
         return [Matrix.LocRotScale(Vector(pose.position), Quaternion(pose.rotation), None) for pose in rig.placed]
     turns = [(Vector(rig.look_at) - Vector(position)).to_track_quat("-Z", "Y") for position in _positions(rig)]
-    return [Matrix.LocRotScale(Vector(position), turn, None) for position, turn in zip(_positions(rig), turns, strict=True)]
+    return [
+        Matrix.LocRotScale(Vector(position), turn, None) for position, turn in zip(_positions(rig), turns, strict=True)
+    ]
 
 
 def _positions(rig: Rig) -> list[tuple[float, float, float]]:

@@ -3,7 +3,7 @@
 Units. Mantaflow advects in cells per solver time unit, and Blender runs 0.1 * 25/fps * time_scale units per frame, so
 one second is 2.5 * time_scale units and the stored value u means 2.5 * time_scale * u cells per second, at any fps.
 `index_to_world` then turns cells into metres and grid axes into world axes; velocity is mapped by its linear part, so
-a moved, turned or scaled domain needs no special case. `benchmark.velocity_truth` measures that this is right.
+a moved, turned or scaled domain needs no special case. `gof_benchmark.evidence.velocity_truth` measures that this is right.
 
 Time. The cache of frame k holds the velocity that carries the density of frame k to frame k + 1. With solver substeps
 it is the velocity of the last substep of frame k.
@@ -21,14 +21,20 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..io.velocity_store import Block, VelocityWriter
+from ..pure.io.velocity_store import Block, VelocityWriter
 
 SOLVER_UNITS_PER_SECOND = 2.5
 
 
-def export_velocity(domain_object: bpy.types.Object, frames: list[int], fps: float, time_scale: float,
-                    out_path: str | Path, progress: Callable[[int, int], None] = lambda done, total: None,
-                    dtype: str = "float16") -> dict:
+def export_velocity(
+    domain_object: bpy.types.Object,
+    frames: list[int],
+    fps: float,
+    time_scale: float,
+    out_path: str | Path,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    dtype: str = "float16",
+) -> dict:
     """Write the velocity of baked frames as a zarr v3 store; frames of an interrupted export are not written again.
 
     Args:
@@ -48,8 +54,10 @@ def export_velocity(domain_object: bpy.types.Object, frames: list[int], fps: flo
     """
     settings = _domain_settings(domain_object)
     if settings.use_adaptive_domain:
-        raise ValueError(f"{domain_object.name}: the adaptive domain changes the grid from frame to frame; "
-                         "switch it off and bake again")
+        raise ValueError(
+            f"{domain_object.name}: the adaptive domain changes the grid from frame to frame; "
+            "switch it off and bake again"
+        )
     if abs(settings.time_scale - time_scale) > 1e-6:
         raise ValueError(f"{domain_object.name} was set up with time scale {settings.time_scale}, not {time_scale}")
     if not fps > 0:
@@ -62,14 +70,22 @@ def export_velocity(domain_object: bpy.types.Object, frames: list[int], fps: flo
     matrix = index_to_world(domain_object)
     linear = matrix[:3, :3]
     to_metres_per_second = SOLVER_UNITS_PER_SECOND * time_scale * linear
-    store = VelocityWriter(out_path, tuple(_evaluated(domain_object).domain_resolution), matrix,
-                           (np.array(frames) - frames[0]) / fps, float(np.cbrt(abs(np.linalg.det(linear)))), dtype)
+    store = VelocityWriter(
+        out_path,
+        tuple(_evaluated(domain_object).domain_resolution),
+        matrix,
+        (np.array(frames) - frames[0]) / fps,
+        float(np.cbrt(abs(np.linalg.det(linear)))),
+        dtype,
+    )
     for index, frame in enumerate(frames):
         if not store.has_frame(index):
             _go_to(frame, domain_object, settings)
             if not np.allclose(index_to_world(domain_object), matrix, rtol=0, atol=1e-6):
-                raise ValueError(f"{domain_object.name} moves at frame {frame}; one store holds one fixed grid, "
-                                 "so keep the domain still")
+                raise ValueError(
+                    f"{domain_object.name} moves at frame {frame}; one store holds one fixed grid, "
+                    "so keep the domain still"
+                )
             raw = read_staggered(domain_object)
 
             def in_world(where: Block, raw: np.ndarray = raw) -> np.ndarray:
@@ -102,8 +118,10 @@ def read_staggered(domain_object: bpy.types.Object) -> np.ndarray:
     where = f"{domain_object.name}, frame {bpy.context.scene.frame_current}"
     if settings.cache_data_format == "OPENVDB" and read_density(domain_object).any():
         # Blender saves VDB velocity only in voxels that hold smoke; elsewhere it would read as still air.
-        raise ValueError(f"{where}: an OpenVDB cache keeps velocity only where there is smoke; set the domain's "
-                         "cache format to 'UNI' and bake again")
+        raise ValueError(
+            f"{where}: an OpenVDB cache keeps velocity only where there is smoke; set the domain's "
+            "cache format to 'UNI' and bake again"
+        )
     return _read_grid(settings, "velocity_grid", 3, where)
 
 
@@ -151,8 +169,10 @@ def _go_to(frame: int, domain_object: bpy.types.Object, settings: bpy.types.Flui
     suffix = {"UNI": "uni", "OPENVDB": "vdb"}[settings.cache_data_format]
     file = cached / (f"vel_{frame:04d}.uni" if suffix == "uni" else f"fluid_data_{frame:04d}.vdb")
     if not file.is_file():
-        raise ValueError(f"{domain_object.name}: frame {frame} is not baked ({file} is absent); bake frames "
-                         f"up to {frame} first, or export fewer")
+        raise ValueError(
+            f"{domain_object.name}: frame {frame} is not baked ({file} is absent); bake frames "
+            f"up to {frame} first, or export fewer"
+        )
     bpy.context.scene.frame_set(frame)
 
 

@@ -7,8 +7,8 @@ import os
 import bpy
 import numpy as np
 
-from ..layout import Layout
-from ..spec import SceneSpec
+from ..pure.layout import Layout
+from ..pure.spec import SceneSpec
 from . import images
 from .effects.video_compression import Settings
 

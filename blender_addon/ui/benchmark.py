@@ -7,20 +7,25 @@ from pathlib import Path
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
-from .. import costs
-from .. import spec as scene_spec_file
-from ..job import Job, expected_s
-from ..layout import Layout
-from ..presets import PRESETS
-from ..records import SpecError
+from ..pure import cost_model as costs
+from ..pure import spec as scene_spec_file
+from ..pure.checked_json import SpecError
+from ..pure.dataset_process import Job, expected_s
+from ..pure.layout import Layout
+from ..pure.presets import PRESETS
+from ..pure.spec import BlendFile, SceneSpec
 from ..scene import place
-from ..spec import BlendFile, SceneSpec
 from . import scene_spec
 from .job_operator import JobOperator
 from .panel import SidebarPanel, write_lines
 
-PURPOSE = {"toy": "Seconds, to see whether it works", "preview": "A look at the scene", "draft": "For trying out code",
-           "standard": "Motion worth scoring", "paper": "A job for a cluster"}  # fmt: skip
+PURPOSE = {
+    "toy": "Seconds, to see whether it works",
+    "preview": "A look at the scene",
+    "draft": "For trying out code",
+    "standard": "Motion worth scoring",
+    "paper": "A job for a cluster",
+}
 BACKGROUNDS = ("studio", "workshop", "classroom", "cloister")
 
 
@@ -30,10 +35,15 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
     background: EnumProperty(
         name="Background",
         description="What is around the fire",
-        items=[("scene", "This Scene", "Everything of this scene that is visible in renders, as it is at this frame"),
-               *((name, name.capitalize(), "Built by the add-on; the fire and the cameras are those of the Fire panel") for name in BACKGROUNDS),
-               ("file", "Spec File", "A scene spec written for the command line: it replaces the Fire panel's settings")],
-    )  # fmt: skip
+        items=[
+            ("scene", "This Scene", "Everything of this scene that is visible in renders, as it is at this frame"),
+            *(
+                (name, name.capitalize(), "Built by the add-on; the fire and the cameras are those of the Fire panel")
+                for name in BACKGROUNDS
+            ),
+            ("file", "Spec File", "A scene spec written for the command line: it replaces the Fire panel's settings"),
+        ],
+    )
     spec_file: StringProperty(name="Spec", description="Scene spec (.json)", subtype="FILE_PATH")
     preset: EnumProperty(
         name="Preset",
@@ -42,7 +52,10 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
         default="preview",
     )
     folder: StringProperty(
-        name="Output", description="New folder for the dataset, or one to go on with", subtype="DIR_PATH", default="//benchmark"
+        name="Output",
+        description="New folder for the dataset, or one to go on with",
+        subtype="DIR_PATH",
+        default="//benchmark",
     )
 
 
@@ -127,8 +140,13 @@ class GOF_OT_open_benchmark(bpy.types.Operator):
     bl_idname = "gof.open_benchmark"
     bl_label = "Open"
 
-    what: EnumProperty(items=[("report", "Report", "Pictures and costs, in the web browser"), ("log", "Log", "What has happened, in a text editor"),
-                              ("folder", "Folder", "The dataset, in the file manager")])  # fmt: skip
+    what: EnumProperty(
+        items=[
+            ("report", "Report", "Pictures and costs, in the web browser"),
+            ("log", "Log", "What has happened, in a text editor"),
+            ("folder", "Folder", "The dataset, in the file manager"),
+        ]
+    )
 
     def execute(self, context):
         try:
@@ -226,7 +244,9 @@ def _copy_scene(scene: bpy.types.Scene, path: Path) -> None:
 
 def _show_text(context, path: Path) -> None:
     """Show a file in a text editor of this screen, or in one of a new window."""
-    before = next((text for text in bpy.data.texts if text.filepath and Path(bpy.path.abspath(text.filepath)) == path), None)
+    before = next(
+        (text for text in bpy.data.texts if text.filepath and Path(bpy.path.abspath(text.filepath)) == path), None
+    )
     if before is not None:
         bpy.data.texts.remove(before)
     text = bpy.data.texts.load(str(path))

@@ -63,7 +63,10 @@ class GOF_PG_effects(bpy.types.PropertyGroup):
 def chosen(groups: GOF_PG_effects) -> tuple:
     """Settings of the effects that are in use. Raises SpecError for a value out of range."""
     used = [(effects.module(name).Settings, getattr(groups, name)) for name in GROUPS if getattr(groups, name).use]
-    return tuple(settings(**{name: exact(getattr(group, name)) for name in group.__annotations__ if name != "use"}) for settings, group in used)
+    return tuple(
+        settings(**{name: exact(getattr(group, name)) for name in group.__annotations__ if name != "use"})
+        for settings, group in used
+    )
 
 
 def in_scene(name: str) -> bool:

@@ -3,8 +3,8 @@
 import bpy
 from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty
 
-from ..fuels import FUELS
-from ..records import SpecError
+from ..pure.checked_json import SpecError
+from ..pure.fuels import FUELS
 from ..scene import place
 from . import effect_groups, scene_spec
 from .panel import SidebarPanel
@@ -13,47 +13,109 @@ from .panel import SidebarPanel
 class GOF_PG_cameras(bpy.types.PropertyGroup):
     """``scene.gof.fire.cameras``: the rig, relative to the place of the fire."""
 
-    count: IntProperty(name="Cameras", description="Cameras that methods may train on, evenly spaced on an arc", default=3, min=1, soft_max=16)
-    eval_count: IntProperty(name="Evaluation", description="More cameras, for evaluation: no method may train on them", default=0, min=0, soft_max=8)
-    arc_deg: FloatProperty(name="Arc", description="Degrees between the first and the last camera", default=70, min=0, max=359)
-    azimuth_deg: FloatProperty(name="Facing", description="Degrees from +X to the middle of the arc, counter-clockwise", default=-90)
+    count: IntProperty(
+        name="Cameras",
+        description="Cameras that methods may train on, evenly spaced on an arc",
+        default=3,
+        min=1,
+        soft_max=16,
+    )
+    eval_count: IntProperty(
+        name="Evaluation",
+        description="More cameras, for evaluation: no method may train on them",
+        default=0,
+        min=0,
+        soft_max=8,
+    )
+    arc_deg: FloatProperty(
+        name="Arc", description="Degrees between the first and the last camera", default=70, min=0, max=359
+    )
+    azimuth_deg: FloatProperty(
+        name="Facing", description="Degrees from +X to the middle of the arc, counter-clockwise", default=-90
+    )
     radius: FloatProperty(name="Distance", description="From the fire, metres", default=2.8, min=0.05, soft_max=20)
     height: FloatProperty(name="Height", description="Of the cameras above the place of the fire, metres", default=0.9)
-    look_at_height: FloatProperty(name="Aim", description="Height of the point that the cameras look at, metres", default=0.75)
-    focal_mm: FloatProperty(name="Focal", description="Focal length in millimetres, for a sensor whose long side is 36 mm", default=50, min=1, soft_max=200)
-    sensor_px: IntVectorProperty(name="Sensor", description="Pixels along a row, and number of rows", size=2, default=(1280, 720), min=16, subtype="XYZ")
+    look_at_height: FloatProperty(
+        name="Aim", description="Height of the point that the cameras look at, metres", default=0.75
+    )
+    focal_mm: FloatProperty(
+        name="Focal",
+        description="Focal length in millimetres, for a sensor whose long side is 36 mm",
+        default=50,
+        min=1,
+        soft_max=200,
+    )
+    sensor_px: IntVectorProperty(
+        name="Sensor",
+        description="Pixels along a row, and number of rows",
+        size=2,
+        default=(1280, 720),
+        min=16,
+        subtype="XYZ",
+    )
     roll_deg: EnumProperty(
         name="Roll",
         description="How the camera body is turned about its viewing direction; the rows of the sensor turn with it",
-        items=[("90", "90 (portrait)", "Clockwise seen from behind"), ("-90", "-90 (portrait)", "Counter-clockwise seen from behind"),
-               ("0", "0 (landscape)", "Upright"), ("180", "180 (landscape)", "Upside down")],
-    )  # fmt: skip
-    fps: FloatProperty(name="Rate", description="Pictures per second of the benchmark; the scene keeps its own frame rate", default=100, min=1, max=32767)
+        items=[
+            ("90", "90 (portrait)", "Clockwise seen from behind"),
+            ("-90", "-90 (portrait)", "Counter-clockwise seen from behind"),
+            ("0", "0 (landscape)", "Upright"),
+            ("180", "180 (landscape)", "Upside down"),
+        ],
+    )
+    fps: FloatProperty(
+        name="Rate",
+        description="Pictures per second of the benchmark; the scene keeps its own frame rate",
+        default=100,
+        min=1,
+        max=32767,
+    )
 
 
 class GOF_PG_fire(bpy.types.PropertyGroup):
     """``scene.gof.fire``."""
 
-    fuel: EnumProperty(name="Fuel", description="How the fire burns, and its colour", default="propane_high",
-                       items=[(name, name.replace("_", " ").capitalize(), "") for name in FUELS])  # fmt: skip
+    fuel: EnumProperty(
+        name="Fuel",
+        description="How the fire burns, and its colour",
+        default="propane_high",
+        items=[(name, name.replace("_", " ").capitalize(), "") for name in FUELS],
+    )
     shape: EnumProperty(
         name="Burner",
         description="Where the fuel comes from",
-        items=[("disc", "Disc", "A flat round burner"), ("sphere", "Sphere", "A ball"), ("logs", "Logs", "Three crossed logs")],
+        items=[
+            ("disc", "Disc", "A flat round burner"),
+            ("sphere", "Sphere", "A ball"),
+            ("logs", "Logs", "Three crossed logs"),
+        ],
     )
     radius: FloatProperty(name="Radius", description="Of the burner, metres", default=0.13, min=0.001, soft_max=2)
-    clearance: FloatProperty(name="Lift", description="From the place of the fire up to the burner, metres", default=0.03, min=0)
-    domain_size: FloatVectorProperty(name="Domain", description="Box of air around the fire, metres", default=(0.8, 0.8, 1.6), min=0.01, subtype="XYZ")
+    clearance: FloatProperty(
+        name="Lift", description="From the place of the fire up to the burner, metres", default=0.03, min=0
+    )
+    domain_size: FloatVectorProperty(
+        name="Domain",
+        description="Box of air around the fire, metres",
+        default=(0.8, 0.8, 1.6),
+        min=0.01,
+        subtype="XYZ",
+    )
     resolution: IntProperty(
         name="Cells",
         description="Of the simulation in this scene, along the domain's longest side. A benchmark takes those of its preset",
-        default=48, min=8, max=2048,
-    )  # fmt: skip
+        default=48,
+        min=8,
+        max=2048,
+    )
     seed: IntProperty(name="Seed", description="Another seed is another flame of the same kind", min=0)
     spot: EnumProperty(
         name="Place",
         description="Where the fire is put",
-        items=[("CURSOR", "At the Cursor", "At the 3D cursor"), ("OBJECT", "On the Object", "On top of the active object")],
+        items=[
+            ("CURSOR", "At the Cursor", "At the 3D cursor"),
+            ("OBJECT", "On the Object", "On top of the active object"),
+        ],
     )
     effects: PointerProperty(type=effect_groups.GOF_PG_effects)
     cameras: PointerProperty(type=GOF_PG_cameras)
@@ -166,14 +228,20 @@ class GOF_PT_cameras(SidebarPanel, bpy.types.Panel):
     def draw(self, context):
         cameras, layout = context.scene.gof.fire.cameras, self.layout
         layout.use_property_split, layout.use_property_decorate = True, False
-        for names in (("count", "eval_count"), ("arc_deg", "azimuth_deg", "radius", "height", "look_at_height"),
-                      ("focal_mm", "sensor_px"), ("roll_deg", "fps")):  # fmt: skip
+        for names in (
+            ("count", "eval_count"),
+            ("arc_deg", "azimuth_deg", "radius", "height", "look_at_height"),
+            ("focal_mm", "sensor_px"),
+            ("roll_deg", "fps"),
+        ):
             column = layout.column(align=True)
             for name in names:
                 column.prop(cameras, name)
         column = layout.column(align=True)
         there = bool(place.cameras(context.scene))
-        column.operator(GOF_OT_add_cameras.bl_idname, text="Replace Cameras" if there else "Add Cameras", icon="CAMERA_DATA")
+        column.operator(
+            GOF_OT_add_cameras.bl_idname, text="Replace Cameras" if there else "Add Cameras", icon="CAMERA_DATA"
+        )
         column.operator(GOF_OT_next_view.bl_idname, icon="HIDE_OFF")
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..job import JobError
-from ..records import SpecError
+from ..pure.checked_json import SpecError
+from ..pure.dataset_process import JobError
 
 TIMER_S = 0.5
 
@@ -88,6 +88,8 @@ class JobOperator:
 
 def _redraw(context) -> None:
     """Draw the sidebars anew, and not the 3D views beside them, which may be slow."""
-    areas = [area for window in context.window_manager.windows for area in window.screen.areas if area.type == "VIEW_3D"]
+    areas = [
+        area for window in context.window_manager.windows for area in window.screen.areas if area.type == "VIEW_3D"
+    ]
     for region in (region for area in areas for region in area.regions if region.type == "UI"):
         region.tag_redraw()

@@ -6,24 +6,36 @@ from pathlib import Path
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
-from ..io import FileFormatError, gaussians_file
+from ..pure.io import FileFormatError, gaussians_file
 from ..scene import compat, gaussian_nodes, point_cloud
 from .panel import SidebarPanel
 
 MANY = 2_000_000  # Gaussians; from here on an import asks back
-SECONDS_EACH, BYTES_EACH, FRAME_SECONDS_EACH = 4e-6, 250, 0.1e-6  # measured: benchmark/addon_speed.py
+SECONDS_EACH, BYTES_EACH, FRAME_SECONDS_EACH = 4e-6, 250, 0.1e-6  # measured: benchmark/evidence/addon_speed.py
 
-MODES = [("points", "Points", "Round points: quick"), ("ellipsoids", "Ellipsoids", "The Gaussians' true shapes"),
-         ("arrows", "Arrows", "Velocity arrows"), ("streaks", "Streaks", "The way just travelled, as sparks leave it")]
-COLORS = [("image", "Image Colour", "As in the footage"), ("speed", "Speed", "m/s"),
-          ("age", "Age", "Seconds since its brightest moment"), ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
-          ("error", "Velocity Error", "m/s against the true velocity; first use the panel Score")]
-VECTORS = [("velocity", "Velocity", "As reconstructed"), ("true velocity", "True Velocity", "At the Gaussian's centre"),
-           ("error", "Error", "Reconstructed minus true")]
+MODES = [
+    ("points", "Points", "Round points: quick"),
+    ("ellipsoids", "Ellipsoids", "The Gaussians' true shapes"),
+    ("arrows", "Arrows", "Velocity arrows"),
+    ("streaks", "Streaks", "The way just travelled, as sparks leave it"),
+]
+COLORS = [
+    ("image", "Image Colour", "As in the footage"),
+    ("speed", "Speed", "m/s"),
+    ("age", "Age", "Seconds since its brightest moment"),
+    ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
+    ("error", "Velocity Error", "m/s against the true velocity; first use the panel Score"),
+]
+VECTORS = [
+    ("velocity", "Velocity", "As reconstructed"),
+    ("true velocity", "True Velocity", "At the Gaussian's centre"),
+    ("error", "Error", "Reconstructed minus true"),
+]
 
 
 def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
     """An enum that shows and sets one input of the active cloud."""
+
     def read(self) -> int:
         cloud = point_cloud.inputs(bpy.context.object)
         return int(cloud[socket]) if cloud else 0
@@ -57,13 +69,25 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     mode: bpy.props.EnumProperty(name="Show As", items=MODES, default="points")
-    start_frame: bpy.props.FloatProperty(name="Start Frame", default=1.0, description="Scene frame that is time 0 of the reconstruction")
+    start_frame: bpy.props.FloatProperty(
+        name="Start Frame", default=1.0, description="Scene frame that is time 0 of the reconstruction"
+    )
     step: bpy.props.IntProperty(name="Every n-th", default=1, min=1, description="Import every n-th Gaussian only")
-    everything: bpy.props.BoolProperty(name="Import However Many", description="Do not ask back when there are millions", options={"SKIP_SAVE"})
-    fps: bpy.props.FloatProperty(name="Files per Second", default=0.0, min=0.0,
-                                 description="Numbers per second of a PLY sequence; 0 = one per frame of the scene")
-    clip_seconds: bpy.props.FloatProperty(name="Clip Length", default=0.0, min=0.0,
-                                          description="FTGS-PLY: seconds from the first to the last frame; 0 = by its number of frames")
+    everything: bpy.props.BoolProperty(
+        name="Import However Many", description="Do not ask back when there are millions", options={"SKIP_SAVE"}
+    )
+    fps: bpy.props.FloatProperty(
+        name="Files per Second",
+        default=0.0,
+        min=0.0,
+        description="Numbers per second of a PLY sequence; 0 = one per frame of the scene",
+    )
+    clip_seconds: bpy.props.FloatProperty(
+        name="Clip Length",
+        default=0.0,
+        min=0.0,
+        description="FTGS-PLY: seconds from the first to the last frame; 0 = by its number of frames",
+    )
 
     def invoke(self, context, event):
         if self.filepath or self.files:  # dropped on the window
@@ -90,12 +114,15 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
                 raise FileFormatError(
                     f"{number:,} Gaussians: about {number * SECONDS_EACH:.0f} s to import, {number * BYTES_EACH / 1e9:.1f} GB of memory and "
                     f"{number * FRAME_SECONDS_EACH:.1f} s per frame. Set Every n-th to {-(-number * self.step // MANY)} or more, "
-                    "or tick Import However Many")
+                    "or tick Import However Many"
+                )
             cloud = gaussians_file.load(source, clock, self.step)
         except (FileFormatError, OSError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory; set Every n-th")
             return {"CANCELLED"}
-        thing = point_cloud.add_point_cloud(cloud, self.start_frame, self.mode, source[0].stem if len(source) == 1 else source[0].parent.name)
+        thing = point_cloud.add_point_cloud(
+            cloud, self.start_frame, self.mode, source[0].stem if len(source) == 1 else source[0].parent.name
+        )
         thing["gof_source"] = str(source[0] if len(source) == 1 else source[0].parent)
         thing["gof_time_unit"] = self.clip_seconds if len(source) == 1 else 1 / clock.fps  # for `gof evaluate`
         for other in context.selected_objects:

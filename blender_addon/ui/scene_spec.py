@@ -12,9 +12,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..records import SpecError
+from ..pure.checked_json import SpecError
+from ..pure.spec import Clip, Display, Domain, Fire, Pose, Render, Rig, SceneSpec
 from ..scene import place, rig
-from ..spec import Clip, Display, Domain, Fire, Pose, Render, Rig, SceneSpec
 from . import effect_groups
 from .effect_groups import exact
 
@@ -66,7 +66,9 @@ def of_scene(scene: bpy.types.Scene) -> SceneSpec:
     if (burner := place.find(scene, place.EMITTER)) and "moving_emitter" not in spec.effect_names:
         fire = _fire(spec.fire, to_ours @ burner.matrix_world)
     cameras = place.cameras(scene)
-    rig_ = _rig(spec.cameras, cameras, [to_ours @ camera.matrix_world for camera in cameras]) if cameras else spec.cameras
+    rig_ = (
+        _rig(spec.cameras, cameras, [to_ours @ camera.matrix_world for camera in cameras]) if cameras else spec.cameras
+    )
     return replace(spec, domain=domain, fire=fire, cameras=rig_)
 
 
@@ -82,7 +84,9 @@ def _domain(planned: Domain, body: bpy.types.Object, pose: Matrix) -> Domain:
     """The domain's box. ``pose`` takes the object to the spec's world."""
     turn = np.array(pose.to_3x3().normalized())
     if np.abs(turn - np.eye(3)).max() > 1e-3:
-        raise SpecError(f"{body.name} is turned against its empty: turn the empty about Z instead, and reset {body.name}'s rotation")
+        raise SpecError(
+            f"{body.name} is turned against its empty: turn the empty about Z instead, and reset {body.name}'s rotation"
+        )
     corners = np.array([pose @ Vector(corner) for corner in body.bound_box])
     low, size = corners.min(0), np.ptp(corners, axis=0)
     if np.abs(np.r_[low - planned.min, size - planned.size]).max() < SAME_M:
@@ -107,7 +111,9 @@ def _rig(planned: Rig, cameras: list[bpy.types.Object], poses: list[Matrix]) -> 
         )
     lenses = {exact(camera.data.lens) for camera in cameras}
     if len(lenses) > 1:
-        raise SpecError(f"the cameras have different focal lengths ({sorted(lenses)} mm): a rig has one; give all the same")
+        raise SpecError(
+            f"the cameras have different focal lengths ({sorted(lenses)} mm): a rig has one; give all the same"
+        )
     planned = replace(planned, focal_mm=lenses.pop())
     difference = [
         (here.to_translation() - there.to_translation()).length / SAME_M
@@ -116,7 +122,9 @@ def _rig(planned: Rig, cameras: list[bpy.types.Object], poses: list[Matrix]) -> 
     ]
     if max(difference) < 1:
         return planned
-    return replace(planned, placed=tuple(Pose(_rounded(pose.to_translation()), _rounded(pose.to_quaternion())) for pose in poses))
+    return replace(
+        planned, placed=tuple(Pose(_rounded(pose.to_translation()), _rounded(pose.to_quaternion())) for pose in poses)
+    )
 
 
 def _rounded(values) -> tuple[float, ...]:

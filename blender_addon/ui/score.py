@@ -4,9 +4,9 @@ from pathlib import Path
 
 import bpy
 
-from .. import evaluation
-from ..evaluation import Evaluation, EvaluationError
-from ..io import FileFormatError, velocity_reader
+from ..pure import score_process as evaluation
+from ..pure.io import FileFormatError, velocity_reader
+from ..pure.score_process import Evaluation, EvaluationError
 from ..scene import error_cloud, point_cloud
 from .job_operator import JobOperator
 from .panel import SidebarPanel, write_lines
@@ -15,8 +15,12 @@ from .panel import SidebarPanel, write_lines
 class GOF_PG_score(bpy.types.PropertyGroup):
     """``scene.gof.score``."""
 
-    dataset: bpy.props.StringProperty(name="Dataset", subtype="DIR_PATH", description="Folder of the dataset with the true velocity")
-    python: bpy.props.StringProperty(name="Python", subtype="FILE_PATH", description="Python that gof is installed in, such as .venv/bin/python")
+    dataset: bpy.props.StringProperty(
+        name="Dataset", subtype="DIR_PATH", description="Folder of the dataset with the true velocity"
+    )
+    python: bpy.props.StringProperty(
+        name="Python", subtype="FILE_PATH", description="Python that gof is installed in, such as .venv/bin/python"
+    )
     numbers: bpy.props.StringProperty(description="The last scores, one 'name: value' per line")
     centres: bpy.props.StringProperty(description="The last velocity error at the Gaussians' centres")
 
@@ -51,8 +55,12 @@ class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
             raise EvaluationError(f"Set Python to the one that has gof, or {evaluation.INSTALL}")
         if "gof_source" not in thing:
             raise EvaluationError(f"{thing.name}: not imported from a file; import the reconstruction again")
-        return Evaluation(Path(bpy.path.abspath(settings.python)), Path(thing["gof_source"]), Path(bpy.path.abspath(settings.dataset)),
-                          thing.get("gof_time_unit", 0.0))
+        return Evaluation(
+            Path(bpy.path.abspath(settings.python)),
+            Path(thing["gof_source"]),
+            Path(bpy.path.abspath(settings.dataset)),
+            thing.get("gof_time_unit", 0.0),
+        )
 
     def finish(self, context, job: Evaluation) -> str:
         rows = evaluation.numbers(job.scores)
@@ -76,8 +84,10 @@ class GOF_OT_show_errors(_ScoreOperator, bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         error_cloud.show(thing)
-        settings.centres = (f"At the centres of {found.compared:,} Gaussians at their brightest time: median error "
-                            f"{found.median:.2f} m/s, {100 * found.relative:.0f} % of the true speed (root mean square)")
+        settings.centres = (
+            f"At the centres of {found.compared:,} Gaussians at their brightest time: median error "
+            f"{found.median:.2f} m/s, {100 * found.relative:.0f} % of the true speed (root mean square)"
+        )
         self.report({"INFO"}, settings.centres)
         return {"FINISHED"}
 
@@ -90,7 +100,9 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.gof.score
         layout.use_property_split = True
         thing = _cloud(context)
-        layout.label(text=f"Reconstruction: {thing.name}" if thing else "Select a reconstruction", icon="POINTCLOUD_DATA")
+        layout.label(
+            text=f"Reconstruction: {thing.name}" if thing else "Select a reconstruction", icon="POINTCLOUD_DATA"
+        )
         layout.prop(settings, "dataset")
         layout.prop(settings, "python")
         job = GOF_OT_score.job

@@ -66,8 +66,9 @@ def dataset_row_delay(lens: Lens, turn: Turn, camera: Camera) -> np.ndarray:
     return cv2.resize(delay.astype(np.float32), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
 
 
-def annotate(dataset: Dataset, template: BoardTemplate, footage: list[Path] | None = None, cameras: Path | None = None
-             ) -> dict[str, list[str]]:
+def annotate(
+    dataset: Dataset, template: BoardTemplate, footage: list[Path] | None = None, cameras: Path | None = None
+) -> dict[str, list[str]]:
     """Write the pictures, then dataset.json.
 
     Returns:
@@ -81,7 +82,11 @@ def annotate(dataset: Dataset, template: BoardTemplate, footage: list[Path] | No
     count = len(dataset.cameras)
     if footage and len(footage) != count:
         raise GofError(f"--footage: give one video per camera of the dataset ({count}), in their order")
-    lenses = [Lens.from_dict(d, f"{cameras}: camera {c}") for c, d in enumerate(read_cameras(cameras, count))] if cameras else None
+    lenses = (
+        [Lens.from_dict(d, f"{cameras}: camera {c}") for c, d in enumerate(read_cameras(cameras, count))]
+        if cameras
+        else None
+    )
     turns: dict[int, Turn] = {roll: turn for turn, roll in ROLL_DEG.items()}
     entries = {e["name"]: e for e in dataset.meta["cameras"]}
     added: dict[str, list[str]] = {}
@@ -89,14 +94,18 @@ def annotate(dataset: Dataset, template: BoardTemplate, footage: list[Path] | No
         entry, notes = entries[camera.name], added.setdefault(camera.name, [])
         turn = turns.get(round(entry.get("roll_deg", 0)))
         if turn is None:
-            raise DataFormatError(f"{dataset.path}/dataset.json: camera '{camera.name}': roll_deg must be one of {list(turns)}")
+            raise DataFormatError(
+                f"{dataset.path}/dataset.json: camera '{camera.name}': roll_deg must be one of {list(turns)}"
+            )
         folder = f"cameras/{camera.name}"
         try:
             if footage:
                 mask = find_mask(stored_frames(footage[c]), template)
                 lens = lenses[c] if lenses else Lens(mask.shape[1], mask.shape[0], np.eye(3))
                 if mask.shape != (lens.height, lens.width):
-                    raise DataFormatError(f"{footage[c]}: is {mask.shape[1]}x{mask.shape[0]}, its lens {lens.width}x{lens.height}")
+                    raise DataFormatError(
+                        f"{footage[c]}: is {mask.shape[1]}x{mask.shape[0]}, its lens {lens.width}x{lens.height}"
+                    )
                 mask = prepare(mask, lens, turn)
             else:
                 frames = range(len(dataset.times_s))
@@ -113,7 +122,9 @@ def annotate(dataset: Dataset, template: BoardTemplate, footage: list[Path] | No
             with atomic_path(dataset.path / folder / "row_delay.npy") as temporary:
                 np.save(temporary, delay)
             entry["row_delay"] = f"{folder}/row_delay.npy"
-            notes.append(f"row delays, up to {1e6 * np.abs(delay - straight_lines(camera)).max():.0f} us from straight lines")
+            notes.append(
+                f"row delays, up to {1e6 * np.abs(delay - straight_lines(camera)).max():.0f} us from straight lines"
+            )
     write_json(dataset.path / "dataset.json", dataset.meta)
     return added
 

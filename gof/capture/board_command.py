@@ -98,8 +98,11 @@ def _only_board() -> str:
     boards = find_boards()
     if len(boards) != 1:
         names = ", ".join(port for port, _ in boards)
-        raise BoardError(f"{len(boards)} boards are plugged in ({names}); choose with --port" if boards else
-                         "no LED board found; plug it in, or name its port with --port")
+        raise BoardError(
+            f"{len(boards)} boards are plugged in ({names}); choose with --port"
+            if boards
+            else "no LED board found; plug it in, or name its port with --port"
+        )
     return boards[0][0]
 
 
@@ -108,8 +111,10 @@ def describe(status: Status) -> str:
     period_ms = status.tick_us / 100
     line = f"{status.state.name.lower():<8} count {status.count:5d}.{status.phase}  period {period_ms:g} ms"
     if status.ticks:
-        line += (f"  ticks {status.ticks}  jitter {status.earliest_ns / 1000:+.2f}..{status.latest_ns / 1000:+.2f} us,"
-                 f" mean {status.mean_abs_ns / 1000:.2f} us")
+        line += (
+            f"  ticks {status.ticks}  jitter {status.earliest_ns / 1000:+.2f}..{status.latest_ns / 1000:+.2f} us,"
+            f" mean {status.mean_abs_ns / 1000:.2f} us"
+        )
     return line + (f"  damaged frames {status.bad_frames}" if status.bad_frames else "")
 
 
@@ -124,8 +129,10 @@ def _monitor(board: Board, seconds: float | None) -> None:
             status = board.status()
             gray = status.count ^ status.count >> 1
             leds = "".join("#" if gray >> i & 1 else "." for i in range(board.identity.gray_bits))
-            strips = "".join("#" if status.state == State.RUNNING and status.phase // board.identity.ticks_per_slot == i
-                             else "." for i in range(board.identity.strips))
+            strips = "".join(
+                "#" if status.state == State.RUNNING and status.phase // board.identity.ticks_per_slot == i else "."
+                for i in range(board.identity.strips)
+            )
             live.update(f"{board.port}  strips {strips}  Gray {leds}\n{describe(status)}")
             time.sleep(0.125)
     if not console.is_terminal:

@@ -47,11 +47,17 @@ class Calibration:
         """What could be better, and how."""
         out = []
         if self.coverage < 0.7:
-            out.append(f"corners were seen in {self.coverage:.0%} of the picture only; bring the target to its borders and corners")
+            out.append(
+                f"corners were seen in {self.coverage:.0%} of the picture only; bring the target to its borders and corners"
+            )
         if self.rms_px > 0.7:
-            out.append(f"the corners miss the model by {self.rms_px:.2f} px; is the target flat, the footage sharp, the zoom fixed?")
+            out.append(
+                f"the corners miss the model by {self.rms_px:.2f} px; is the target flat, the footage sharp, the zoom fixed?"
+            )
         if self.focal_sigma_px > 0.003 * self.lens.K[0, 0]:
-            out.append(f"the focal length is known to {self.focal_sigma_px:.1f} px only; tilt the target more (30 to 45 degrees, all ways)")
+            out.append(
+                f"the focal length is known to {self.focal_sigma_px:.1f} px only; tilt the target more (30 to 45 degrees, all ways)"
+            )
         return out
 
 
@@ -79,7 +85,9 @@ def sharpest(frames: Iterable[np.ndarray], count: int) -> list[np.ndarray]:
     return [grey for _, grey in kept]
 
 
-def calibrate(pictures: Iterable[np.ndarray], target: Charuco, progress: Callable[[int], None] = lambda done: None) -> Calibration:
+def calibrate(
+    pictures: Iterable[np.ndarray], target: Charuco, progress: Callable[[int], None] = lambda done: None
+) -> Calibration:
     """Intrinsics and distortion (k1, k2, p1, p2, k3) from grey pictures (H, W) uint8 of the target.
 
     Views whose reprojection error is above three times the median are left out and the rest is fitted again (Zhang's method,
@@ -93,7 +101,9 @@ def calibrate(pictures: Iterable[np.ndarray], target: Charuco, progress: Callabl
     object_points, image_points, size, seen = [], [], None, 0
     for seen, grey in enumerate(pictures, 1):
         if size not in (None, grey.shape[::-1]):
-            raise GofError(f"picture {seen} is {grey.shape[::-1]}, the ones before {size} pixels; calibrate one camera mode at a time")
+            raise GofError(
+                f"picture {seen} is {grey.shape[::-1]}, the ones before {size} pixels; calibrate one camera mode at a time"
+            )
         size = grey.shape[::-1]
         if found := target.corners(grey):
             object_points.append(found[0])
@@ -102,9 +112,12 @@ def calibrate(pictures: Iterable[np.ndarray], target: Charuco, progress: Callabl
     if len(object_points) < MINIMUM_VIEWS:
         raise GofError(
             f"{len(object_points)} of {seen} pictures show at least 8 corners of the {target.columns} x {target.rows} target, "
-            f"{MINIMUM_VIEWS} are needed. Show it whole, sharp and evenly lit, from many angles; check --columns and --rows")
+            f"{MINIMUM_VIEWS} are needed. Show it whole, sharp and evenly lit, from many angles; check --columns and --rows"
+        )
     for _ in range(3):
-        rms, K, distortion, turns, _, sigma, _, per_view = cv2.calibrateCameraExtended(object_points, image_points, size, None, None)
+        rms, K, distortion, turns, _, sigma, _, per_view = cv2.calibrateCameraExtended(
+            object_points, image_points, size, None, None
+        )
         good = per_view.ravel() <= 3 * np.median(per_view)
         if good.all() or good.sum() < MINIMUM_VIEWS:
             break
@@ -117,11 +130,14 @@ def calibrate(pictures: Iterable[np.ndarray], target: Charuco, progress: Callabl
     if not np.isfinite(K).all() or not np.isfinite(distortion).all() or tilt < 4 or (spread > 0.02 * focal).any():
         raise GofError(
             f"the views do not determine the focal length: their directions differ by {tilt:.0f} degrees on average (focal length "
-            f"{focal[0]:.0f} +- {spread[0]:.0f} px). Tilt the target by 30 to 45 degrees, left, right, up and down")
+            f"{focal[0]:.0f} +- {spread[0]:.0f} px). Tilt the target by 30 to 45 degrees, left, right, up and down"
+        )
     cells = np.floor(np.concatenate(image_points)[:, 0] / size * GRID).astype(int)
     inside = cells[((cells >= 0) & (cells < GRID)).all(1)]
     coverage = len(np.unique(inside, axis=0)) / (GRID[0] * GRID[1])
-    return Calibration(Lens(*size, K, distortion.ravel()), float(rms), len(object_points), float(spread.max()), coverage)
+    return Calibration(
+        Lens(*size, K, distortion.ravel()), float(rms), len(object_points), float(spread.max()), coverage
+    )
 
 
 @dataclass(frozen=True)
@@ -164,8 +180,10 @@ def main(argv: list[str]) -> int:
             except GofError as e:
                 raise GofError(f"{path}: {e}") from e
         lens = found.lens
-        print(f"{name}: focal {lens.K[0, 0]:.1f}, {lens.K[1, 1]:.1f} +- {found.focal_sigma_px:.1f} px, centre {lens.K[0, 2]:.1f}, "
-              f"{lens.K[1, 2]:.1f}, corners within {found.rms_px:.3f} px rms in {found.views} views over {found.coverage:.0%} of the picture")
+        print(
+            f"{name}: focal {lens.K[0, 0]:.1f}, {lens.K[1, 1]:.1f} +- {found.focal_sigma_px:.1f} px, centre {lens.K[0, 2]:.1f}, "
+            f"{lens.K[1, 2]:.1f}, corners within {found.rms_px:.3f} px rms in {found.views} views over {found.coverage:.0%} of the picture"
+        )
         for warning in found.warnings():
             print(f"warning: {name}: {warning}")
         cameras.append({"name": name} | found.to_dict())

@@ -91,10 +91,14 @@ def draw_svg(target: Charuco) -> str:
     """SVG of the page, in mm."""
     _, width, height = page(target)
     x0, y0, note = _place(target)
-    out = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm" viewBox="0 0 {width} {height}">',
-           f'<rect width="{width}" height="{height}" fill="#fff"/>']
-    out += [f'<rect x="{x0 + x:.4f}" y="{y0 + y:.4f}" width="{side:.4f}" height="{side:.4f}" fill="{"#000" if black else "#fff"}"/>'
-            for x, y, side, black in target.squares()]
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm" viewBox="0 0 {width} {height}">',
+        f'<rect width="{width}" height="{height}" fill="#fff"/>',
+    ]
+    out += [
+        f'<rect x="{x0 + x:.4f}" y="{y0 + y:.4f}" width="{side:.4f}" height="{side:.4f}" fill="{"#000" if black else "#fff"}"/>'
+        for x, y, side, black in target.squares()
+    ]
     out.append(f'<text x="{x0:.2f}" y="{height - 1.8:.2f}" font-size="2.5" font-family="sans-serif">{note}</text>')
     return "\n".join([*out, "</svg>", ""])
 
@@ -104,8 +108,10 @@ def draw_pdf(target: Charuco) -> bytes:
     _, width, height = page(target)
     x0, y0, note = _place(target)
     k = POINTS_PER_MM
-    paint = [f"{0 if black else 1} g {k * (x0 + x):.4f} {k * (height - y0 - y - side):.4f} {k * side:.4f} {k * side:.4f} re f"
-             for x, y, side, black in target.squares()]
+    paint = [
+        f"{0 if black else 1} g {k * (x0 + x):.4f} {k * (height - y0 - y - side):.4f} {k * side:.4f} {k * side:.4f} re f"
+        for x, y, side, black in target.squares()
+    ]
     paint.append(f"0 g BT /F 7 Tf {k * x0:.2f} {k * 1.8:.2f} Td ({note}) Tj ET")
     content = "\n".join(paint)
     objects = [
@@ -120,16 +126,20 @@ def draw_pdf(target: Charuco) -> bytes:
         starts.append(len(text))
         text += f"{number} 0 obj\n{body}\nendobj\n"
     table = "".join(f"{start:010d} 00000 n \n" for start in starts)
-    text += (f"xref\n0 {len(objects) + 1}\n0000000000 65535 f \n{table}"
-             f"trailer << /Size {len(objects) + 1} /Root 1 0 R >>\nstartxref\n{len(text)}\n%%EOF\n")
+    text += (
+        f"xref\n0 {len(objects) + 1}\n0000000000 65535 f \n{table}"
+        f"trailer << /Size {len(objects) + 1} /Root 1 0 R >>\nstartxref\n{len(text)}\n%%EOF\n"
+    )
     return text.encode("ascii")
 
 
 def _place(target):
     name, width, height = page(target)
     (w, h) = target.size_mm
-    note = (f"ChArUco DICT_4X4_50, {target.columns} x {target.rows}, squares {target.square_mm:g} mm, markers {target.marker_mm:g} mm. "
-            f"Print on {name} at 100 %: the pattern must measure {w:g} x {h:g} mm")
+    note = (
+        f"ChArUco DICT_4X4_50, {target.columns} x {target.rows}, squares {target.square_mm:g} mm, markers {target.marker_mm:g} mm. "
+        f"Print on {name} at 100 %: the pattern must measure {w:g} x {h:g} mm"
+    )
     return (width - w) / 2, (height - h) / 2, note
 
 

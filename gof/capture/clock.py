@@ -31,7 +31,9 @@ def estimate_interval(count: np.ndarray, phase_us: np.ndarray, period: float) ->
     near = np.abs(steps - interval) < 0.35 * period / lag + 0.02 * interval
     interval = float(steps[near].mean()) if near.any() else interval
     if interval <= 0:
-        raise NotDecodable("the period counter does not advance; is the board running? Give the capture rate with --fps")
+        raise NotDecodable(
+            "the period counter does not advance; is the board running? Give the capture rate with --fps"
+        )
     return interval
 
 
@@ -46,7 +48,9 @@ def unwrap(phase_us: np.ndarray, index: np.ndarray, interval: float, period: flo
     return phase_us[0] + np.concatenate([[0.0], np.cumsum(steady + wrap(np.diff(phase_us) - steady, period))])
 
 
-def link(time: np.ndarray, interval: float, repeated: np.ndarray, period: float, counted: bool, window: int = 48) -> np.ndarray:
+def link(
+    time: np.ndarray, interval: float, repeated: np.ndarray, period: float, counted: bool, window: int = 48
+) -> np.ndarray:
     """(T,) position of every frame on a steady clock of the given interval.
 
     A repeated picture has the position of the one before; every other step is one more, or several after a drop. Of all such
@@ -63,7 +67,9 @@ def link(time: np.ndarray, interval: float, repeated: np.ndarray, period: float,
     order = np.cumsum(~repeated) - 1
 
     def follow(part: slice, origin: float, start: int | None = None) -> tuple[np.ndarray, float]:
-        return _cheapest_shifts(time[part] - origin - interval * order[part], repeated[part], interval, period, counted, start)
+        return _cheapest_shifts(
+            time[part] - origin - interval * order[part], repeated[part], interval, period, counted, start
+        )
 
     index, shift, first = order.copy(), 0, slice(0, window)
     # Single times may be wrong: the clock starts from the frame that most others agree with.

@@ -152,7 +152,9 @@ class Board:
                     yield reply
 
     def _unplugged(self, cause: Exception) -> BoardError:
-        return BoardError(f"{self.port}: the board went away in the middle ({cause}); check the USB cable and its power")
+        return BoardError(
+            f"{self.port}: the board went away in the middle ({cause}); check the USB cable and its power"
+        )
 
 
 def find_boards(timeout_s: float = 0.3) -> list[tuple[str, Identity]]:

@@ -28,7 +28,9 @@ def lit(led: np.ndarray, visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.percentile(led, [5, 95], axis=0)
     changes = visible & (high - low > 60)
     if not changes.any():
-        raise NotDecodable("no counter LED changes in this footage; is the board running, is the clip longer than a period?")
+        raise NotDecodable(
+            "no counter LED changes in this footage; is the board running, is the clip longer than a period?"
+        )
     dark, bright = np.median(low[changes]), np.median(high[changes])
     low, high = np.where(changes, low, dark), np.where(changes, high, bright)
     return np.clip((led - low) / (high - low), 0, 1), visible.copy()
@@ -76,8 +78,9 @@ def resolve(count: np.ndarray, phase: np.ndarray, disambiguation: np.ndarray | N
     return count + np.where(wrong & near_start, 1, 0) - np.where(wrong & near_end, 1, 0)
 
 
-def vote(template: BoardTemplate, on: np.ndarray, known: np.ndarray, led_time: np.ndarray, period: float,
-         exposure: float) -> tuple[np.ndarray, float, int]:
+def vote(
+    template: BoardTemplate, on: np.ndarray, known: np.ndarray, led_time: np.ndarray, period: float, exposure: float
+) -> tuple[np.ndarray, float, int]:
     """The count at which the clip starts, from all frames together.
 
     Every frame's time is known up to one common number of periods, so one integer explains all LEDs of all frames; each
@@ -99,8 +102,10 @@ def vote(template: BoardTemplate, on: np.ndarray, known: np.ndarray, led_time: n
     phase = time % period
     clean = (phase > exposure / 2) & (phase < period - exposure / 2)
     if not clean.any():
-        raise NotDecodable(f"the exposure (about {exposure:.0f} us) is so long that every frame straddles a change of the "
-                           "counter; lengthen the board's tick")
+        raise NotDecodable(
+            f"the exposure (about {exposure:.0f} us) is so long that every frame straddles a change of the "
+            "counter; lengthen the board's tick"
+        )
     base = np.floor(time / period).astype(np.int64)
     origin = int(base.min())
     base -= origin

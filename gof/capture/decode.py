@@ -112,7 +112,9 @@ def decode(signals: Signals, template: BoardTemplate, options: DecodeOptions) ->
         if (better != index).any():
             index = better
             line = strips.robust_line(index, clock.unwrap_to(fit.time, index, interval, period), fit.sigma)[0]
-            fit = strips.fit(value, usable, position, axis, slot, line, period, fit.row_time, free, steady, options.iterations)
+            fit = strips.fit(
+                value, usable, position, axis, slot, line, period, fit.row_time, free, steady, options.iterations
+            )
         line = strips.robust_line(index, fit.time, fit.sigma)[0]
         measured = line + clock.wrap(fit.time - line, period)
         line, interval, weight = strips.robust_line(index, measured, fit.sigma)
@@ -125,18 +127,38 @@ def decode(signals: Signals, template: BoardTemplate, options: DecodeOptions) ->
     led_time = line[:, None] + fit.row_time * led_position
     candidates, agreement, readings = counter.vote(template, on, known, led_time, period, 1.15 * lead + 100)
     if agreement < 0.97:
-        warnings.append(f"only {agreement:.1%} of the clean counter LED readings fit the counter; times may be off by whole periods")
+        warnings.append(
+            f"only {agreement:.1%} of the clean counter LED readings fit the counter; times may be off by whole periods"
+        )
     residual = (measured - line)[used] if steady else np.zeros(1)
     systematic = float(np.nanstd(fit.centre_error) / np.sqrt(max(1, np.isfinite(fit.centre_error).sum())))
     sigma = _line_sigma(index, used, residual, len(line)) if steady else fit.sigma
     if (~used & ~signals.duplicate).sum():
-        warnings.append(f"{int((~used & ~signals.duplicate).sum())} of {len(line)} frames were left out of the fit as outliers")
+        warnings.append(
+            f"{int((~used & ~signals.duplicate).sum())} of {len(line)} frames were left out of the fit as outliers"
+        )
     sign = 1 if fit.row_time >= 0 else -1
     out = CameraTimes(
-        line, np.hypot(sigma, systematic), measured, used, index, interval,
-        float(np.sqrt(np.mean(residual**2))), float(np.abs(residual).max()), abs(fit.row_time),
-        READOUT[axis, sign], exposure[0] if exposure else None, exposure[1] if exposure else None,
-        candidates, agreement, readings, systematic, fit.curve, fit.faults, warnings)
+        line,
+        np.hypot(sigma, systematic),
+        measured,
+        used,
+        index,
+        interval,
+        float(np.sqrt(np.mean(residual**2))),
+        float(np.abs(residual).max()),
+        abs(fit.row_time),
+        READOUT[axis, sign],
+        exposure[0] if exposure else None,
+        exposure[1] if exposure else None,
+        candidates,
+        agreement,
+        readings,
+        systematic,
+        fit.curve,
+        fit.faults,
+        warnings,
+    )
     out.shift_periods(int(candidates[0]), period)
     return out
 
@@ -162,14 +184,19 @@ def _row_time(options: DecodeOptions, value, usable, position, time, period) -> 
     if along is None:
         raise NotDecodable(
             "the frames meet the board at too few phases of its period to measure the row time; set another tick "
-            "(gof capture board set --tick-us 410), or give --row-time-us and --readout")
+            "(gof capture board set --tick-us 410), or give --row-time-us and --readout"
+        )
     if span < 60:
-        raise NotDecodable("the strips run across the readout direction; turn the board by 90 degrees, or give "
-                           "--row-time-us and --readout")
+        raise NotDecodable(
+            "the strips run across the readout direction; turn the board by 90 degrees, or give "
+            "--row-time-us and --readout"
+        )
     if options.row_time_us is not None:
         return float(np.sign(along)) * options.row_time_us, False
     if sign and np.sign(along) != sign and abs(along) * span > 40:
-        raise NotDecodable(f"the strips show the opposite readout direction of '{options.readout}' ({along:+.2f} us per pixel)")
+        raise NotDecodable(
+            f"the strips show the opposite readout direction of '{options.readout}' ({along:+.2f} us per pixel)"
+        )
     return along, True
 
 

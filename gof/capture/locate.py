@@ -122,9 +122,15 @@ def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
         for picture in (median, summary.high, *summary.pictures):
             image = 255 - picture if template.inverted else picture
             if scale != 1:
-                image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA)
+                image = cv2.resize(
+                    image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
+                )
             corners, ids, _ = detector.detectMarkers(image)
-            hits = [c[0] for c, i in zip(corners, ids.ravel(), strict=True) if i == template.marker_id] if ids is not None else []
+            hits = (
+                [c[0] for c, i in zip(corners, ids.ravel(), strict=True) if i == template.marker_id]
+                if ids is not None
+                else []
+            )
             if hits:
                 # OpenCV puts pixel centres at integers.
                 return (hits[0].astype(np.float64) + 0.5) / scale
@@ -187,7 +193,8 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
     for k, stretch in enumerate(stretches):
         place = (comb[:, None] * stretch + shifts)[:, :, None, None] * (spacing[:, None] * normal) + middle
         gaps = ((np.arange(len(ends) + 1) - len(ends) / 2)[:, None] * stretch + shifts)[:, :, None, None] * (
-            spacing[:, None] * normal) + middle
+            spacing[:, None] * normal
+        ) + middle
         score[k] = sample(flicker, place).mean(0) - sample(flicker, gaps).mean(0)
     # With an outer strip dead the comb fits in two places: take the one nearer to the prediction.
     score *= (1 - 0.1 * shifts**2)[:, None]

@@ -8,8 +8,9 @@ from gof.capture.locate import BoardInImage
 from gof.capture.template import BoardTemplate
 
 
-def board_mask(board: BoardInImage, template: BoardTemplate, size: tuple[int, int], margin: float = 0.25,
-               feather: float = 0.35) -> np.ndarray:
+def board_mask(
+    board: BoardInImage, template: BoardTemplate, size: tuple[int, int], margin: float = 0.25, feather: float = 0.35
+) -> np.ndarray:
     """How much each pixel belongs to the board: 1 on it, 0 away from it.
 
     Args:

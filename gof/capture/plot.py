@@ -19,26 +19,36 @@ def plot_camera(times: CameraTimes, title: str, slot: np.ndarray, period_us: flo
     import cv2
 
     image = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+
     def text(s, x, y, colour=(40, 40, 40), size=0.45):
-        return cv2.putText(
-            image, s, (int(x), int(y)), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
-    text(f"{title}: rms {times.rms_us:.2f} us, max {times.max_us:.1f} us over {int(times.used.sum())} of {len(times.used)} "
-         f"frames; {times.interval_us:.3f} us per frame; rows {times.row_time_us:.3f} us per pixel, {times.readout}",
-         LEFT, 24, size=0.5)
+        return cv2.putText(image, s, (int(x), int(y)), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
+
+    text(
+        f"{title}: rms {times.rms_us:.2f} us, max {times.max_us:.1f} us over {int(times.used.sum())} of {len(times.used)} "
+        f"frames; {times.interval_us:.3f} us per frame; rows {times.row_time_us:.3f} us per pixel, {times.readout}",
+        LEFT,
+        24,
+        size=0.5,
+    )
     residual = times.measured_us - times.time_us
     limit = max(10.0, np.ceil(times.max_us / 5) * 5 + 5)
     top, bottom = 45, 330
+
     def x_of(k):
         return LEFT + (WIDTH - LEFT - RIGHT) * k / max(len(residual) - 1, 1)
+
     def y_of(r):
         return (top + bottom) / 2 - (bottom - top) / 2 * np.clip(r / limit, -1, 1)
+
     for level in (-limit, -times.rms_us, 0, times.rms_us, limit):
         y = int(y_of(level))
         cv2.line(image, (LEFT, y), (WIDTH - RIGHT, y), (190, 190, 190) if level else (120, 120, 120), 1)
         text(f"{level:+.1f}", 20, y + 4, size=0.4)
     for k, r in enumerate(residual):
         centre = (int(x_of(k)), int(y_of(r)))
-        cv2.circle(image, centre, 3, (180, 90, 20) if times.used[k] else (0, 0, 220), -1 if times.used[k] else 1, cv2.LINE_AA)
+        cv2.circle(
+            image, centre, 3, (180, 90, 20) if times.used[k] else (0, 0, 220), -1 if times.used[k] else 1, cv2.LINE_AA
+        )
     text("measured - fused time (us) against frame", LEFT, bottom + 20)
     text(f"0 .. {len(residual) - 1}", WIDTH - 130, bottom + 20)
 

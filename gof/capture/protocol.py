@@ -156,9 +156,7 @@ class Identity:
         if len(body) < 9 or not body[8:].startswith(b"gof-board "):
             raise ProtocolError("the device answers, but not as a gof LED board; flash its firmware (docs/capture.md)")
         wired = struct.unpack_from("<I", body, 4)[0]
-        return cls(
-            body[8:].decode("ascii", "replace"), *body[:4], tuple(i for i in range(32) if wired >> i & 1)
-        )
+        return cls(body[8:].decode("ascii", "replace"), *body[:4], tuple(i for i in range(32) if wired >> i & 1))
 
 
 @dataclass(frozen=True)

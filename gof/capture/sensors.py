@@ -37,6 +37,8 @@ def sensor(name: str) -> Sensor:
     """
     table = read_json(files("gof.capture") / "sensors.json")["sensors"]
     if name not in table:
-        raise DataFormatError(f"no sensor '{name}' in the table; it has {', '.join(table)}. Or give the row time itself")
+        raise DataFormatError(
+            f"no sensor '{name}' in the table; it has {', '.join(table)}. Or give the row time itself"
+        )
     d = table[name]
     return Sensor(d["camera"], d["width"], d["height"], d["fps"], d["row_time_us"], d["source"])

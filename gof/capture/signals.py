@@ -33,7 +33,9 @@ class Signals:
     board: BoardInImage
 
 
-def read_signals(video: Path, template: BoardTemplate, locate_frames: int = 160, memory: int = 2**28, progress=None) -> Signals:
+def read_signals(
+    video: Path, template: BoardTemplate, locate_frames: int = 160, memory: int = 2**28, progress=None
+) -> Signals:
     """Read a video once: find the board in the first `locate_frames` frames (fewer when they would not fit in `memory`
     bytes), then sample those and all that follow.
 

@@ -105,8 +105,19 @@ def sharpen_interval(value, usable, index, interval, period) -> float:
     return float(options[k])
 
 
-def fit(value: np.ndarray, usable: np.ndarray, delay_position: np.ndarray, axis: int, slot: np.ndarray, line: np.ndarray,
-        period: float, row_time: float, free_row_time: bool = True, steady: bool = True, iterations: int = 6) -> StripFit:
+def fit(
+    value: np.ndarray,
+    usable: np.ndarray,
+    delay_position: np.ndarray,
+    axis: int,
+    slot: np.ndarray,
+    line: np.ndarray,
+    period: float,
+    row_time: float,
+    free_row_time: bool = True,
+    steady: bool = True,
+    iterations: int = 6,
+) -> StripFit:
     """Learn the strips' curves and every frame's time.
 
     Args:
@@ -145,11 +156,14 @@ def fit(value: np.ndarray, usable: np.ndarray, delay_position: np.ndarray, axis:
     shift, centre_error = _anchor(curve, slots, usable, period)
     time = time - shift
     bins = curve.shape[1]
-    curve = np.stack([np.interp((np.arange(bins) + shift * bins / period) % bins, np.arange(bins), c, period=bins) for c in curve])
+    curve = np.stack(
+        [np.interp((np.arange(bins) + shift * bins / period) % bins, np.arange(bins), c, period=bins) for c in curve]
+    )
     scatter = np.sqrt(np.mean(sigma**2)) or 1.0
     about_line = robust_scale(time - robust_line(index, time, sigma)[0]) if steady and T >= 3 else scatter
-    return StripFit(time, sigma * max(1.0, about_line / scatter), row_time, axis, curve, centre_error,
-                    slots, faults, rms)
+    return StripFit(
+        time, sigma * max(1.0, about_line / scatter), row_time, axis, curve, centre_error, slots, faults, rms
+    )
 
 
 def robust_scale(r: np.ndarray) -> float:
@@ -157,7 +171,9 @@ def robust_scale(r: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(r - np.median(r)))) if len(r) else 0.0
 
 
-def robust_line(index: np.ndarray, time: np.ndarray, sigma: np.ndarray | None = None) -> tuple[np.ndarray, float, np.ndarray]:
+def robust_line(
+    index: np.ndarray, time: np.ndarray, sigma: np.ndarray | None = None
+) -> tuple[np.ndarray, float, np.ndarray]:
     """Straight line through (index, time) by iteratively reweighted least squares (Tukey), started from a repeated-median
     slope, so that up to half the frames may be wrong. Frames whose standard error is far above the others' count less. Returns
     fitted times, slope, weights in 0..1."""
@@ -166,7 +182,9 @@ def robust_line(index: np.ndarray, time: np.ndarray, sigma: np.ndarray | None = 
     pick = np.unique(np.linspace(0, n - 1, min(n, 200)).astype(int))
     di = index[pick][:, None] - index[pick][None]
     dt = time[pick][:, None] - time[pick][None]
-    slope = np.median([np.median(t[d != 0] / d[d != 0]) for d, t in zip(di, dt, strict=True) if (d != 0).any()] or [0.0])
+    slope = np.median(
+        [np.median(t[d != 0] / d[d != 0]) for d, t in zip(di, dt, strict=True) if (d != 0).any()] or [0.0]
+    )
     start = np.median(time - slope * index)
     weight = prior
     for _ in range(20):
@@ -220,8 +238,10 @@ def _evaluate(curve, s_at, u, period):
 def _search(v, curve, s_at, time, delay, period, step=40.0):
     """Better times within half a period of the given ones, by least absolute residual on a grid. A frame moves only when
     that explains it much better: a frame without an edge in view fits many times about equally."""
+
     def cost(shift):
         return np.abs(v - _evaluate(curve, s_at, (time + shift)[:, None] + delay, period)[0]).mean(1)
+
     here = cost(0.0)
     best, out = 0.6 * here - 0.005, time.copy()
     for shift in np.arange(-period / 2, period / 2, step):
@@ -279,8 +299,10 @@ def _edges(curve, period):
     if len(downs) < len(ups):
         downs = np.append(downs, bins - 1)
     longest = int(np.argmax(downs - ups))
+
     def cross(i):
         return i + rolled[i] / (rolled[i] - rolled[(i + 1) % bins] or 1e-9)
+
     return tuple((cross(int(i)) + start) * period / bins for i in (ups[longest], downs[longest]))
 
 
@@ -302,8 +324,10 @@ def _wiring(curve, usable, slot):
         for s in group:
             slots[s] = shared
         if len(group) > 1:
-            faults.append(f"strips {', '.join(map(str, shared))} are tied together: all are lit in slots "
-                          f"{shared[0]}..{shared[-1]}")
+            faults.append(
+                f"strips {', '.join(map(str, shared))} are tied together: all are lit in slots "
+                f"{shared[0]}..{shared[-1]}"
+            )
     return slots, faults
 
 

@@ -64,7 +64,9 @@ def main(argv: list[str]) -> int:
     if len(rates) not in (1, len(config.videos)):
         raise GofError(f"--fps: give one rate or one per video ({len(config.videos)}), got {len(rates)}")
     options = [
-        DecodeOptions(10 * config.tick_us, rates[min(i, len(rates) - 1)], config.row_time_us, config.readout, config.clock)
+        DecodeOptions(
+            10 * config.tick_us, rates[min(i, len(rates) - 1)], config.row_time_us, config.readout, config.clock
+        )
         for i in range(len(config.videos))
     ]
     known = sensor(config.sensor) if config.sensor else None
@@ -78,12 +80,20 @@ def main(argv: list[str]) -> int:
         print(f"warning: {warning}")
     print(f"wrote {target}")
     if config.json:
-        write_json(config.json, result | {"cameras": [{k: v for k, v in c.items() if k != "frames"} for c in result["cameras"]]})
+        write_json(
+            config.json,
+            result | {"cameras": [{k: v for k, v in c.items() if k != "frames"} for c in result["cameras"]]},
+        )
     return 0
 
 
-def synchronise(videos: list[Path], template: BoardTemplate, options: list[DecodeOptions], plots: Path | None = None,
-                known: Sensor | None = None) -> dict[str, Any]:
+def synchronise(
+    videos: list[Path],
+    template: BoardTemplate,
+    options: list[DecodeOptions],
+    plots: Path | None = None,
+    known: Sensor | None = None,
+) -> dict[str, Any]:
     """Decode every video and put all on the board's clock; `known` gives the row time of pictures of any size.
 
     Returns:
@@ -99,7 +109,9 @@ def synchronise(videos: list[Path], template: BoardTemplate, options: list[Decod
         try:
             with progress_bar(f"read {name}") as update:
                 total = stated_frames(video)
-                signals = read_signals(video, template, progress=lambda done, u=update, n=total: u(done, max(done, n or 0)))
+                signals = read_signals(
+                    video, template, progress=lambda done, u=update, n=total: u(done, max(done, n or 0))
+                )
             read_s = time.perf_counter() - start
             if known:  # sensors are wider than high: their rows are the shorter side, whichever way it is turned
                 option = replace(option, row_time_us=known.image_row_time_us(min(signals.image_size)))
@@ -109,10 +121,15 @@ def synchronise(videos: list[Path], template: BoardTemplate, options: list[Decod
             continue
         seconds = time.perf_counter() - start
         camera |= {
-            "width": signals.image_size[0], "height": signals.image_size[1], "container_fps": stated_fps(video),
+            "width": signals.image_size[0],
+            "height": signals.image_size[1],
+            "container_fps": stated_fps(video),
             "marker_px": round(float(np.linalg.norm(np.diff(signals.board.corners, axis=0), axis=1).mean()), 1),
-            "cost": {"read_s": round(read_s, 2), "decode_s": round(seconds - read_s, 2),
-                     "frames_per_second": round(len(times.time_us) / seconds, 1)},
+            "cost": {
+                "read_s": round(read_s, 2),
+                "decode_s": round(seconds - read_s, 2),
+                "frames_per_second": round(len(times.time_us) / seconds, 1),
+            },
         }
         decoded[name] = times
     warnings = _settle_counts(decoded, options[0].period_us)
@@ -120,15 +137,26 @@ def synchronise(videos: list[Path], template: BoardTemplate, options: list[Decod
         if times := decoded.get(camera["name"]):
             camera |= _describe(times)
             if plots:
-                plot_camera(times, camera["name"], template.strip_slot, options[0].period_us, plots / f"residuals_{camera['name']}.png")
+                plot_camera(
+                    times,
+                    camera["name"],
+                    template.strip_slot,
+                    options[0].period_us,
+                    plots / f"residuals_{camera['name']}.png",
+                )
     for camera in cameras:
         warnings += [f"{camera['name']}: {w}" for w in [*camera.get("faults", []), *camera.get("warnings", [])]]
         if "error" in camera:
             warnings.append(f"{camera['name']}: {camera['error']}")
     return {
-        "schema": "gof-times", "version": 1, "template": template.name, "period_us": options[0].period_us,
+        "schema": "gof-times",
+        "version": 1,
+        "template": template.name,
+        "period_us": options[0].period_us,
         "time": "mid-exposure of the picture's centre, seconds on the board's clock (count 0 = 0)",
-        "cameras": cameras, "nearest_frames": _nearest(decoded), "warnings": warnings,
+        "cameras": cameras,
+        "nearest_frames": _nearest(decoded),
+        "warnings": warnings,
     }
 
 
@@ -140,7 +168,9 @@ def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:
         return []
     reference = certain[0] if certain else min(decoded, key=lambda n: len(decoded[n].count_candidates))
     if not certain:
-        warnings.append(f"no camera sees enough counter LEDs for a unique count; the clock starts at the smallest that fits {reference}")
+        warnings.append(
+            f"no camera sees enough counter LEDs for a unique count; the clock starts at the smallest that fits {reference}"
+        )
     target = np.median(decoded[reference].time_us)
     for name, times in decoded.items():
         if name == reference or len(times.count_candidates) == 1:
@@ -165,20 +195,37 @@ def _nearest(decoded: dict[str, CameraTimes]) -> dict[str, Any]:
 def _describe(t: CameraTimes) -> dict[str, Any]:
     repeated = np.concatenate([[False], np.diff(t.clock_index) == 0])
     gaps = np.flatnonzero(np.diff(t.clock_index) > 1)
+
     def number(x, digits=3):
         return None if x is None else round(float(x), digits)
+
     return {
-        "fps": number(1e6 / t.interval_us, 5), "frame_interval_us": number(t.interval_us, 4),
-        "row_time_us": number(t.row_time_us, 4), "readout": t.readout, "exposure_us": number(t.exposure_us, 0),
-        "saturation": t.saturation, "rms_us": number(t.rms_us), "max_residual_us": number(t.max_us),
+        "fps": number(1e6 / t.interval_us, 5),
+        "frame_interval_us": number(t.interval_us, 4),
+        "row_time_us": number(t.row_time_us, 4),
+        "readout": t.readout,
+        "exposure_us": number(t.exposure_us, 0),
+        "saturation": t.saturation,
+        "rms_us": number(t.rms_us),
+        "max_residual_us": number(t.max_us),
         "systematic_us": number(t.systematic_us),
-        "count": {"candidates": len(t.count_candidates), "agreement": number(t.count_agreement, 5), "readings": t.count_readings},
+        "count": {
+            "candidates": len(t.count_candidates),
+            "agreement": number(t.count_agreement, 5),
+            "readings": t.count_readings,
+        },
         "outliers": int((~t.used & ~repeated).sum()),
         "repeated_frames": np.flatnonzero(repeated).tolist(),
         "dropped_before": {str(k + 1): int(t.clock_index[k + 1] - t.clock_index[k] - 1) for k in gaps},
-        "faults": t.faults, "warnings": t.warnings,
+        "faults": t.faults,
+        "warnings": t.warnings,
         "frames": [
-            {"time_s": round(a * 1e-6, 8), "sigma_us": round(float(b), 3), "measured_s": round(c * 1e-6, 8), "used": bool(d)}
+            {
+                "time_s": round(a * 1e-6, 8),
+                "sigma_us": round(float(b), 3),
+                "measured_s": round(c * 1e-6, 8),
+                "used": bool(d),
+            }
             for a, b, c, d in zip(t.time_us, t.sigma_us, t.measured_us, t.used, strict=True)
         ],
     }
@@ -187,6 +234,8 @@ def _describe(t: CameraTimes) -> dict[str, Any]:
 def _line(camera: dict[str, Any]) -> str:
     if "error" in camera:
         return f"{camera['name']:<16} not decoded: {camera['error']}"
-    return (f"{camera['name']:<16} {camera['fps']:.4f} fps  rms {camera['rms_us']:.2f} us (max {camera['max_residual_us']:.1f}, "
-            f"{camera['outliers']} outliers)  rows {camera['row_time_us']:.3f} us/px {camera['readout']}  "
-            f"exposure {camera['exposure_us'] or 0:.0f} us  {camera['cost']['frames_per_second']:.0f} frames/s")
+    return (
+        f"{camera['name']:<16} {camera['fps']:.4f} fps  rms {camera['rms_us']:.2f} us (max {camera['max_residual_us']:.1f}, "
+        f"{camera['outliers']} outliers)  rows {camera['row_time_us']:.3f} us/px {camera['readout']}  "
+        f"exposure {camera['exposure_us'] or 0:.0f} us  {camera['cost']['frames_per_second']:.0f} frames/s"
+    )

@@ -94,15 +94,22 @@ def render(shot: SyntheticShot, template: BoardTemplate, frames: int) -> Iterato
 
     rng = np.random.default_rng(shot.seed)
     H = shot.homography()
+
     def project(p):
         return cv2.perspectiveTransform(np.asarray(p, np.float64).reshape(-1, 1, 2), H).reshape(np.shape(p))
+
     ground = cv2.GaussianBlur(rng.normal(0, 1, (shot.height, shot.width)).astype(np.float32), (0, 0), 2)
     picture = 70 + 25 * ground / ground.std()
     fine = 8  # subpixel bits of the polygons
+
     def fill(img, p, value):
         return cv2.fillPoly(img, [np.round((project(p) - 0.5) * 2**fine).astype(np.int32)], value, cv2.LINE_AA, fine)
+
     fill(picture, template.outline, 18)
-    cells = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), template.marker_id, 6) > 0
+    cells = (
+        cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), template.marker_id, 6)
+        > 0
+    )
     for (row, column), white in np.ndenumerate(cells):
         x, y = column / 6, row / 6
         light = white != template.inverted
@@ -121,8 +128,10 @@ def render(shot: SyntheticShot, template: BoardTemplate, frames: int) -> Iterato
         frame = picture.copy()
         for k, (mask, box) in enumerate(lights):
             if k < SLOTS:
-                share = sum(lit_share(start, shot.exposure, s * shot.period / SLOTS, shot.period / SLOTS, shot.period)
-                            for s in group[int(template.strip_slot[k])])
+                share = sum(
+                    lit_share(start, shot.exposure, s * shot.period / SLOTS, shot.period / SLOTS, shot.period)
+                    for s in group[int(template.strip_slot[k])]
+                )
             else:
                 share = _led_share(start, shot, int(template.led_bit[k - SLOTS]), template.disambiguation_lead)
             y, x = box
@@ -138,7 +147,9 @@ def _led_share(start, shot, bit, lead):
     # Gray bit b is lit for the middle half of every 2^(b+2) counts; the top bit for the upper half of the counter.
     if bit == COUNTER_BITS - 1:
         return lit_share(start, shot.exposure, 2**bit * shot.period, 2**bit * shot.period, 2 ** (bit + 1) * shot.period)
-    return lit_share(start, shot.exposure, 2**bit * shot.period, 2 ** (bit + 1) * shot.period, 2 ** (bit + 2) * shot.period)
+    return lit_share(
+        start, shot.exposure, 2**bit * shot.period, 2 ** (bit + 1) * shot.period, 2 ** (bit + 2) * shot.period
+    )
 
 
 def _box(low, high, shape):

@@ -62,13 +62,16 @@ class BoardTemplate:
             if d["schema"] != "gof-led-board" or d["version"] != 1:
                 raise DataFormatError(f"{path}: not a gof-led-board file of version 1")
             template = cls(
-                str(d["name"]), int(d["marker"]["id"]), bool(d["marker"]["inverted"]),
+                str(d["name"]),
+                int(d["marker"]["id"]),
+                bool(d["marker"]["inverted"]),
                 np.array([led["xy"] for led in d["leds"]], np.float64),
                 np.array([led["bit"] if led["bit"] is not None else -1 for led in d["leds"]]),
                 np.array([s["ends"] for s in d["strips"]], np.float64),
                 np.array([s["slot"] for s in d["strips"]]),
                 np.array(d["outline"], np.float64),
-                d["marker"].get("side_m"), float(d.get("disambiguation_lead", 0.6)),
+                d["marker"].get("side_m"),
+                float(d.get("disambiguation_lead", 0.6)),
             )
         except (KeyError, TypeError, ValueError) as e:
             raise DataFormatError(f"{path}: not a board template: field {e} is missing or malformed") from e
@@ -89,21 +92,27 @@ def draw_svg(template: BoardTemplate, marker_side_mm: float) -> str:
     cells = cv2.aruco.generateImageMarker(dictionary, template.marker_id, 6) > 0  # one pixel per cell
     points = np.vstack([template.outline, template.strip_ends.reshape(-1, 2), template.led_xy, [[0, 0], [1, 1]]])
     low, high = points.min(0) - 0.2, points.max(0) + 0.2
+
     def mm(p):
         return (np.asarray(p) - low) * marker_side_mm
+
     width, height = (high - low) * marker_side_mm
     light, dark = "#fff", "#111"
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.2f}mm" height="{height:.2f}mm" '
         f'viewBox="0 0 {width:.2f} {height:.2f}" font-family="sans-serif">',
         f"<title>LED board {template.name}, marker side {marker_side_mm:g} mm</title>",
-        '<polygon points="' + " ".join(f"{x:.2f},{y:.2f}" for x, y in mm(template.outline)) + f'" fill="{dark if template.inverted else light}"/>',
+        '<polygon points="'
+        + " ".join(f"{x:.2f},{y:.2f}" for x, y in mm(template.outline))
+        + f'" fill="{dark if template.inverted else light}"/>',
     ]
     cell = marker_side_mm / 6
     x0, y0 = mm((0, 0))
     for (row, column), white in np.ndenumerate(cells):
-        out.append(f'<rect x="{x0 + column * cell:.3f}" y="{y0 + row * cell:.3f}" width="{cell:.3f}" '
-                   f'height="{cell:.3f}" fill="{light if white != template.inverted else dark}"/>')
+        out.append(
+            f'<rect x="{x0 + column * cell:.3f}" y="{y0 + row * cell:.3f}" width="{cell:.3f}" '
+            f'height="{cell:.3f}" fill="{light if white != template.inverted else dark}"/>'
+        )
     for ends, slot in zip(template.strip_ends, template.strip_slot, strict=True):
         (xa, ya), (xb, yb) = mm(ends)
         out.append(f'<line x1="{xa:.2f}" y1="{ya:.2f}" x2="{xb:.2f}" y2="{yb:.2f}" stroke="#e8d9a0" stroke-width="3"/>')
@@ -111,8 +120,10 @@ def draw_svg(template: BoardTemplate, marker_side_mm: float) -> str:
     for xy, bit in zip(template.led_xy, template.led_bit, strict=True):
         x, y = mm(xy)
         out.append(f'<circle cx="{x:.2f}" cy="{y:.2f}" r="2.5" fill="#fff" stroke="#888" stroke-width="0.3"/>')
-        out.append(f'<text x="{x:.2f}" y="{y + 1.1:.2f}" font-size="3" text-anchor="middle" fill="#333">'
-                   f'{"D" if bit < 0 else bit}</text>')
+        out.append(
+            f'<text x="{x:.2f}" y="{y + 1.1:.2f}" font-size="3" text-anchor="middle" fill="#333">'
+            f"{'D' if bit < 0 else bit}</text>"
+        )
     return "\n".join([*out, "</svg>", ""])
 
 

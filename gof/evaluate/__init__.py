@@ -5,9 +5,28 @@ from importlib import import_module
 # Eager, because the function and its module share the name `dve`: the function must win whoever imports first.
 from gof.evaluate.dve import DVEResult, DVESequence, dve, dve_sequence
 
-_LAZY = {"psnr": "image", "ssim": "image", "temporal_l2": "image", "flip": "perceptual", "lpips": "perceptual", "rmse_depth": "depth",
-         "evaluate": "run"}
-__all__ = ["DVEResult", "DVESequence", "dve", "dve_sequence", "evaluate", "flip", "lpips", "psnr", "rmse_depth", "ssim", "temporal_l2"]
+_LAZY = {
+    "psnr": "image",
+    "ssim": "image",
+    "temporal_l2": "image",
+    "flip": "perceptual",
+    "lpips": "perceptual",
+    "rmse_depth": "depth",
+    "evaluate": "run",
+}
+__all__ = [
+    "DVEResult",
+    "DVESequence",
+    "dve",
+    "dve_sequence",
+    "evaluate",
+    "flip",
+    "lpips",
+    "psnr",
+    "rmse_depth",
+    "ssim",
+    "temporal_l2",
+]
 
 
 def __getattr__(name: str):

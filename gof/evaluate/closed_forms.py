@@ -25,6 +25,7 @@ def linear() -> Flow:
 
 def taylor_green(k: float) -> Flow:
     """V = (sin kx cos ky, -cos kx sin ky, 0): a sum of two plane waves, each damped by exp(-(k sigma)^2 / 2) along itself."""
+
     def velocity(x):
         s, c = np.sin(k * x), np.cos(k * x)
         return np.stack([s[:, 0] * c[:, 1], -c[:, 0] * s[:, 1], 0 * c[:, 0]], 1)
@@ -38,6 +39,7 @@ def taylor_green(k: float) -> Flow:
 
 def abc(k: float) -> Flow:
     """Arnold-Beltrami-Childress with A = B = C = 1: six plane waves along the axes."""
+
     def velocity(x):
         s, c = np.sin(k * x), np.cos(k * x)
         return np.stack([s[:, 2] + c[:, 1], s[:, 0] + c[:, 2], s[:, 1] + c[:, 0]], 1)

@@ -28,7 +28,9 @@ CONTROLS = {
 }
 
 
-def score_controls(gaussians: TransientGaussians | Trajectory, frames: Sequence[Samples], seed: int = 0) -> dict[str, DVESequence]:
+def score_controls(
+    gaussians: TransientGaussians | Trajectory, frames: Sequence[Samples], seed: int = 0
+) -> dict[str, DVESequence]:
     """Score every control on the samples of `dve.probe`.
 
     `random` and `shuffled` draw once per Gaussian, so a Gaussian keeps its drawn velocity through all frames; `constant`

@@ -33,7 +33,9 @@ def rmse_depth(depth: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = N
     depth, truth = np.asarray(depth, np.float64), np.asarray(truth, np.float64)
     weight = np.ones(depth.shape) if mask is None else np.asarray(mask, np.float64)
     if depth.ndim != 2 or depth.shape != truth.shape or weight.shape != depth.shape:
-        raise GofError(f"depth, truth and mask have shapes {depth.shape}, {truth.shape}, {weight.shape}; expected the same (H, W)")
+        raise GofError(
+            f"depth, truth and mask have shapes {depth.shape}, {truth.shape}, {weight.shape}; expected the same (H, W)"
+        )
     seen = weight > 0
     d, t, w = depth[seen], truth[seen], weight[seen]
     require_finite("depth", d)
@@ -59,7 +61,9 @@ def read_depth(folder: Path, camera: str, frame: int) -> np.ndarray:
     try:
         value = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as e:
-        raise DataFormatError(f"{path}: not a readable depth map ({e}); expected CAMERA/FRAME.npy with a plain (H, W) array") from e
+        raise DataFormatError(
+            f"{path}: not a readable depth map ({e}); expected CAMERA/FRAME.npy with a plain (H, W) array"
+        ) from e
     if value.ndim != 2:
         raise DataFormatError(f"{path}: has shape {value.shape}, expected (H, W)")
     return value

@@ -19,8 +19,8 @@ from typing import Literal
 import numpy as np
 
 from gof.errors import GofError, NonFiniteError
-from gof.evaluate.bricks import StoredField
 from gof.evaluate.quadrature import VelocityLike, expected_velocity
+from gof.evaluate.sparse_grid import StoredField
 from gof.evaluate.wavelength import share_of_short_waves
 from gof.fields import VelocitySequence
 from gof.gaussians import TransientGaussians
@@ -51,7 +51,11 @@ class Samples:
         if (self.inside == 1).all():
             return self
         keep = self.inside >= 0.5
-        arrays = {f.name: getattr(self, f.name)[keep] for f in fields(self) if f.name not in ("time_s", "culled", "short_waves")}
+        arrays = {
+            f.name: getattr(self, f.name)[keep]
+            for f in fields(self)
+            if f.name not in ("time_s", "culled", "short_waves")
+        }
         arrays["truth"] = arrays["truth"] / arrays["inside"][:, None]
         return replace(self, **arrays)
 
@@ -76,7 +80,9 @@ class Sums:
     error2_axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __add__(self, other: Sums) -> Sums:
-        total = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self) if f.name != "error2_axis"}
+        total = {
+            f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self) if f.name != "error2_axis"
+        }
         return Sums(**total, error2_axis=tuple(np.add(self.error2_axis, other.error2_axis).tolist()))
 
 
@@ -93,7 +99,9 @@ class DVEResult:
     weight_zero_truth: float  # share with no true direction; it adds 0 to CosSim's numerator
     weight_zero_velocity: float  # share with no estimated direction; likewise
     weight_undersampled: float  # share of Gaussians wider than 2 voxels, whose quadrature is doubtful
-    weight_short_waves: float  # share of Gaussians wider than 1.5 rad of the field's local wavelength (gof.evaluate.wavelength)
+    weight_short_waves: (
+        float  # share of Gaussians wider than 1.5 rad of the field's local wavelength (gof.evaluate.wavelength)
+    )
     speed_ratio: float | None  # least-squares gain sum w v.vbar / sum w |vbar|^2; 1: the speed is right
     l2_axis: tuple[float, float, float] | None  # error along world x, y, z over the norm of the whole truth
     undefined: str = ""
@@ -103,14 +111,23 @@ class DVEResult:
         """Ratios of the sums. Nothing to divide by gives None with a reason, never NaN."""
         share = (lambda part: min(part / s.weight, 1.0)) if s.weight > 0 else (lambda part: 0.0)
         has_truth = s.truth2 > 0
-        reason = ("" if has_truth else "no Gaussian has weight" if s.weight == 0
-                  else "the true velocity is zero wherever there are Gaussians")
+        reason = (
+            ""
+            if has_truth
+            else "no Gaussian has weight"
+            if s.weight == 0
+            else "the true velocity is zero wherever there are Gaussians"
+        )
         return cls(
             l2=float(np.sqrt(s.error2 / s.truth2)) if has_truth else None,
             cos_sim=float(np.clip(s.cosine / s.weight, -1, 1)) if s.weight > 0 else None,
-            n=s.n, n_culled=s.culled, weight=s.weight,
-            weight_outside=share(s.outside), weight_zero_truth=share(s.zero_truth),
-            weight_zero_velocity=share(s.zero_velocity), weight_undersampled=share(s.wide),
+            n=s.n,
+            n_culled=s.culled,
+            weight=s.weight,
+            weight_outside=share(s.outside),
+            weight_zero_truth=share(s.zero_truth),
+            weight_zero_velocity=share(s.zero_velocity),
+            weight_undersampled=share(s.wide),
             weight_short_waves=share(s.short_waves),
             speed_ratio=s.dot / s.truth2 if has_truth else None,
             l2_axis=tuple(float(np.sqrt(e / s.truth2)) for e in s.error2_axis) if has_truth else None,
@@ -152,8 +169,10 @@ class DVESequence:
         for name in ("l2", "cos_sim"):
             mean, std, count = self.spread(name) or (None, None, 0)
             out |= {f"{name}_frame_mean": mean, f"{name}_frame_std": std, "frames_scored": count}
-        out["frames"] = [{"time_s": t, "l2": f.l2, "cos_sim": f.cos_sim, "n": f.n, "undefined": f.undefined}
-                         for t, f in zip(self.times_s, self.frames, strict=True)]
+        out["frames"] = [
+            {"time_s": t, "l2": f.l2, "cos_sim": f.cos_sim, "n": f.n, "undefined": f.undefined}
+            for t, f in zip(self.times_s, self.frames, strict=True)
+        ]
         if self.inside is not None:
             out["inside"] = {"l2": self.inside.l2, "cos_sim": self.inside.cos_sim}
         if self.fluctuation is not None:
@@ -166,8 +185,14 @@ def state_at(gaussians: TransientGaussians | Trajectory, time_s: float) -> Trans
     return gaussians.state(time_s) if isinstance(gaussians, Trajectory) else gaussians
 
 
-def probe(gaussians: TransientGaussians | Trajectory, field: VelocityLike, time_s: float, order: int = 3,
-          opacity: Literal["temporal", "base"] = "temporal", include_static: bool = False) -> Samples:
+def probe(
+    gaussians: TransientGaussians | Trajectory,
+    field: VelocityLike,
+    time_s: float,
+    order: int = 3,
+    opacity: Literal["temporal", "base"] = "temporal",
+    include_static: bool = False,
+) -> Samples:
     """Weights, estimated and expected true velocities of the Gaussians that live at `time_s`.
 
     Gaussians are skipped (and counted) when their weight is below CULL_SHARE / N of the total *and* their weighted squared
@@ -189,17 +214,29 @@ def probe(gaussians: TransientGaussians | Trajectory, field: VelocityLike, time_
     weight[~(gaussians.dynamic | include_static)] = 0.0
     power = weight * _row_dot(velocity, velocity)
     living = int(np.count_nonzero(weight))
-    index = np.flatnonzero((weight > 0) & ((weight >= CULL_SHARE * weight.sum() / max(living, 1))
-                                           | (power > CULL_SHARE * power.sum() / max(living, 1))))
+    index = np.flatnonzero(
+        (weight > 0)
+        & ((weight >= CULL_SHARE * weight.sum() / max(living, 1)) | (power > CULL_SHARE * power.sum() / max(living, 1)))
+    )
     position, scale = position[index].astype(np.float64), gaussians.scale[index].astype(np.float64)
     truth = expected_velocity(field, position, scale, gaussians.rotation[index], order)
     bad = ~np.isfinite(truth.mean).all(1)
     if bad.any():
-        raise NonFiniteError(f"the true velocity field at {time_s:g} s is NaN or Inf near {position[bad][0].round(4).tolist()} m "
-                             f"({int(bad.sum())} of {len(index)} Gaussians read such cells); repair the velocity store")
-    return Samples(float(time_s), index, position, weight[index], velocity[index], *truth,
-                   scale.max(1, initial=0.0) > WIDE_VOXELS * field.voxel_size, living - len(index),
-                   share_of_short_waves(field, position, scale, gaussians.rotation[index], weight[index]))
+        raise NonFiniteError(
+            f"the true velocity field at {time_s:g} s is NaN or Inf near {position[bad][0].round(4).tolist()} m "
+            f"({int(bad.sum())} of {len(index)} Gaussians read such cells); repair the velocity store"
+        )
+    return Samples(
+        float(time_s),
+        index,
+        position,
+        weight[index],
+        velocity[index],
+        *truth,
+        scale.max(1, initial=0.0) > WIDE_VOXELS * field.voxel_size,
+        living - len(index),
+        share_of_short_waves(field, position, scale, gaussians.rotation[index], weight[index]),
+    )
 
 
 def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: np.ndarray | None = None) -> Sums:
@@ -211,10 +248,22 @@ def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: n
     norms = np.sqrt(v2) * np.sqrt(t2)
     cosine = np.divide(dot, norms, out=np.zeros_like(dot), where=norms > 0)  # no direction, no agreement: 0
     error2_axis = [_sum(w * (v[:, k] - t[:, k]) ** 2) for k in range(3)]
-    return Sums(n=len(w), culled=samples.culled, weight=_sum(w), error2=sum(error2_axis), truth2=_sum(w * t2),
-                velocity2=_sum(w * v2), dot=_sum(w * dot), cosine=_sum(w * np.clip(cosine, -1, 1)),
-                outside=_sum(w * (1 - samples.inside)), zero_truth=_sum(w[t2 == 0]), zero_velocity=_sum(w[v2 == 0]),
-                wide=_sum(w[samples.wide]), short_waves=samples.short_waves * _sum(w), error2_axis=tuple(error2_axis))
+    return Sums(
+        n=len(w),
+        culled=samples.culled,
+        weight=_sum(w),
+        error2=sum(error2_axis),
+        truth2=_sum(w * t2),
+        velocity2=_sum(w * v2),
+        dot=_sum(w * dot),
+        cosine=_sum(w * np.clip(cosine, -1, 1)),
+        outside=_sum(w * (1 - samples.inside)),
+        zero_truth=_sum(w[t2 == 0]),
+        zero_velocity=_sum(w[v2 == 0]),
+        wide=_sum(w[samples.wide]),
+        short_waves=samples.short_waves * _sum(w),
+        error2_axis=tuple(error2_axis),
+    )
 
 
 def _row_dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -225,8 +274,14 @@ def _sum(values: np.ndarray) -> float:
     return float(np.sum(values))  # pairwise on contiguous memory: relative error ~ eps log2(M)
 
 
-def dve(gaussians: TransientGaussians | Trajectory, field: VelocityLike, time_s: float, order: int = 3,
-        opacity: Literal["temporal", "base"] = "temporal", include_static: bool = False) -> DVEResult:
+def dve(
+    gaussians: TransientGaussians | Trajectory,
+    field: VelocityLike,
+    time_s: float,
+    order: int = 3,
+    opacity: Literal["temporal", "base"] = "temporal",
+    include_static: bool = False,
+) -> DVEResult:
     """DVE of one frame.
 
     Args:
@@ -247,13 +302,24 @@ def dve(gaussians: TransientGaussians | Trajectory, field: VelocityLike, time_s:
 def score_sequence(frames: Sequence[Samples], velocities: Iterable[np.ndarray]) -> DVESequence:
     """Score frames that are already probed with other velocities, (M, 3) m/s per frame, in place of the estimated ones."""
     sums = [weighted_sums(f, v) for f, v in zip(frames, velocities, strict=True)]
-    return DVESequence(pooled=DVEResult.from_sums(sum(sums, Sums())), frames=[DVEResult.from_sums(s) for s in sums],
-                       times_s=[f.time_s for f in frames])
+    return DVESequence(
+        pooled=DVEResult.from_sums(sum(sums, Sums())),
+        frames=[DVEResult.from_sums(s) for s in sums],
+        times_s=[f.time_s for f in frames],
+    )
 
 
-def dve_sequence(gaussians: TransientGaussians | Trajectory, sequence, times_s: Sequence[float] | None = None, order: int = 3,
-                 opacity: Literal["temporal", "base"] = "temporal", include_static: bool = False, controls: bool = True,
-                 seed: int = 0, progress: Callable[[int, int], None] | None = None) -> DVESequence:
+def dve_sequence(
+    gaussians: TransientGaussians | Trajectory,
+    sequence,
+    times_s: Sequence[float] | None = None,
+    order: int = 3,
+    opacity: Literal["temporal", "base"] = "temporal",
+    include_static: bool = False,
+    controls: bool = True,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> DVESequence:
     """DVE over the frames of a sequence, with the controls that tell a good score from an easy one.
 
     Args:
@@ -275,7 +341,9 @@ def dve_sequence(gaussians: TransientGaussians | Trajectory, sequence, times_s: 
     if isinstance(gaussians, Trajectory):  # frames that the method did not export cannot be scored
         times = times[(times >= gaussians.time_s[0] - 1e-6) & (times <= gaussians.time_s[-1] + 1e-6)]
         if len(times) == 0:
-            raise GofError(f"no scored time lies within the trajectory's {gaussians.time_s[0]:g}..{gaussians.time_s[-1]:g} s")
+            raise GofError(
+                f"no scored time lies within the trajectory's {gaussians.time_s[0]:g}..{gaussians.time_s[-1]:g} s"
+            )
     frames: list[Samples] = []
     results: list[DVEResult] = []
     pooled, inside = Sums(), Sums()
@@ -292,7 +360,9 @@ def dve_sequence(gaussians: TransientGaussians | Trajectory, sequence, times_s: 
         if progress:
             progress(k + 1, len(times))
     if pooled.weight == 0:
-        raise GofError("no Gaussian has weight at any scored time; are t_mu and t_sigma in seconds on the dataset clock?")
+        raise GofError(
+            "no Gaussian has weight at any scored time; are t_mu and t_sigma in seconds on the dataset clock?"
+        )
     scored = DVESequence(DVEResult.from_sums(pooled), results, times.tolist(), DVEResult.from_sums(inside))
     if not controls:
         return scored
@@ -311,20 +381,28 @@ def _require_common_clock(gaussians: TransientGaussians | Trajectory, times: np.
         return
     born, dead = life(gaussians)
     if born > times.max() or dead < times.min():
-        raise GofError(f"clocks do not overlap: the Gaussians live in {born:g}..{dead:g} s, the true velocity covers "
-                       f"{times.min():g}..{times.max():g} s; convert the result to seconds on the dataset clock")
+        raise GofError(
+            f"clocks do not overlap: the Gaussians live in {born:g}..{dead:g} s, the true velocity covers "
+            f"{times.min():g}..{times.max():g} s; convert the result to seconds on the dataset clock"
+        )
 
 
 def sanity_warnings(score: DVESequence) -> list[str]:
     """Plain-word hints that a result is in other units or another world; empty when nothing looks wrong."""
     p, hints = score.pooled, []
     if p.weight_outside > 0.5:
-        hints.append(f"{p.weight_outside:.0%} of the Gaussians' mass lies outside the velocity domain: another world frame, or "
-                     "positions in centimetres?")
+        hints.append(
+            f"{p.weight_outside:.0%} of the Gaussians' mass lies outside the velocity domain: another world frame, or "
+            "positions in centimetres?"
+        )
     if p.speed_ratio is not None and not 0.02 < abs(p.speed_ratio) < 50 and p.weight_zero_velocity < 0.5:
-        hints.append(f"estimated speeds are {p.speed_ratio:.3g} times the true ones: velocities per millisecond, per frame or in "
-                     "cm/s?")
+        hints.append(
+            f"estimated speeds are {p.speed_ratio:.3g} times the true ones: velocities per millisecond, per frame or in "
+            "cm/s?"
+        )
     if p.weight_short_waves > 0.1:
-        hints.append(f"{p.weight_short_waves:.0%} of the weight is in Gaussians wider than 1.5 rad of the flow's local wavelength, "
-                     "where three nodes per axis fail: compare order 3 with 5 or 7 before trusting the last digits")
+        hints.append(
+            f"{p.weight_short_waves:.0%} of the weight is in Gaussians wider than 1.5 rad of the flow's local wavelength, "
+            "where three nodes per axis fail: compare order 3 with 5 or 7 before trusting the last digits"
+        )
     return hints

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.evaluate.bricks import StoredField
 from gof.evaluate.dve import DVEResult, Samples, Sums, state_at, weighted_sums
 from gof.evaluate.quadrature import rotation_matrices
+from gof.evaluate.sparse_grid import StoredField
 from gof.fields import CHUNK, VelocitySequence, open_array, read_array
 from gof.gaussians import TransientGaussians
 from gof.io.importers import Trajectory
@@ -41,8 +41,15 @@ class EmissionScore:
 
     def to_dict(self) -> dict:
         """JSON-ready: l2, cos_sim, speed_ratio, l2_axis, uncovered, and the control."""
-        own = {k: v for k, v in asdict(self.score).items() if k in ("l2", "cos_sim", "speed_ratio", "l2_axis", "n", "undefined")}
-        return own | {"uncovered": self.uncovered, "constant": {"l2": self.constant.l2, "cos_sim": self.constant.cos_sim}}
+        own = {
+            k: v
+            for k, v in asdict(self.score).items()
+            if k in ("l2", "cos_sim", "speed_ratio", "l2_axis", "n", "undefined")
+        }
+        return own | {
+            "uncovered": self.uncovered,
+            "constant": {"l2": self.constant.l2, "cos_sim": self.constant.cos_sim},
+        }
 
 
 class FlameGrid:
@@ -55,16 +62,26 @@ class FlameGrid:
     def __init__(self, path: Path):
         self._array = open_array(path)
         attributes = dict(self._array.attrs)
-        if (attributes.get("schema"), attributes.get("version"), attributes.get("quantity")) != ("gof-grid", 1, "flame") or self._array.ndim != 4:
-            raise DataFormatError(f"{path}: not a flame grid (schema gof-grid version 1, quantity flame, shape (T, X, Y, Z))")
+        if (attributes.get("schema"), attributes.get("version"), attributes.get("quantity")) != (
+            "gof-grid",
+            1,
+            "flame",
+        ) or self._array.ndim != 4:
+            raise DataFormatError(
+                f"{path}: not a flame grid (schema gof-grid version 1, quantity flame, shape (T, X, Y, Z))"
+            )
         try:
             self.path, self.times_s = path, np.asarray(attributes["time_s"], np.float64)
             self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
         except (KeyError, TypeError, ValueError) as e:
-            raise DataFormatError(f"{path}: time_s or index_to_world of zarr.json are missing or do not hold numbers ({e})") from e
+            raise DataFormatError(
+                f"{path}: time_s or index_to_world of zarr.json are missing or do not hold numbers ({e})"
+            ) from e
         fits = self.times_s.shape == self._array.shape[:1] and self.index_to_world.shape == (4, 4)
         if not fits or not np.isfinite(self.index_to_world).all():
-            raise DataFormatError(f"{path}: times {self.times_s.shape} and index_to_world {self.index_to_world.shape} do not fit shape {self._array.shape}")
+            raise DataFormatError(
+                f"{path}: times {self.times_s.shape} and index_to_world {self.index_to_world.shape} do not fit shape {self._array.shape}"
+            )
 
     def places(self, time_s: float, count: int, rng: np.random.Generator) -> np.ndarray:
         """(count, 3) world m, drawn evenly from the emission of the stored frame at `time_s`; (0, 3) without flame.
@@ -74,7 +91,9 @@ class FlameGrid:
         """
         frame = int(np.abs(self.times_s - time_s).argmin())
         if abs(self.times_s[frame] - time_s) > 1e-6:
-            raise DataFormatError(f"{self.path}: no frame at {time_s:g} s; the grid and the velocity store must have the same times")
+            raise DataFormatError(
+                f"{self.path}: no frame at {time_s:g} s; the grid and the velocity store must have the same times"
+            )
         cells, shine = [], []
         for x in range(0, self._array.shape[1], CHUNK):  # a layer of chunks at a time, and of it what burns
             flame = read_array(self._array, (frame, slice(x, x + CHUNK)), self.path).astype(np.float32)
@@ -91,7 +110,9 @@ class FlameGrid:
         return (cell + rng.random((count, 3))) @ self.index_to_world[:3, :3].T + self.index_to_world[:3, 3]
 
 
-def velocity_at(points: np.ndarray, gaussians: TransientGaussians | Trajectory, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+def velocity_at(
+    points: np.ndarray, gaussians: TransientGaussians | Trajectory, time_s: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean velocity (M, 3) m/s of the dynamic Gaussians at world points (M, 3), and their cover sum alpha g (M,).
 
     Gaussians count up to REACH standard deviations of their largest axis; zero where the cover is below COVERED.
@@ -104,7 +125,7 @@ def velocity_at(points: np.ndarray, gaussians: TransientGaussians | Trajectory, 
     cover, momentum = np.zeros(len(points)), np.zeros((len(points), 3))
     tree = cKDTree(points)
     for start in range(0, len(alive), BATCH):
-        rows = alive[start:start + BATCH]
+        rows = alive[start : start + BATCH]
         near = tree.query_ball_point(position[rows], REACH * state.scale[rows].max(1))
         owner = np.repeat(np.arange(len(rows)), [len(n) for n in near])
         if len(owner) == 0:
@@ -115,12 +136,20 @@ def velocity_at(points: np.ndarray, gaussians: TransientGaussians | Trajectory, 
         weight = alpha[rows][owner] * np.exp(-0.5 * np.einsum("pk,pk->p", distance2, distance2))
         cover += np.bincount(place, weight, len(points))
         for k in range(3):
-            momentum[:, k] += np.bincount(place, weight * state.velocity[rows, k].astype(np.float64)[owner], len(points))
+            momentum[:, k] += np.bincount(
+                place, weight * state.velocity[rows, k].astype(np.float64)[owner], len(points)
+            )
     return np.where((cover >= COVERED)[:, None], momentum / np.maximum(cover, COVERED)[:, None], 0.0), cover
 
 
-def score_on_emission(gaussians: TransientGaussians | Trajectory, truth: VelocitySequence, flame: FlameGrid, times_s: np.ndarray, seed: int = 0,
-                      progress: Callable[[int, int], None] | None = None) -> EmissionScore:
+def score_on_emission(
+    gaussians: TransientGaussians | Trajectory,
+    truth: VelocitySequence,
+    flame: FlameGrid,
+    times_s: np.ndarray,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> EmissionScore:
     """L2 and CosSim of DVE's formulas at POINTS places per frame, drawn from the true emission (seeded, the same for all results).
 
     Raises:
@@ -134,11 +163,15 @@ def score_on_emission(gaussians: TransientGaussians | Trajectory, truth: Velocit
         true = StoredField(truth, float(time_s)).sample(points).astype(np.float64)
         velocity, cover = velocity_at(points, gaussians, float(time_s)) if n else (true, ones)
         uncovered += int((cover < COVERED).sum())
-        frames.append(Samples(float(time_s), np.arange(n), points, ones, velocity, true, true, ones, np.zeros(n, bool), 0))
+        frames.append(
+            Samples(float(time_s), np.arange(n), points, ones, velocity, true, true, ones, np.zeros(n, bool), 0)
+        )
         if progress:
             progress(k + 1, len(times_s))
     count = sum(len(f.weight) for f in frames)
     mean = np.concatenate([f.truth for f in frames]).sum(0) / max(count, 1)
-    pooled = [DVEResult.from_sums(sum((weighted_sums(f, v) for f, v in zip(frames, values, strict=True)), Sums()))
-              for values in ([f.velocity for f in frames], [np.broadcast_to(mean, f.truth.shape) for f in frames])]
+    pooled = [
+        DVEResult.from_sums(sum((weighted_sums(f, v) for f, v in zip(frames, values, strict=True)), Sums()))
+        for values in ([f.velocity for f in frames], [np.broadcast_to(mean, f.truth.shape) for f in frames])
+    ]
     return EmissionScore(*pooled, uncovered / max(count, 1))

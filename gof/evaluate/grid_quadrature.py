@@ -8,16 +8,17 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 
-from gof.evaluate.bricks import EDGE, FAR, Pool, StoredField, cell_ranges, parts, pool_of
 from gof.evaluate.quadrature import Expectation, product_rule
+from gof.evaluate.sparse_grid import EDGE, FAR, Pool, StoredField, cell_ranges, parts, pool_of
 from gof.fields import CHUNK, VelocityField
 from gof.render.backend import Array4f, Float, Int, UInt, floats
 
 LAUNCH = 1 << 20  # Gaussians per launch: bounds memory at about 150 MB, whatever their number
 
 
-def expected_velocity_on_grid(field: VelocityField | StoredField, position: np.ndarray, scale: np.ndarray,
-                              rotation: np.ndarray, order: int) -> Expectation:
+def expected_velocity_on_grid(
+    field: VelocityField | StoredField, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, order: int
+) -> Expectation:
     """Arguments and result as in `quadrature.expected_velocity`.
 
     Positions enter as a whole cell number and a float32 rest, so precision does not fall with the size of the grid. Only
@@ -32,15 +33,22 @@ def expected_velocity_on_grid(field: VelocityField | StoredField, position: np.n
     index = np.clip(field.to_index(position) - 0.5, -FAR, FAR)  # whole numbers are cell centres
     cell = np.floor(index).astype(np.int32)
     low, high = cell_ranges(field, position, scale, np.abs(nodes).max())
+
     def evaluate(part: np.ndarray, needed: np.ndarray) -> None:
         pool = pool_of(field, needed)
         cells = _to_device(pool.cells)
         part = part[np.argsort(_brick_order(cell[part], field.resolution), kind="stable")]  # neighbours share the cache
         for start in range(0, len(part), LAUNCH):
-            rows = part[start:start + LAUNCH]
+            rows = part[start : start + LAUNCH]
             mean, centre, outside = _kernel(
-                cells, pool, field.resolution, [Int(np.ascontiguousarray(c)) for c in cell[rows].T],
-                [floats(c) for c in (index[rows] - cell[rows]).T], _axes(to_index, scale[rows], rotation[rows]), table)
+                cells,
+                pool,
+                field.resolution,
+                [Int(np.ascontiguousarray(c)) for c in cell[rows].T],
+                [floats(c) for c in (index[rows] - cell[rows]).T],
+                _axes(to_index, scale[rows], rotation[rows]),
+                table,
+            )
             dr.eval(mean, centre, outside)
             result.mean[rows], result.centre[rows] = mean.numpy()[:3].T, centre.numpy()[:3].T
             result.inside[rows] = np.maximum(1 - outside.numpy().astype(np.float64), 0)
@@ -67,15 +75,18 @@ def _axes(to_index: np.ndarray, scale: np.ndarray, rotation: np.ndarray) -> list
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     w, x, y, z = (floats(c) for c in q.T)
     s = [floats(c) for c in scale.T]
-    R = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]
+    R = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
     m = [[dr.opaque(Float, float(v)) for v in row] for row in to_index]
     return [[(m[i][0] * R[0][k] + m[i][1] * R[1][k] + m[i][2] * R[2][k]) * s[k] for k in range(3)] for i in range(3)]
 
 
-def _kernel(cells, pool: Pool, resolution, cell: list[Int], rest: list[Float], axes: list[list[Float]],
-            table: list[Float]) -> tuple[Array4f, Array4f, Float]:
+def _kernel(
+    cells, pool: Pool, resolution, cell: list[Int], rest: list[Float], axes: list[list[Float]], table: list[Float]
+) -> tuple[Array4f, Array4f, Float]:
     sizes = [dr.opaque(Int, n) for n in resolution]  # opaque: another grid is other data, not another kernel
     slots = UInt(pool.table.ravel())
     bricks_y, bricks_z = (dr.opaque(UInt, n) for n in pool.table.shape[1:])
@@ -115,5 +126,7 @@ def _kernel(cells, pool: Pool, resolution, cell: list[Int], rest: list[Float], a
         return node + 1, mean + xi[3] * v, share + xi[3] * outside  # not inside: exactly 0 where nothing is outside
 
     state = (dr.zeros(UInt, len(rest[0])), dr.zeros(Array4f, len(rest[0])), dr.zeros(Float, len(rest[0])))
-    _, mean, share = dr.while_loop(state, lambda node, mean, share: node < count, body, labels=("node", "mean", "share"))
+    _, mean, share = dr.while_loop(
+        state, lambda node, mean, share: node < count, body, labels=("node", "mean", "share")
+    )
     return mean, velocity(rest)[0], share

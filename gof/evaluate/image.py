@@ -74,8 +74,9 @@ def _pair(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return image, truth
 
 
-def temporal_l2(images: tuple[np.ndarray, np.ndarray], truths: tuple[np.ndarray, np.ndarray],
-                mask: np.ndarray | None = None) -> float | None:
+def temporal_l2(
+    images: tuple[np.ndarray, np.ndarray], truths: tuple[np.ndarray, np.ndarray], mask: np.ndarray | None = None
+) -> float | None:
     """Relative error of the change between two neighbouring frames: |dI - dT| / |dT|, over pixels (weighted) and channels.
 
     A score of motion and flicker that needs no network and no optical flow: 0 means every pixel brightens and darkens as in

@@ -14,8 +14,8 @@ import tyro
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
-from gof.evaluate.bricks import StoredField
 from gof.evaluate.dve import state_at
+from gof.evaluate.sparse_grid import StoredField
 from gof.io.files import atomic_path, read_json, write_json
 from gof.io.importers import ImportOptions, Trajectory, read_result
 from gof.io.importers.similarity import transformed
@@ -63,16 +63,27 @@ def collect(folders: list[Path]) -> list[dict[str, Any]]:
     for folder in folders:
         path = folder / "scores.json"
         if not path.is_file():
-            raise DataFormatError(f"{folder}: no scores.json; run 'gof evaluate RESULT --truth DATASET --out {folder}' first")
+            raise DataFormatError(
+                f"{folder}: no scores.json; run 'gof evaluate RESULT --truth DATASET --out {folder}' first"
+            )
         scores = read_json(path)
         if not isinstance(scores, dict) or "dve" not in scores or "gaussians" not in scores:
             raise DataFormatError(f"{path}: not the scores of gof evaluate")
         about = read_json(folder / "method.json") if (folder / "method.json").is_file() else {}
         costs = scores.get("costs", {})
-        values = scores | {"train_s": about.get("train_seconds", _train_seconds(folder)), "evaluate_s": sum(costs.values()) if costs else None}
-        row = {"name": about.get("name", folder.resolve().name), "folder": folder, "control": False,
-               "method": scores.get("import", {}).get("method", "gof"), "notes": scores.get("import", {}).get("notes", []) + scores.get("warnings", []),
-               "import": scores.get("import", {}), "dve": bool(scores.get("dve"))}
+        values = scores | {
+            "train_s": about.get("train_seconds", _train_seconds(folder)),
+            "evaluate_s": sum(costs.values()) if costs else None,
+        }
+        row = {
+            "name": about.get("name", folder.resolve().name),
+            "folder": folder,
+            "control": False,
+            "method": scores.get("import", {}).get("method", "gof"),
+            "notes": scores.get("import", {}).get("notes", []) + scores.get("warnings", []),
+            "import": scores.get("import", {}),
+            "dve": bool(scores.get("dve")),
+        }
         rows.append(row | {key: _dig(values, where) for key, (_, where, _, _) in COLUMNS.items()})
     names = [r["name"] for r in rows]
     for i, row in enumerate(rows):  # two folders of one name
@@ -81,8 +92,18 @@ def collect(folders: list[Path]) -> list[dict[str, Any]]:
     with_dve = next((r for r in rows if r["dve"]), None)
     if with_dve:
         for name, control in read_json(with_dve["folder"] / "scores.json").get("controls", {}).items():
-            rows.append({key: None for key in COLUMNS} | {"name": f"control: {name}", "method": control["meaning"], "control": True, "notes": [],
-                         "l2": control["l2"], "cos_sim": control["cos_sim"], "speed_ratio": control.get("speed_ratio")})
+            rows.append(
+                {key: None for key in COLUMNS}
+                | {
+                    "name": f"control: {name}",
+                    "method": control["meaning"],
+                    "control": True,
+                    "notes": [],
+                    "l2": control["l2"],
+                    "cos_sim": control["cos_sim"],
+                    "speed_ratio": control.get("speed_ratio"),
+                }
+            )
     return rows
 
 
@@ -166,7 +187,13 @@ def stream_plots(rows: list[dict[str, Any]], dataset: Dataset, time_s: float | N
             state = state_at(_read_again(row), time_s)
             if not (state.dynamic & (state.at(time_s)[1] > 0)).any():
                 raise GofError(f"no dynamic Gaussian lives at {time_s:g} s")
-            out.append({"name": row["name"], "time_s": time_s, "images": {k: _uri(p) for k, p in plots(state, time_s, field).items()}})
+            out.append(
+                {
+                    "name": row["name"],
+                    "time_s": time_s,
+                    "images": {k: _uri(p) for k, p in plots(state, time_s, field).items()},
+                }
+            )
         except GofError as e:
             out.append({"name": row["name"], "reason": str(e)})
     return out
@@ -175,16 +202,30 @@ def stream_plots(rows: list[dict[str, Any]], dataset: Dataset, time_s: float | N
 def _read_again(row: dict[str, Any]):
     """The result behind a row: the file in its folder, or the one that was scored, with the options that were used."""
     origin, folder = row["import"], row["folder"]
-    candidates = [Path(p) for p in (origin.get("path"),) if p] + [folder / "result.npz", folder / "reconstruct" / "result.npz"]
+    candidates = [Path(p) for p in (origin.get("path"),) if p] + [
+        folder / "result.npz",
+        folder / "reconstruct" / "result.npz",
+    ]
     path = next((p for p in candidates if p.exists()), None)
     if path is None:
-        raise DataFormatError(f"{folder}: the result is not there any more (looked for {', '.join(map(str, candidates))})")
+        raise DataFormatError(
+            f"{folder}: the result is not there any more (looked for {', '.join(map(str, candidates))})"
+        )
     o = origin.get("options", {})
-    gaussians = read_result(path, ImportOptions(o.get("time_unit_s"), o.get("time_zero_s", 0.0), o.get("frame_time_s"),
-                                                Path(o["world"]) if o.get("world") else None)).gaussians
+    gaussians = read_result(
+        path,
+        ImportOptions(
+            o.get("time_unit_s"),
+            o.get("time_zero_s", 0.0),
+            o.get("frame_time_s"),
+            Path(o["world"]) if o.get("world") else None,
+        ),
+    ).gaussians
     if "alignment" in origin:
         matrix = np.array(origin["alignment"]["matrix"])
-        gaussians = gaussians.transformed(matrix) if isinstance(gaussians, Trajectory) else transformed(gaussians, matrix)
+        gaussians = (
+            gaussians.transformed(matrix) if isinstance(gaussians, Trajectory) else transformed(gaussians, matrix)
+        )
     return gaussians
 
 
@@ -207,22 +248,47 @@ def pareto_figures(rows: list[dict[str, Any]]) -> list[str]:
         points = [(r["train_s"], r[key]) for r in shown]
         front = pareto(points, better)
         figure = go.Figure()
-        figure.add_scatter(x=[points[i][0] for i in front], y=[points[i][1] for i in front], mode="lines", line={"color": "#e8772e", "shape": "hv"},
-                           name="nobody is better and faster", hoverinfo="skip")
+        figure.add_scatter(
+            x=[points[i][0] for i in front],
+            y=[points[i][1] for i in front],
+            mode="lines",
+            line={"color": "#e8772e", "shape": "hv"},
+            name="nobody is better and faster",
+            hoverinfo="skip",
+        )
         for number, (r, point) in enumerate(zip(shown, points, strict=True)):
-            figure.add_scatter(x=[point[0]], y=[point[1]], mode="markers", name=r["name"],
-                               marker={"size": 12, "color": COLORS[number % len(COLORS)], "symbol": SYMBOLS[number % len(SYMBOLS)]})
+            figure.add_scatter(
+                x=[point[0]],
+                y=[point[1]],
+                mode="markers",
+                name=r["name"],
+                marker={"size": 12, "color": COLORS[number % len(COLORS)], "symbol": SYMBOLS[number % len(SYMBOLS)]},
+            )
         constant = next((r for r in rows if r["control"] and r["name"].endswith("constant")), None)
         if constant and constant.get(key) is not None:
-            figure.add_hline(y=constant[key], line={"dash": "dot", "color": "#777"}, annotation_text="one constant vector", annotation_position="top right")
+            figure.add_hline(
+                y=constant[key],
+                line={"dash": "dot", "color": "#777"},
+                annotation_text="one constant vector",
+                annotation_position="top right",
+            )
         arrow = "lower is better" if better < 0 else "higher is better"
-        figure.update_layout(template="plotly_white", height=420, margin={"l": 64, "r": 24, "t": 44, "b": 50},
-                             legend={"orientation": "h", "y": -0.22, "font": {"size": 12}}, title={"text": f"{heading} ({arrow})", "font": {"size": 15}})
+        figure.update_layout(
+            template="plotly_white",
+            height=420,
+            margin={"l": 64, "r": 24, "t": 44, "b": 50},
+            legend={"orientation": "h", "y": -0.22, "font": {"size": 12}},
+            title={"text": f"{heading} ({arrow})", "font": {"size": 15}},
+        )
         low, high = np.log10([0.7 * min(p[0] for p in points), 1.4 * max(p[0] for p in points)])
         ticks = [f * 10.0**k for k in range(int(np.floor(low)), int(np.ceil(high))) for f in (1, 2, 5)]
-        figure.update_xaxes(type="log", title="seconds to train", range=[low, high], tickvals=ticks, ticktext=[f"{t:g}" for t in ticks])
+        figure.update_xaxes(
+            type="log", title="seconds to train", range=[low, high], tickvals=ticks, ticktext=[f"{t:g}" for t in ticks]
+        )
         figure.update_yaxes(title=heading)
-        out.append(figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True}))
+        out.append(
+            figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True})
+        )
     return out
 
 
@@ -233,12 +299,25 @@ def to_html(rows: list[dict[str, Any]], streams: list[dict[str, Any]], title: st
 
     charts = pareto_figures(rows)
     keys = used_columns(rows)
-    table = [{"name": r["name"], "method": r["method"], "control": r["control"], "notes": r["notes"],
-              "cells": [{"text": text_cell(r, k), "value": r.get(k), "best": best_rows(rows).get(k) == i} for k in keys]} for i, r in enumerate(rows)]
+    table = [
+        {
+            "name": r["name"],
+            "method": r["method"],
+            "control": r["control"],
+            "notes": r["notes"],
+            "cells": [{"text": text_cell(r, k), "value": r.get(k), "best": best_rows(rows).get(k) == i} for k in keys],
+        }
+        for i, r in enumerate(rows)
+    ]
     environment = Environment(loader=PackageLoader("gof.evaluate", "."), autoescape=True, undefined=StrictUndefined)
     return environment.get_template("leaderboard.html").render(
-        title=title, headings=[{"text": COLUMNS[k][0], "better": COLUMNS[k][2]} for k in keys], table=table, streams=streams, charts=charts,
-        plotlyjs=get_plotlyjs() if charts else "")
+        title=title,
+        headings=[{"text": COLUMNS[k][0], "better": COLUMNS[k][2]} for k in keys],
+        table=table,
+        streams=streams,
+        charts=charts,
+        plotlyjs=get_plotlyjs() if charts else "",
+    )
 
 
 @dataclass
@@ -267,11 +346,18 @@ def main(argv: list[str]) -> int:
     config = tyro.cli(LeaderboardConfig, prog="gof leaderboard", args=argv)
     rows = collect(config.folders)
     streams = stream_plots(rows, Dataset.open(config.truth), config.time) if config.truth else []
-    content = {"schema": "gof-leaderboard", "version": 1,
-               "rows": [{k: v for k, v in r.items() if k not in ("folder", "import", "dve")} for r in rows]}
+    content = {
+        "schema": "gof-leaderboard",
+        "version": 1,
+        "rows": [{k: v for k, v in r.items() if k not in ("folder", "import", "dve")} for r in rows],
+    }
     for path in {config.out / "leaderboard.json", config.json} - {None}:
         write_json(path, content)
-    for suffix, text in (("csv", to_csv(rows)), ("md", to_markdown(rows)), ("html", to_html(rows, streams, config.title))):
+    for suffix, text in (
+        ("csv", to_csv(rows)),
+        ("md", to_markdown(rows)),
+        ("html", to_html(rows, streams, config.title)),
+    ):
         with atomic_path(config.out / f"leaderboard.{suffix}") as temporary:
             temporary.write_text(text, encoding="utf-8")
     console = Console()
@@ -285,6 +371,8 @@ def main(argv: list[str]) -> int:
     console.print(table)
     for s in streams:
         if "reason" in s:
-            console.print(f"note: no stream plot of {s['name']}: {s['reason']}", style="yellow", markup=False, highlight=False)
+            console.print(
+                f"note: no stream plot of {s['name']}: {s['reason']}", style="yellow", markup=False, highlight=False
+            )
     console.print(f"written to {config.out}/leaderboard.html, .json, .csv, .md")
     return 0

@@ -12,7 +12,9 @@ WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 560, 340, 70, 20, 34, 52
 COLOURS = ("#c2410c", "#1d4ed8", "#15803d", "#7e22ce")
 
 
-def write(path: Path, title: str, x_label: str, y_label: str, series: dict[str, list[tuple[float, float, str]]]) -> None:
+def write(
+    path: Path, title: str, x_label: str, y_label: str, series: dict[str, list[tuple[float, float, str]]]
+) -> None:
     """Write a chart; a point is (x, y, label), x and y > 0 (others are left out). The legend stands below."""
     series = {name: [p for p in points if p[0] > 0 and p[1] > 0] for name, points in series.items()}
     everything = [point for points in series.values() for point in points]
@@ -25,25 +27,33 @@ def write(path: Path, title: str, x_label: str, y_label: str, series: dict[str, 
         return LEFT + across * (WIDTH - LEFT - RIGHT), HEIGHT - BOTTOM - up * (HEIGHT - TOP - BOTTOM)
 
     page = HEIGHT + 16 * len(series) + 4
-    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {page}" font-family="sans-serif" font-size="12">',
-             f'<rect width="{WIDTH}" height="{page}" fill="white"/>',
-             f'<text x="{LEFT}" y="20" font-size="14" font-weight="bold">{escape(title)}</text>',
-             f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 10}" text-anchor="middle">{escape(x_label)}</text>',
-             f'<text transform="translate(16 {HEIGHT / 2}) rotate(-90)" text-anchor="middle">{escape(y_label)}</text>']  # fmt: skip
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {page}" font-family="sans-serif" font-size="12">',
+        f'<rect width="{WIDTH}" height="{page}" fill="white"/>',
+        f'<text x="{LEFT}" y="20" font-size="14" font-weight="bold">{escape(title)}</text>',
+        f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 10}" text-anchor="middle">{escape(x_label)}</text>',
+        f'<text transform="translate(16 {HEIGHT / 2}) rotate(-90)" text-anchor="middle">{escape(y_label)}</text>',
+    ]
     for value in _ticks(x_low, x_high):
         x, _ = place(value, 10**y_low)
-        parts.append(f'<path d="M{x:.1f} {TOP}V{HEIGHT - BOTTOM}" stroke="#ddd"/><text x="{x:.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{value:.6g}</text>')
+        parts.append(
+            f'<path d="M{x:.1f} {TOP}V{HEIGHT - BOTTOM}" stroke="#ddd"/><text x="{x:.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{value:.6g}</text>'
+        )
     for value in _ticks(y_low, y_high):
         _, y = place(10**x_low, value)
-        parts.append(f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="#ddd"/><text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.6g}</text>')
+        parts.append(
+            f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="#ddd"/><text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.6g}</text>'
+        )
     for index, (name, points) in enumerate(series.items()):
         colour, at = COLOURS[index % len(COLOURS)], [place(p[0], p[1]) for p in points]
         line = " ".join(f"{x:.1f},{y:.1f}" for x, y in at)
         parts.append(f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="2"/>')
         for (x, y), point in zip(at, points, strict=True):
             side, anchor = (6, "start") if x < 0.8 * WIDTH else (-6, "end")
-            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>'
-                         f'<text x="{x + side:.1f}" y="{y - 6:.1f}" text-anchor="{anchor}" fill="{colour}">{escape(point[2])}</text>')  # fmt: skip
+            parts.append(
+                f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>'
+                f'<text x="{x + side:.1f}" y="{y - 6:.1f}" text-anchor="{anchor}" fill="{colour}">{escape(point[2])}</text>'
+            )
         parts.append(f'<text x="{LEFT}" y="{HEIGHT + 6 + 16 * index}" fill="{colour}">{escape(name)}</text>')
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join([*parts, "</svg>"]) + "\n")

@@ -13,7 +13,13 @@ from gof.evaluate.image import _mean, _pair
 
 TRUNK = "alexnet-owt-7be5be79.pth"  # torchvision's AlexNet, ImageNet-trained
 HEADS = "lpips_alex_v0.1.pth"  # of the lpips package, where it is called weights/v0.1/alex.pth
-LAYERS = ((0, 3, 64, 11, 4, 2), (3, 64, 192, 5, 1, 2), (6, 192, 384, 3, 1, 1), (8, 384, 256, 3, 1, 1), (10, 256, 256, 3, 1, 1))
+LAYERS = (
+    (0, 3, 64, 11, 4, 2),
+    (3, 64, 192, 5, 1, 2),
+    (6, 192, 384, 3, 1, 1),
+    (8, 384, 256, 3, 1, 1),
+    (10, 256, 256, 3, 1, 1),
+)
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of inputs in [-1, 1]
 
 
@@ -29,7 +35,9 @@ def flip(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
     try:
         import flip_evaluator
     except ImportError as e:
-        raise MissingDependencyError("FLIP needs the package flip-evaluator: pip install 'gaussians-on-fire[scores]'") from e
+        raise MissingDependencyError(
+            "FLIP needs the package flip-evaluator: pip install 'gaussians-on-fire[scores]'"
+        ) from e
     picture, reference = (np.ascontiguousarray(np.clip(p, 0, 1), np.float32) for p in (image, truth))
     error, _, _ = flip_evaluator.evaluate(reference, picture, "LDR", applyMagma=False, computeMeanError=False)
     return _mean(np.asarray(error, np.float64)[..., 0], mask)
@@ -61,7 +69,9 @@ def lpips(image: np.ndarray, truth: np.ndarray, weights: Path) -> float:
         for i, (number, _, _, _, stride, padding) in enumerate(LAYERS):
             if i in (1, 2):
                 x = F.max_pool2d(x, 3, 2)
-            x = F.relu(F.conv2d(x, trunk[f"features.{number}.weight"], trunk[f"features.{number}.bias"], stride, padding))
+            x = F.relu(
+                F.conv2d(x, trunk[f"features.{number}.weight"], trunk[f"features.{number}.bias"], stride, padding)
+            )
             unit = x / (x.norm(dim=1, keepdim=True) + 1e-10)
             total += float(F.conv2d((unit[:1] - unit[1:]) ** 2, heads[f"lin{i}.model.1.weight"]).mean())
     return total
@@ -73,10 +83,21 @@ def _weights(folder: Path) -> tuple[dict, dict]:
     package = find_spec("lpips")
     if not heads.is_file() and package and package.origin:
         heads = Path(package.origin).parent / "weights" / "v0.1" / "alex.pth"
-    return (load_weights(folder / TRUNK, {f"features.{n}.weight": (o, c, k, k) for n, c, o, k, _, _ in LAYERS}
-                  | {f"features.{n}.bias": (o,) for n, _, o, _, _, _ in LAYERS}, "torchvision's AlexNet", "LPIPS"),
-            load_weights(heads, {f"lin{i}.model.1.weight": (1, o, 1, 1) for i, (_, _, o, _, _, _) in enumerate(LAYERS)},
-                  "weights/v0.1/alex.pth of the lpips package, under this name", "LPIPS"))
+    return (
+        load_weights(
+            folder / TRUNK,
+            {f"features.{n}.weight": (o, c, k, k) for n, c, o, k, _, _ in LAYERS}
+            | {f"features.{n}.bias": (o,) for n, _, o, _, _, _ in LAYERS},
+            "torchvision's AlexNet",
+            "LPIPS",
+        ),
+        load_weights(
+            heads,
+            {f"lin{i}.model.1.weight": (1, o, 1, 1) for i, (_, _, o, _, _, _) in enumerate(LAYERS)},
+            "weights/v0.1/alex.pth of the lpips package, under this name",
+            "LPIPS",
+        ),
+    )
 
 
 def load_weights(path: Path, shapes: dict[str, tuple], what: str, score: str) -> dict:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
 from gof.errors import GofError
-from gof.evaluate.bricks import StoredField, cell_ranges, parts, pool_of
+from gof.evaluate.sparse_grid import StoredField, cell_ranges, parts, pool_of
 from gof.fields import VelocityField
 
 ORDERS = (1, 3, 5, 7)
@@ -62,13 +62,25 @@ def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
     """Unit quaternions wxyz (N, 4) to rotation matrices (N, 3, 3); columns are the Gaussian's own axes in the world."""
     q = quaternion.astype(np.float64)
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-                     2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-                     2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1).reshape(-1, 3, 3)
+    return np.stack(
+        [
+            1 - 2 * (y * y + z * z),
+            2 * (x * y - w * z),
+            2 * (x * z + w * y),
+            2 * (x * y + w * z),
+            1 - 2 * (x * x + z * z),
+            2 * (y * z - w * x),
+            2 * (x * z - w * y),
+            2 * (y * z + w * x),
+            1 - 2 * (x * x + y * y),
+        ],
+        -1,
+    ).reshape(-1, 3, 3)
 
 
-def expected_velocity(field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray,
-                      order: int = 3) -> Expectation:
+def expected_velocity(
+    field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, order: int = 3
+) -> Expectation:
     """E[V(x)] for x ~ N(position, R diag(scale^2) R^T), one Gaussian per row.
 
     Args:
@@ -87,14 +99,17 @@ def expected_velocity(field: VelocityLike, position: np.ndarray, scale: np.ndarr
         ranges = cell_ranges(field, position, scale, np.abs(product_rule(order)[0]).max())
         for rows, needed in parts(field, *ranges, np.arange(len(position))):
             pool_of(field, needed)  # read once, not for every batch of points
-            for whole, part in zip(result, expected_velocity_plain(field, position[rows], scale[rows], rotation[rows], order), strict=True):
+            for whole, part in zip(
+                result, expected_velocity_plain(field, position[rows], scale[rows], rotation[rows], order), strict=True
+            ):
                 whole[rows] = part
         return result
     return expected_velocity_plain(field, position, scale, rotation, order)
 
 
-def expected_velocity_plain(field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray,
-                            order: int = 3) -> Expectation:
+def expected_velocity_plain(
+    field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, order: int = 3
+) -> Expectation:
     """`expected_velocity` in numpy float64, for any field; holds about CHUNK_POINTS points at a time, whatever M is."""
     nodes, weights = product_rule(order)
     count = len(position)

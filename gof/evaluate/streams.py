@@ -12,7 +12,9 @@ from gof.gaussians import TransientGaussians
 
 CELLS = 72  # along the longest side of the box
 FAINT = 0.02  # of the largest density: below, nothing is drawn
-RAMP = np.array([[38, 12, 60], [120, 28, 109], [188, 55, 84], [237, 105, 37], [251, 180, 26], [252, 250, 190]], float)  # dark to bright
+RAMP = np.array(
+    [[38, 12, 60], [120, 28, 109], [188, 55, 84], [237, 105, 37], [251, 180, 26], [252, 250, 190]], float
+)  # dark to bright
 GROUND = (18, 18, 20)
 
 
@@ -32,10 +34,17 @@ def volume(gaussians: TransientGaussians, time_s: float) -> Volume:
     position, opacity = gaussians.at(time_s)
     weight = gaussians.scale.astype(np.float64).prod(1) * opacity * gaussians.dynamic
     keep = weight > 1e-9 * max(weight.sum(), 1e-300)
-    position, weight, velocity = position[keep].astype(np.float64), weight[keep], gaussians.velocity[keep].astype(np.float64)
+    position, weight, velocity = (
+        position[keep].astype(np.float64),
+        weight[keep],
+        gaussians.velocity[keep].astype(np.float64),
+    )
     order = np.argsort(position, axis=0)
     share = np.cumsum(np.take_along_axis(np.repeat(weight[:, None], 3, 1), order, 0), 0) / weight.sum()
-    ends = [[position[order[np.searchsorted(share[:, k], q).clip(0, len(weight) - 1), k], k] for k in range(3)] for q in (0.002, 0.998)]
+    ends = [
+        [position[order[np.searchsorted(share[:, k], q).clip(0, len(weight) - 1), k], k] for k in range(3)]
+        for q in (0.002, 0.998)
+    ]
     low, high = np.array(ends[0]), np.array(ends[1])  # a few floaters must not shrink the flame
     cell = float(max((high - low).max(), 1e-3) / (CELLS - 8))
     low = low - 4 * cell
@@ -46,7 +55,9 @@ def volume(gaussians: TransientGaussians, time_s: float) -> Volume:
     sums = [np.bincount(flat, weight[inside] * c, int(shape.prod())).reshape(shape) for c in (1.0, *velocity[inside].T)]
     density, *momentum = (gaussian_filter(s, 1.0, mode="constant") for s in sums)
     safe = np.where(density > 1e-6 * density.max(), density, 1)
-    return Volume(density, np.stack([np.where(density > 1e-6 * density.max(), m / safe, 0) for m in momentum], -1), low, cell)
+    return Volume(
+        density, np.stack([np.where(density > 1e-6 * density.max(), m / safe, 0) for m in momentum], -1), low, cell
+    )
 
 
 def max_projection(density: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -69,7 +80,9 @@ def streamlines(velocity: np.ndarray, density: np.ndarray, spacing: float = 2.6,
     """
     bound = FAINT * density.max()
     a, b = (np.arange(spacing / 2, n, spacing) for n in density.shape)
-    seeds = np.stack(np.meshgrid(a, b, indexing="ij"), -1).reshape(-1, 2) + np.random.default_rng(0).uniform(-0.8, 0.8, (len(a) * len(b), 2))
+    seeds = np.stack(np.meshgrid(a, b, indexing="ij"), -1).reshape(-1, 2) + np.random.default_rng(0).uniform(
+        -0.8, 0.8, (len(a) * len(b), 2)
+    )
 
     def sample(values, p):
         return map_coordinates(values, (p - 0.5).T, order=1, mode="constant")
@@ -112,7 +125,7 @@ def draw(density: np.ndarray, velocity: np.ndarray, scale: int = 6, cell: float 
     image = Image.new("RGB", (density.shape[0] * scale * 2, height * scale * 2), GROUND)
     pen = ImageDraw.Draw(image)
     lines = streamlines(velocity, density)
-    level = [float(map_coordinates(density, (line[len(line) // 2:][:1] - 0.5).T, order=1)[0]) for line in lines]
+    level = [float(map_coordinates(density, (line[len(line) // 2 :][:1] - 0.5).T, order=1)[0]) for line in lines]
     for line, value in sorted(zip(lines, level, strict=True), key=lambda pair: pair[1]):
         t = np.clip((value / density.max()) ** 0.5, 0, 1) * (len(RAMP) - 1)
         low = min(int(t), len(RAMP) - 2)
@@ -124,11 +137,16 @@ def draw(density: np.ndarray, velocity: np.ndarray, scale: int = 6, cell: float 
         if (size := float(np.hypot(*along))) > 1e-6:
             along *= 11 / size
             side = np.array([-along[1], along[0]]) * 0.45
-            pen.polygon([tuple(tip + along * 0.4), tuple(tip - along * 0.6 + side), tuple(tip - along * 0.6 - side)], color)
+            pen.polygon(
+                [tuple(tip + along * 0.4), tuple(tip - along * 0.6 + side), tuple(tip - along * 0.6 - side)], color
+            )
     image = image.resize((image.width // 2, image.height // 2), Image.LANCZOS)
     if cell is not None:
         width_m = image.width / scale * cell
-        bar = max((m for m in (10.0**k * f for k in range(-4, 3) for f in (1, 2, 5)) if m < 0.5 * width_m), default=0.5 * width_m)
+        bar = max(
+            (m for m in (10.0**k * f for k in range(-4, 3) for f in (1, 2, 5)) if m < 0.5 * width_m),
+            default=0.5 * width_m,
+        )
         pen, y = ImageDraw.Draw(image), image.height - 8
         pen.line([(8, y), (8 + bar / cell * scale, y)], (235, 235, 235), 2)
         pen.text((8, y - 4), f"{bar:g} m", (235, 235, 235), ImageFont.load_default(13), anchor="ls")
@@ -136,10 +154,14 @@ def draw(density: np.ndarray, velocity: np.ndarray, scale: int = 6, cell: float 
 
 
 def plots(gaussians: TransientGaussians, time_s: float, truth=None) -> dict[str, Image.Image]:
-    """"projection", "slice" and, with a true field (anything with `sample`), "truth_projection", "truth_slice" at the same places."""
+    """ "projection", "slice" and, with a true field (anything with `sample`), "truth_projection", "truth_slice" at the same places."""
     v = volume(gaussians, time_s)
     seen = {"": v.velocity}
     if truth is not None:
         seen["truth_"] = truth.sample(v.centres().reshape(-1, 3)).reshape(v.velocity.shape)
     cuts = {"projection": max_projection, "slice": lambda density, velocity: x_slice(density, velocity)[:2]}
-    return {whose + kind: draw(*cropped(*cut(v.density, velocity)), cell=v.cell) for kind, cut in cuts.items() for whose, velocity in seen.items()}
+    return {
+        whose + kind: draw(*cropped(*cut(v.density, velocity)), cell=v.cell)
+        for kind, cut in cuts.items()
+        for whose, velocity in seen.items()
+    }

@@ -18,7 +18,10 @@ import numpy as np
 from gof.errors import DataFormatError, GofError, MissingDependencyError, require_finite
 
 TRUNK = "r3d_18-b3b3357e.pth"  # torchvision's R3D-18, trained on Kinetics-400
-HEADS = {"cgvqm_2": ("cgvqm-2.pickle", 3), "cgvqm_5": ("cgvqm-5.pickle", 6)}  # file in the method's weights/, feature levels used
+HEADS = {
+    "cgvqm_2": ("cgvqm-2.pickle", 3),
+    "cgvqm_5": ("cgvqm-5.pickle", 6),
+}  # file in the method's weights/, feature levels used
 CHANNELS = (3, 64, 64, 128, 256, 512)  # of the picture, the stem and the four stages
 MEAN, STD = (0.43216, 0.394666, 0.37645), (0.22803, 0.22145, 0.216989)  # of the network's training pictures
 PATCHES = 4  # a frame is cut into 4 x 4
@@ -37,8 +40,10 @@ def available(weights: Path) -> list[str]:
         raise MissingDependencyError("CGVQM needs PyTorch: pip install 'gaussians-on-fire[torch]'") from e
     found = [name for name, (file, _) in HEADS.items() if (weights / file).is_file()]
     if not found or not (weights / TRUNK).is_file():
-        raise MissingDependencyError(f"CGVQM: {weights} lacks {TRUNK} (torchvision) or {' or '.join(f for f, _ in HEADS.values())} "
-                                     "(the method's weights folder); put them there, gof downloads nothing")
+        raise MissingDependencyError(
+            f"CGVQM: {weights} lacks {TRUNK} (torchvision) or {' or '.join(f for f, _ in HEADS.values())} "
+            "(the method's weights folder); put them there, gof downloads nothing"
+        )
     return found
 
 
@@ -47,7 +52,9 @@ def clip_length(frame_time_s: float) -> int:
     return int(np.clip(1 / frame_time_s if frame_time_s > 0 else MAX_CLIP, 1, MAX_CLIP))
 
 
-def cgvqm(frames: int, pair: Callable[[int], tuple[np.ndarray, np.ndarray]], clip: int, weights: Path, name: str = "cgvqm_2") -> float:
+def cgvqm(
+    frames: int, pair: Callable[[int], tuple[np.ndarray, np.ndarray]], clip: int, weights: Path, name: str = "cgvqm_2"
+) -> float:
     """Quality of a video, 100 (no difference) downwards; about 75 is "perceptible, not annoying", 50 "slightly annoying".
 
     Clips are padded with their last frame and patches with their last row and column; the errors of all patches are averaged.
@@ -71,7 +78,9 @@ def cgvqm(frames: int, pair: Callable[[int], tuple[np.ndarray, np.ndarray]], cli
         for k in range(start, min(start + clip, frames)):
             image, truth = (np.asarray(p, np.float32) for p in pair(k))
             if image.shape != truth.shape or image.ndim != 3 or image.shape[2] != 3:
-                raise GofError(f"pictures of frame {k} have shapes {image.shape} and {truth.shape}, expected the same (H, W, 3)")
+                raise GofError(
+                    f"pictures of frame {k} have shapes {image.shape} and {truth.shape}, expected the same (H, W, 3)"
+                )
             require_finite("image", image)
             require_finite("truth", truth)
             for video, picture in zip(videos, (image, truth), strict=True):
@@ -80,7 +89,9 @@ def cgvqm(frames: int, pair: Callable[[int], tuple[np.ndarray, np.ndarray]], cli
         both = (both - torch.tensor(MEAN).view(3, 1, 1, 1)) / torch.tensor(STD).view(3, 1, 1, 1)
         patch = [n // PATCHES for n in both.shape[3:]]
         if min(patch) < 1:
-            raise DataFormatError(f"CGVQM needs pictures of at least {PATCHES} x {PATCHES} px, got {tuple(both.shape[3:])}")
+            raise DataFormatError(
+                f"CGVQM needs pictures of at least {PATCHES} x {PATCHES} px, got {tuple(both.shape[3:])}"
+            )
         missing = [-n % p for n, p in zip(both.shape[3:], patch, strict=True)]
         both = F.pad(both, (0, missing[1], 0, missing[0], 0, clip - both.shape[2]), mode="replicate")
         with torch.no_grad():
@@ -106,7 +117,9 @@ def _stage(network: dict, x, level: int):
 
     def convolved(x, name: str, stride=1, padding=1):
         x = F.conv3d(x, network[f"{name}.0.weight"], stride=stride, padding=padding)
-        mean, variance, gain, shift = (network[f"{name}.1.{k}"] for k in ("running_mean", "running_var", "weight", "bias"))
+        mean, variance, gain, shift = (
+            network[f"{name}.1.{k}"] for k in ("running_mean", "running_var", "weight", "bias")
+        )
         return F.batch_norm(x, mean, variance, gain, shift, eps=1e-5)
 
     if level == 0:
@@ -147,9 +160,13 @@ class _TwoTensors(pickle.Unpickler):
     def find_class(self, module: str, name: str):
         import torch
 
-        allowed = {("torch._utils", "_rebuild_tensor_v2"): torch._utils._rebuild_tensor_v2,
-                   ("torch.storage", "_load_from_bytes"): lambda data: torch.load(io.BytesIO(data), map_location="cpu", weights_only=True),
-                   ("collections", "OrderedDict"): dict}
+        allowed = {
+            ("torch._utils", "_rebuild_tensor_v2"): torch._utils._rebuild_tensor_v2,
+            ("torch.storage", "_load_from_bytes"): lambda data: torch.load(
+                io.BytesIO(data), map_location="cpu", weights_only=True
+            ),
+            ("collections", "OrderedDict"): dict,
+        }
         if (module, name) not in allowed:
             raise pickle.UnpicklingError(f"it names {module}.{name}, which is no tensor")
         return allowed[module, name]
@@ -163,7 +180,11 @@ def _head(path: Path, levels: int) -> tuple[list, float]:
             weight, gain = _TwoTensors(file).load()
         weight, gain = weight.detach().float().abs().flatten(), float(gain)
     except Exception as e:  # damaged pickles raise anything
-        raise DataFormatError(f"{path}: not the two tensors of a CGVQM head ({type(e).__name__}: {str(e)[:120]})") from e
+        raise DataFormatError(
+            f"{path}: not the two tensors of a CGVQM head ({type(e).__name__}: {str(e)[:120]})"
+        ) from e
     if len(weight) != sum(CHANNELS[:levels]) or not np.isfinite(gain) or not weight.isfinite().all():
-        raise DataFormatError(f"{path}: {len(weight)} channel weights, expected {sum(CHANNELS[:levels])} finite ones and a gain")
+        raise DataFormatError(
+            f"{path}: {len(weight)} channel weights, expected {sum(CHANNELS[:levels])} finite ones and a gain"
+        )
     return list(weight.split(CHANNELS[:levels])), gain

@@ -41,9 +41,15 @@ def phase_spread(field: VelocityLike, position: np.ndarray, scale: np.ndarray, r
     points = position[:, None, :] + np.einsum("nik,pk->npi", axes, NEIGHBOURHOOD)
     flat = points.reshape(-1, 3)
     inside = field.contains(flat - h) & field.contains(flat + h)
-    offsets = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]
-                             + [[(s * np.eye(3)[a] + r * np.eye(3)[b])] for a, b in _PAIRS if a != b for s in (1, -1) for r in (1, -1)])
-    values = field.sample((flat[inside, None, :] + h * offsets).reshape(-1, 3)).reshape(-1, len(offsets), 3).astype(np.float64)
+    offsets = np.concatenate(
+        [np.zeros((1, 3)), np.eye(3), -np.eye(3)]
+        + [[(s * np.eye(3)[a] + r * np.eye(3)[b])] for a, b in _PAIRS if a != b for s in (1, -1) for r in (1, -1)]
+    )
+    values = (
+        field.sample((flat[inside, None, :] + h * offsets).reshape(-1, 3))
+        .reshape(-1, len(offsets), 3)
+        .astype(np.float64)
+    )
     gradient = (values[:, 1:4] - values[:, 4:7]) / (2 * h)  # (K, 3 axes, 3 components)
     hessian = np.empty((len(values), 3, 3, 3))
     mixed = 7
@@ -70,8 +76,9 @@ def phase_spread(field: VelocityLike, position: np.ndarray, scale: np.ndarray, r
     return np.sqrt(np.divide(np.maximum(tc, 0), energy, out=np.zeros_like(tc), where=real) * undo)
 
 
-def share_of_short_waves(field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray,
-                         weight: np.ndarray) -> float:
+def share_of_short_waves(
+    field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, weight: np.ndarray
+) -> float:
     """Share of `weight` (M,) in Gaussians with a phase spread above LIMIT_RAD, 0..1.
 
     Of more than SAMPLE Gaussians a stratified random sample by weight is looked at, seeded.
@@ -80,7 +87,9 @@ def share_of_short_waves(field: VelocityLike, position: np.ndarray, scale: np.nd
         return 0.0
     if len(weight) > SAMPLE:
         total = np.cumsum(weight)
-        level = (np.arange(SAMPLE) + np.random.default_rng(0).random(SAMPLE)) / SAMPLE  # jittered: the order may be periodic
+        level = (
+            np.arange(SAMPLE) + np.random.default_rng(0).random(SAMPLE)
+        ) / SAMPLE  # jittered: the order may be periodic
         pick = np.minimum(np.searchsorted(total, level * total[-1]), len(weight) - 1)
         position, scale, rotation, weight = position[pick], scale[pick], rotation[pick], np.ones(SAMPLE)
     wide = phase_spread(field, position, scale, rotation) > LIMIT_RAD

@@ -47,7 +47,9 @@ class ConvertConfig:
     """File to write what was read and written to."""
 
 
-def convert(imported: Imported, out: Path, start_s: float | None = None, end_s: float | None = None, frames: int | None = None) -> Path:
+def convert(
+    imported: Imported, out: Path, start_s: float | None = None, end_s: float | None = None, frames: int | None = None
+) -> Path:
     """Write a result by suffix: .ftgs.ply, .ply, .npz.
 
     Raises:
@@ -60,13 +62,17 @@ def convert(imported: Imported, out: Path, start_s: float | None = None, end_s: 
     source = f"{imported.method}: {imported.path.name}"
     if isinstance(imported.gaussians, Trajectory):
         if out.suffix != ".npz":
-            raise DataFormatError(f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)")
+            raise DataFormatError(
+                f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)"
+            )
         return imported.gaussians.save(out, source)
     if out.name.endswith(".ftgs.ply"):
         born, dead = life(imported.gaussians) if imported.gaussians.dynamic.any() else (0.0, 1.0)
         if not np.isfinite([born, dead]).all() and None in (start_s, end_s):
             raise DataFormatError(f"{out}: some Gaussians are always on, so the clip's --start and --end must be given")
-        return freetime.save(imported.gaussians, out, born if start_s is None else start_s, dead if end_s is None else end_s, frames)
+        return freetime.save(
+            imported.gaussians, out, born if start_s is None else start_s, dead if end_s is None else end_s, frames
+        )
     return imported.gaussians.save(out, source)
 
 
@@ -85,10 +91,20 @@ def main(argv: list[str]) -> int:
     convert(imported, config.out, config.start, config.end, frames)
     seconds = time.perf_counter() - began
     console = Console()
-    console.print(f"{imported.method}: {len(imported.gaussians)} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s")
+    console.print(
+        f"{imported.method}: {len(imported.gaussians)} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s"
+    )
     for note in imported.notes:
         console.print("note:", note, style="yellow", markup=False, highlight=False)
     if config.json:
-        write_json(config.json, {"method": imported.method, "gaussians": len(imported.gaussians), "notes": imported.notes, "out": str(config.out),
-                                 "seconds": round(seconds, 3)})
+        write_json(
+            config.json,
+            {
+                "method": imported.method,
+                "gaussians": len(imported.gaussians),
+                "notes": imported.notes,
+                "out": str(config.out),
+                "seconds": round(seconds, 3),
+            },
+        )
     return 0

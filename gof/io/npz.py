@@ -29,9 +29,25 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     except DataFormatError:
         raise
     # numpy and zipfile meet damage with many kinds of error, among them NotImplementedError and UnicodeError
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError, RuntimeError, AttributeError, TypeError, KeyError, SyntaxError, OverflowError) as e:
-        raise DataFormatError(f"{path}: not a readable npz without pickles ({e}); truncated, or not an npz at all?") from e
-    foreign = [name for name, value in arrays.items() if not isinstance(value, np.ndarray) or value.dtype.kind not in "biufU"]
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        ValueError,
+        OSError,
+        RuntimeError,
+        AttributeError,
+        TypeError,
+        KeyError,
+        SyntaxError,
+        OverflowError,
+    ) as e:
+        raise DataFormatError(
+            f"{path}: not a readable npz without pickles ({e}); truncated, or not an npz at all?"
+        ) from e
+    foreign = [
+        name for name, value in arrays.items() if not isinstance(value, np.ndarray) or value.dtype.kind not in "biufU"
+    ]
     if foreign:
         raise DataFormatError(f"{path}: fields {foreign} hold neither numbers nor text")
     return arrays
@@ -41,11 +57,15 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
     members = archive.infolist()
     total, limit = sum(m.file_size for m in members), max(EXPANSION * path.stat().st_size, ALWAYS)
     if total > limit:
-        raise DataFormatError(f"{path}: unpacks to {total} bytes from {path.stat().st_size}; nothing honest is packed so tightly")
+        raise DataFormatError(
+            f"{path}: unpacks to {total} bytes from {path.stat().st_size}; nothing honest is packed so tightly"
+        )
     for member in members:
         with archive.open(member) as file:
             version = np.lib.format.read_magic(file)
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
             shape, _, dtype = read(file)
         if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
-            raise DataFormatError(f"{path}: '{member.filename}' announces shape {shape} of {dtype}, the file holds {member.file_size} bytes of it")
+            raise DataFormatError(
+                f"{path}: '{member.filename}' announces shape {shape} of {dtype}, the file holds {member.file_size} bytes of it"
+            )

@@ -31,7 +31,7 @@ class Ply:
     @classmethod
     def read(cls, path: Path) -> Ply:
         """Raises:
-            DataFormatError: not a PLY with a vertex element, or cut off.
+        DataFormatError: not a PLY with a vertex element, or cut off.
         """
         _check_size(path)
         try:
@@ -52,14 +52,20 @@ class Ply:
 
     def splats(self) -> dict[str, np.ndarray]:
         """The 3DGS properties, activated: position, scale, rotation, opacity, and color as spherical harmonics (N, K, 3)."""
-        rest = sorted((n for n in self.vertex.dtype.names if re.fullmatch(r"f_rest_[0-9]{1,4}", n)), key=lambda n: int(n[7:]))
+        rest = sorted(
+            (n for n in self.vertex.dtype.names if re.fullmatch(r"f_rest_[0-9]{1,4}", n)), key=lambda n: int(n[7:])
+        )
         dc = self.columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
         if len(rest) % 3:
             raise DataFormatError(f"{self.path}: {len(rest)} f_rest properties are not a multiple of 3")
         higher = self.columns(*rest).reshape(len(dc), 3, len(rest) // 3).transpose(0, 2, 1) if rest else dc[:, :0]
-        return {"position": self.columns("x", "y", "z"), "scale": exp(self.columns("scale_0", "scale_1", "scale_2")),
-                "rotation": quaternions(self.columns("rot_0", "rot_1", "rot_2", "rot_3"), self.path),
-                "opacity": sigmoid(self.columns("opacity")[:, 0]), "color": np.concatenate([dc, higher], 1)}
+        return {
+            "position": self.columns("x", "y", "z"),
+            "scale": exp(self.columns("scale_0", "scale_1", "scale_2")),
+            "rotation": quaternions(self.columns("rot_0", "rot_1", "rot_2", "rot_3"), self.path),
+            "opacity": sigmoid(self.columns("opacity")[:, 0]),
+            "color": np.concatenate([dc, higher], 1),
+        }
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:
@@ -97,7 +103,9 @@ def splat_columns(g: TransientGaussians) -> dict[str, np.ndarray]:
 
 def write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> None:
     """Write a binary little-endian PLY: float properties, and uchar ones for bool columns."""
-    vertex = np.empty(len(columns["x"]), [(name, "u1" if np.asarray(v).dtype == bool else "<f4") for name, v in columns.items()])
+    vertex = np.empty(
+        len(columns["x"]), [(name, "u1" if np.asarray(v).dtype == bool else "<f4") for name, v in columns.items()]
+    )
     for name, values in columns.items():
         vertex[name] = values
     PlyData([PlyElement.describe(vertex, "vertex")], byte_order="<", comments=comments).write(str(path))
@@ -112,5 +120,7 @@ def _check_size(path: Path) -> None:
     for element in re.split(rb"^element\s", head.partition(b"end_header")[0], flags=re.M)[1:]:
         words, properties = element.split(), len(re.findall(rb"^property\s", element, re.M))
         if len(words) < 2 or not words[1].isdigit() or int(words[1][:30]) * max(properties, 1) > path.stat().st_size:
-            raise DataFormatError(f"{path}: header announces {b' '.join(words[1:2]).decode(errors='replace')} points with {properties} properties, the "
-                                  f"file has {path.stat().st_size} bytes; truncated?")
+            raise DataFormatError(
+                f"{path}: header announces {b' '.join(words[1:2]).decode(errors='replace')} points with {properties} properties, the "
+                f"file has {path.stat().st_size} bytes; truncated?"
+            )

@@ -85,7 +85,12 @@ def _load_npz(path: Path) -> dict[str, np.ndarray]:
 
 
 def _save_ply(g: TransientGaussians, path: Path, source: str) -> None:
-    moving = {"t_mu": g.t_mu, "t_sigma": g.t_sigma, **{f"v{axis}": g.velocity[:, i] for i, axis in enumerate("xyz")}, "is_dynamic": g.dynamic}
+    moving = {
+        "t_mu": g.t_mu,
+        "t_sigma": g.t_sigma,
+        **{f"v{axis}": g.velocity[:, i] for i, axis in enumerate("xyz")},
+        "is_dynamic": g.dynamic,
+    }
     write(path, splat_columns(g) | moving, PLY_COMMENTS + ([f"source: {source}"] if source else []))
 
 
@@ -97,9 +102,14 @@ def _load_ply(path: Path) -> dict[str, np.ndarray]:
     missing = [name for name in ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic") if not ply.has(name)]
     if missing:
         raise DataFormatError(
-            f"{path}: PLY properties {missing} are missing; a plain 3DGS PLY has no time or velocity and cannot be read as transient Gaussians")
+            f"{path}: PLY properties {missing} are missing; a plain 3DGS PLY has no time or velocity and cannot be read as transient Gaussians"
+        )
     splats = ply.splats()
     if splats["color"].shape[1] == 1:
         splats["color"] = 0.5 + SH_C0 * splats["color"][:, 0]
-    return splats | {"velocity": ply.columns("vx", "vy", "vz"), "t_mu": ply.columns("t_mu")[:, 0], "t_sigma": ply.columns("t_sigma")[:, 0],
-                     "dynamic": ply.columns("is_dynamic")[:, 0] != 0}
+    return splats | {
+        "velocity": ply.columns("vx", "vy", "vz"),
+        "t_mu": ply.columns("t_mu")[:, 0],
+        "t_sigma": ply.columns("t_sigma")[:, 0],
+        "dynamic": ply.columns("is_dynamic")[:, 0] != 0,
+    }

@@ -2,7 +2,7 @@
 
 Optical flow follows texture. A flame's texture sits in its slow outer layer, the core has none, and the inflow at the foot moves
 nothing that could be seen, so the fused flow is too slow by a factor that changes over the flame. How it changes is much
-the same from flame to flame. A small network, trained on simulated flames (`benchmark/train_flow_prior.py`; none of
+the same from flame to flame. A small network, trained on simulated flames (`benchmark/training/flow_prior.py`; none of
 them is a scene of the benchmark), reads it off the shape of the flame and of the seen flow.
 
 Everything the network sees is a ratio, and what it gives are the coefficients of five vectors that turn with the flame, so that
@@ -77,7 +77,7 @@ class FlowPrior:
             raise DataFormatError(f"{path}: not the weights of a flow prior ({missing} is missing)") from missing
         if features != list(FEATURES):
             raise DataFormatError(
-                f"{path}: trained for other features than this version's; run benchmark/train_flow_prior.py"
+                f"{path}: trained for other features than this version's; run benchmark/training/flow_prior.py"
             )
         return prior
 

@@ -27,7 +27,9 @@ def lit_plate(static: np.ndarray, images: np.ndarray, masks: np.ndarray) -> np.n
     rise = np.zeros_like(static, dtype=np.float32)
     for row in range(len(static)):  # sorting whole clips of large pictures would take gigabytes
         free = np.sort(np.where(masks[:, row, :, None], np.inf, images[:, row]), axis=0)
-        middle = [np.take_along_axis(free, np.maximum(count[row] - 1 + up, 0)[None, :, None] // 2, 0)[0] for up in (0, 1)]
+        middle = [
+            np.take_along_axis(free, np.maximum(count[row] - 1 + up, 0)[None, :, None] // 2, 0)[0] for up in (0, 1)
+        ]
         median = np.where(seen[row, :, None], 0.5 * (middle[0] + middle[1]), static[row])
         rise[row] = median - static[row]
     width = FILL * len(static)

@@ -174,4 +174,13 @@ def estimate_motion(
         progress(i + 1, len(frames))
     light = [np.stack([light_above(image, plates[c]).mean(-1) for image in images[c]]) for c in cameras]
     image, intensity, mask, taken = (np.stack(x, axis=1) for x in (images, light, masks, delivered))
-    return Motion(frames, image, np.stack(static), np.stack(plates), intensity, mask, np.stack([np.stack(v) for v in velocity]), taken)
+    return Motion(
+        frames,
+        image,
+        np.stack(static),
+        np.stack(plates),
+        intensity,
+        mask,
+        np.stack([np.stack(v) for v in velocity]),
+        taken,
+    )

@@ -52,7 +52,9 @@ def memfof(folder: Path) -> Flow:
         ) from e
     missing = [name for name in ("config.json", "model.safetensors") if not (folder / name).is_file()]
     if missing:
-        raise DataFormatError(f"{folder}: {' and '.join(missing)} missing; put the files of a MEMFOF checkpoint there (--flow-weights)")
+        raise DataFormatError(
+            f"{folder}: {' and '.join(missing)} missing; put the files of a MEMFOF checkpoint there (--flow-weights)"
+        )
     device = "cuda" if torch.cuda.is_available() else "cpu"
     model = MEMFOF.from_pretrained(str(folder), backbone_weights=None, local_files_only=True).eval().to(device)
 
@@ -75,5 +77,7 @@ def flow_method(name: FlowName, weights: Path | None = None) -> Flow:
     if name != "memfof":
         return {"dis": dis, "deepflow": deepflow, "tvl1": tvl1}[name]
     if weights is None:
-        raise GofError("--flow memfof needs --flow-weights, the folder with config.json and model.safetensors of its checkpoint")
+        raise GofError(
+            "--flow memfof needs --flow-weights, the folder with config.json and model.safetensors of its checkpoint"
+        )
     return memfof(weights)

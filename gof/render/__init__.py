@@ -3,9 +3,16 @@
 from importlib import import_module
 
 _EXPORTS = {
-    "Splats": "scene", "transient_state": "scene", "require_finite_splats": "scene",
-    "render_splats": "native", "Frame": "native", "render": "native",
-    "l1_ssim": "loss", "Target": "loss", "harmonics_color": "harmonics", "shutter_delay": "shutter",
+    "Splats": "scene",
+    "transient_state": "scene",
+    "require_finite_splats": "scene",
+    "render_splats": "native",
+    "Frame": "native",
+    "render": "native",
+    "l1_ssim": "loss",
+    "Target": "loss",
+    "harmonics_color": "harmonics",
+    "shutter_delay": "shutter",
     "rasterize": "torch_api",
 }
 __all__ = sorted(_EXPORTS)

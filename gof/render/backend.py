@@ -20,7 +20,7 @@ from gof.errors import GofError
 BACKEND = os.environ.get("GOF_RENDER_BACKEND", "llvm")
 if BACKEND not in ("llvm", "cuda"):
     raise GofError(f"GOF_RENDER_BACKEND is '{BACKEND}'; use 'llvm' or 'cuda'")
-WORK_UNIT = 2048    # lanes
+WORK_UNIT = 2048  # lanes
 _types = import_module(f"drjit.{BACKEND}.ad")
 Array2f, Array3f, Array4f, Bool = _types.Array2f, _types.Array3f, _types.Array4f, _types.Bool
 Float, Int, UInt, Array2u = _types.Float, _types.Int, _types.UInt, _types.Array2u
@@ -50,7 +50,7 @@ def _tune_llvm():
 
     Without these functions the results are the same, only slower.
     """
-    dr.eval(dr.arange(Float, 2))    # starts the backend
+    dr.eval(dr.arange(Float, 2))  # starts the backend
     try:
         core = ctypes.CDLL(str(Path(next(iter(dr.__path__))) / "libdrjit-core.so"))
         cpu, features = core._Z19jit_llvm_target_cpuv, core._Z24jit_llvm_target_featuresv
@@ -99,7 +99,7 @@ def pack(columns: list[Float], stride: int) -> Float:
     columns = columns + [Float(0)] * (stride - len(columns))
     record = dr.arange(UInt, len(out) // stride) * (stride // 4)
     for q in range(stride // 4):
-        dr.scatter(out, Array4f(*columns[4 * q:4 * q + 4]), record + q, mode=dr.ReduceMode.NoConflicts)
+        dr.scatter(out, Array4f(*columns[4 * q : 4 * q + 4]), record + q, mode=dr.ReduceMode.NoConflicts)
     dr.eval(out)
     return out
 
@@ -112,7 +112,7 @@ def pack_words(a: UInt, b: UInt) -> UInt:
     return out
 
 
-_released: list[Float] = []     # owners of borrowed memory, to be let go of by the thread that calls us
+_released: list[Float] = []  # owners of borrowed memory, to be let go of by the thread that calls us
 
 
 class _Borrowed:

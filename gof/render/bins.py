@@ -20,11 +20,11 @@ import numpy as np
 from gof.render.backend import Array2u, Array4f, Float, Int, UInt, pack, pack_words
 from gof.render.project import LOG2_E, Projected
 
-BLOCK = 4                       # pixels along one side of a block
-LOG2_255 = 7.994353436858858    # alpha >= 1/255 is drawn
-MARGIN = 1e-3                   # in log2 units and pixels: the test keeps pairs that rounding might move
-GROUP = 2048                    # blocks that are drawn one after another by length, before the next such group
-PAIR_BUDGET = 1 << 24           # pairs binned at a time; a pair takes about 40 bytes while binning
+BLOCK = 4  # pixels along one side of a block
+LOG2_255 = 7.994353436858858  # alpha >= 1/255 is drawn
+MARGIN = 1e-3  # in log2 units and pixels: the test keeps pairs that rounding might move
+GROUP = 2048  # blocks that are drawn one after another by length, before the next such group
+PAIR_BUDGET = 1 << 24  # pairs binned at a time; a pair takes about 40 bytes while binning
 
 
 @dataclass
@@ -37,10 +37,10 @@ class Footprints:
     """
 
     records: Float
-    first_row: Int      # (N,) by depth
+    first_row: Int  # (N,) by depth
     end_row: Int
-    order: UInt         # (N,) Gaussians by depth
-    bound: UInt         # (N,) blocks per row, at most, in the Gaussians' own order
+    order: UInt  # (N,) Gaussians by depth
+    bound: UInt  # (N,) blocks per row, at most, in the Gaussians' own order
     columns: int
     rows: int
 
@@ -49,21 +49,21 @@ class Footprints:
 class Lists:
     """What the blend kernels read of a band: arrays only. Blocks are numbered from the band's first."""
 
-    gaussian: UInt      # (M,) index of the Gaussian, by block, front to back; one unused entry when there is no pair
-    start: UInt         # (B,) first pair of block b
-    end: UInt           # (B,)
-    order: UInt         # (B,) blocks from longest to shortest list within groups: neighbouring lanes do equal work
-    first_row: UInt     # (1,) of the band
+    gaussian: UInt  # (M,) index of the Gaussian, by block, front to back; one unused entry when there is no pair
+    start: UInt  # (B,) first pair of block b
+    end: UInt  # (B,)
+    order: UInt  # (B,) blocks from longest to shortest list within groups: neighbouring lanes do equal work
+    first_row: UInt  # (1,) of the band
 
 
 @dataclass
 class Bins:
     """One band."""
 
-    pairs: int          # M
+    pairs: int  # M
     lists: Lists
-    slot: UInt          # (M,) place of each pair in Gaussian-major order
-    segment: UInt       # (N,) first Gaussian-major pair of each Gaussian, by depth rank
+    slot: UInt  # (M,) place of each pair in Gaussian-major order
+    segment: UInt  # (N,) first Gaussian-major pair of each Gaussian, by depth rank
     segment_end: UInt
 
 
@@ -82,14 +82,27 @@ def footprints(p: Projected, width: int, height: int) -> Footprints:
     shrink = p.det * inverse * inverse
     end_row = dr.select(drawn, end_row, first_row)
     word = lambda v: dr.reinterpret_array(Float, v)  # noqa: E731
-    unsorted = pack([p.mean_x, p.mean_y, p.cov_xy * inverse, shrink, mahalanobis2 * p.cov_yy * shrink, word(first_row),
-                     word(end_row), word(dr.arange(UInt, len(p.depth)))], 8)
+    unsorted = pack(
+        [
+            p.mean_x,
+            p.mean_y,
+            p.cov_xy * inverse,
+            shrink,
+            mahalanobis2 * p.cov_yy * shrink,
+            word(first_row),
+            word(end_row),
+            word(dr.arange(UInt, len(p.depth))),
+        ],
+        8,
+    )
     # Depths are positive, so their bits sort like the numbers.
     order = dr.argsort(dr.select(p.visible, dr.reinterpret_array(UInt, p.depth), 0xFFFFFFFF))
     front, back = dr.gather(Array4f, unsorted, 2 * order), dr.gather(Array4f, unsorted, 2 * order + 1)
     first_row, end_row = (dr.reinterpret_array(Int, back[k]) for k in (1, 2))
     dr.schedule(first_row, end_row)
-    out = Footprints(pack([*front, *back], 8), first_row, end_row, order, UInt(end_column - first_column), columns, rows)
+    out = Footprints(
+        pack([*front, *back], 8), first_row, end_row, order, UInt(end_column - first_column), columns, rows
+    )
     dr.eval(out)
     return out
 
@@ -103,7 +116,7 @@ def plan_bands(f: Footprints, budget: int = PAIR_BUDGET) -> list[tuple[int, int]
     change = dr.zeros(Float, f.rows + 1)
     dr.scatter_add(change, bound, UInt(f.first_row), drawn)
     dr.scatter_add(change, -bound, UInt(f.end_row), drawn)
-    per_row = np.cumsum(change.numpy().astype(np.float64))[:f.rows]
+    per_row = np.cumsum(change.numpy().astype(np.float64))[: f.rows]
     bands, first, total = [], 0, 0.0
     for row in range(f.rows):
         if row > first and total + per_row[row] > budget:
@@ -138,7 +151,7 @@ def bin_band(f: Footprints, first_row: int, end_row: int) -> Bins:
     base = UInt((row - from_row) * f.columns + first_column)
     counts = UInt(end_column - first_column)
     dr.schedule(counts)
-    words = pack_words(base, gaussian)      # (block, Gaussian) travel as pairs of words: one load each instead of two
+    words = pack_words(base, gaussian)  # (block, Gaussian) travel as pairs of words: one load each instead of two
     item, within, item_start, item_end = expand(counts)
     if len(item) == 0:
         return _empty(f, first_row, end_row)
@@ -176,7 +189,9 @@ def _span(lo: Float, hi: Float, limit: int) -> tuple[Int, Int]:
     return first, dr.select(some, dr.maximum(end, first), first)
 
 
-def _sort(block: UInt, pairs: UInt, segment: UInt, segment_end: UInt, f: Footprints, first_row: int, end_row: int) -> Bins:
+def _sort(
+    block: UInt, pairs: UInt, segment: UInt, segment_end: UInt, f: Footprints, first_row: int, end_row: int
+) -> Bins:
     """Order (block, Gaussian) pairs by block; pairs of one block keep their order."""
     n_blocks, n = f.columns * (end_row - first_row), len(block)
     i, last = dr.arange(UInt, n), dr.opaque(UInt, n - 1)
@@ -201,7 +216,7 @@ def _sort(block: UInt, pairs: UInt, segment: UInt, segment_end: UInt, f: Footpri
 def _empty(f: Footprints, first_row: int, end_row: int) -> Bins:
     n, g = f.columns * (end_row - first_row), len(f.order)
     empty = [dr.zeros(UInt, k) for k in (1, n, n, 1, g, g)]
-    dr.make_opaque(empty)     # memory, as in the usual case: the same kernels run
+    dr.make_opaque(empty)  # memory, as in the usual case: the same kernels run
     gaussian, start, end, slot, segment, segment_end = empty
     order = dr.arange(UInt, n)
     dr.make_opaque(order)

@@ -11,26 +11,33 @@ import drjit as dr
 from gof.render.backend import Array4f, Float, Int, UInt, frozen, pack, work_units
 from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Footprints, Lists, bin_band, plan_bands
 
-MAX_ALPHA = 0.99            # 1 - alpha stays >= 0.01, so the adjoint's division by it loses at most two digits
-MIN_TRANSMITTANCE = 1e-4    # a pixel whose transmittance would fall below this stops before that Gaussian
+MAX_ALPHA = 0.99  # 1 - alpha stays >= 0.01, so the adjoint's division by it loses at most two digits
+MIN_TRANSMITTANCE = 1e-4  # a pixel whose transmittance would fall below this stops before that Gaussian
 LN_2 = 0.6931471805599453
-BLOCK_LANES = 256           # blocks that a thread takes at a time
-GEOMETRY = 6                # mean_x, mean_y, a, b, c, log2_opacity
-PIXELS = [(i, j) for j in range(BLOCK) for i in range(BLOCK)]   # column, row inside the block
+BLOCK_LANES = 256  # blocks that a thread takes at a time
+GEOMETRY = 6  # mean_x, mean_y, a, b, c, log2_opacity
+PIXELS = [(i, j) for j in range(BLOCK) for i in range(BLOCK)]  # column, row inside the block
 
 
 class Trace:
     """What one picture leaves behind for its caller; the gradient of the 2D means comes with the backward pass."""
 
     def __init__(self):
-        self.pairs = 0      # (block, Gaussian) pairs
+        self.pairs = 0  # (block, Gaussian) pairs
         self.bands = 0
         self.mean_x_grad: Float | None = None
         self.mean_y_grad: Float | None = None
 
 
-def blend(geometry: list[Float], channels: list[Float], shapes: Footprints, trace: Trace, *, deterministic: bool = False,
-          pair_budget: int = PAIR_BUDGET) -> tuple[list[Float], Float]:
+def blend(
+    geometry: list[Float],
+    channels: list[Float],
+    shapes: Footprints,
+    trace: Trace,
+    *,
+    deterministic: bool = False,
+    pair_budget: int = PAIR_BUDGET,
+) -> tuple[list[Float], Float]:
     """Blend the channels of N Gaussians.
 
     Args:
@@ -53,14 +60,16 @@ class _Blend(dr.CustomOp):
         self.n, self.n_channels = len(geometry[0]), len(channels)
         self.records = pack(geometry + channels, stride(len(geometry) + len(channels)))
         self.bands = plan_bands(shapes, pair_budget)
-        self.planes = [dr.empty(Float, shapes.rows * shapes.columns * BLOCK * BLOCK) for _ in range(self.n_channels + 1)]
+        self.planes = [
+            dr.empty(Float, shapes.rows * shapes.columns * BLOCK * BLOCK) for _ in range(self.n_channels + 1)
+        ]
         for band in self.bands:
             bins = bin_band(shapes, *band)
             with work_units(BLOCK_LANES):
                 _forward(self.records, bins.lists, self.planes, self.n_channels, shapes.columns)
             trace.pairs += bins.pairs
         trace.bands = len(self.bands)
-        self.bins = bins if len(self.bands) == 1 else None      # several bands: binned again in the backward pass
+        self.bins = bins if len(self.bands) == 1 else None  # several bands: binned again in the backward pass
         return [Float(p) for p in self.planes]
 
     def backward(self):
@@ -196,20 +205,30 @@ def _forward(records: Float, lists: Lists, planes: list[Float], n_channels: int,
     values = [*acc, [1 - dr.abs(t) for t in T]]
     for plane, value in zip(planes, values, strict=True):
         for j in range(BLOCK):
-            dr.scatter(plane, Array4f(*value[4 * j:4 * j + 4]), plane_rows[j], mode=dr.ReduceMode.NoConflicts)
+            dr.scatter(plane, Array4f(*value[4 * j : 4 * j + 4]), plane_rows[j], mode=dr.ReduceMode.NoConflicts)
     dr.eval(planes)
 
 
 @frozen
-def _gradient(records: Float, lists: Lists, planes: list[Float], grads: list[Float], n_channels: int, columns: int, size: int) -> Float:
+def _gradient(
+    records: Float, lists: Lists, planes: list[Float], grads: list[Float], n_channels: int, columns: int, size: int
+) -> Float:
     """Gradient records per Gaussian, summed in any order. `size` is compiled into expand-mode scatters."""
     out = dr.zeros(Float, size)
     _backward(records, lists, planes, grads, n_channels, columns, out, None)
     return out
 
 
-def _backward(records: Float, lists: Lists, planes: list[Float], grads: list[Float], n_channels: int, columns: int,
-              out: Float, slot: UInt | None) -> None:
+def _backward(
+    records: Float,
+    lists: Lists,
+    planes: list[Float],
+    grads: list[Float],
+    n_channels: int,
+    columns: int,
+    out: Float,
+    slot: UInt | None,
+) -> None:
     """Add one band's gradient records to `out` per Gaussian, or with `slot` write them per pair in Gaussian-major order.
 
     Replays the forward pass front to back. With v_i = sum_c g_c channel_ic + g_alpha and S_i = sum_{k > i} w_k v_k:
@@ -223,7 +242,7 @@ def _backward(records: Float, lists: Lists, planes: list[Float], grads: list[Flo
     def load(plane):
         return [v for r in plane_rows for v in dr.gather(Array4f, plane, r)]
 
-    g = [load(p) for p in grads]          # per channel, then alpha; 16 pixels each
+    g = [load(p) for p in grads]  # per channel, then alpha; 16 pixels each
     totals = [load(p) for p in planes]
     suffix = [sum(g[ch][k] * totals[ch][k] for ch in range(n_channels + 1)) for k in range(16)]
 
@@ -248,7 +267,7 @@ def _backward(records: Float, lists: Lists, planes: list[Float], grads: list[Flo
         gradient = _geometry_gradient(record, dx, dy, d_log2) + d_channel
         gradient += [Float(0)] * (-len(gradient) % 4)
         for q in range(len(gradient) // 4):
-            value = Array4f(*gradient[4 * q:4 * q + 4])
+            value = Array4f(*gradient[4 * q : 4 * q + 4])
             if slot is not None:
                 dr.scatter(out, value, dr.gather(UInt, slot, i) * quads + q, mode=dr.ReduceMode.NoConflicts)
             else:
@@ -271,19 +290,21 @@ def _sum_segments(by_pair: Float, bins: Bins, order: UInt, quads: int) -> Float:
     total = [Float(0) for _ in range(4 * quads)]
     _, total = dr.while_loop((UInt(bins.segment), total), lambda i, total: i < bins.segment_end, add)
     for q in range(quads):
-        dr.scatter(out, Array4f(*total[4 * q:4 * q + 4]), order * quads + q, mode=dr.ReduceMode.NoConflicts)
+        dr.scatter(out, Array4f(*total[4 * q : 4 * q + 4]), order * quads + q, mode=dr.ReduceMode.NoConflicts)
     dr.eval(out)
     return out
 
 
 def _geometry_gradient(record: list[Float], dx: list[Float], dy: list[Float], d_log2: list[Float]) -> list[Float]:
     """Chain dL/d(log2 alpha) of 16 pixels (in units of ln 2) to mean, a, b, c and log2_opacity through its moments."""
-    per_row = [d_log2[4 * j:4 * j + 4] for j in range(BLOCK)]
+    per_row = [d_log2[4 * j : 4 * j + 4] for j in range(BLOCK)]
     sums = [r[0] + r[1] + r[2] + r[3] for r in per_row]
     m0 = (sums[0] + sums[1]) + (sums[2] + sums[3])
     m_y, m_yy, m_x, m_xx, m_xy = (Float(0) for _ in range(5))
     for j in range(BLOCK):
-        along = dr.fma(per_row[j][0], dx[0], per_row[j][1] * dx[1]) + dr.fma(per_row[j][2], dx[2], per_row[j][3] * dx[3])
+        along = dr.fma(per_row[j][0], dx[0], per_row[j][1] * dx[1]) + dr.fma(
+            per_row[j][2], dx[2], per_row[j][3] * dx[3]
+        )
         m_x += along
         m_xy = dr.fma(along, dy[j], m_xy)
         weighted = sums[j] * dy[j]

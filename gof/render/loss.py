@@ -21,8 +21,8 @@ from gof.render.reference import gaussian_window
 
 C1, C2 = 0.01**2, 0.03**2
 WINDOW = [float(v) for v in gaussian_window()]
-REACH = 5        # the window covers 11 pixels
-ALIGN = 16       # floats; a blur along rows shortens a strip by this at both ends, so that strips stay on cache lines
+REACH = 5  # the window covers 11 pixels
+ALIGN = 16  # floats; a blur along rows shortens a strip by this at both ends, so that strips stay on cache lines
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class Strip:
     def fill(self, image: np.ndarray) -> Float:
         """A strip of an (H, W, D) image."""
         strip = np.zeros(self.size, np.float32)
-        body = strip[self.margin:self.size - self.margin].reshape(self.channels, self.height + REACH, self.row)
-        body[:, :self.height, :self.width] = image.transpose(2, 0, 1)
+        body = strip[self.margin : self.size - self.margin].reshape(self.channels, self.height + REACH, self.row)
+        body[:, : self.height, : self.width] = image.transpose(2, 0, 1)
         return floats(strip)
 
     def pixels(self, channel: int, margin: int) -> UInt:
@@ -86,7 +86,9 @@ class Target:
         if image.ndim != 3:
             raise DataFormatError(f"target image has shape {image.shape}, expected (H, W, D)")
         if mask is not None and (np.shape(mask) != image.shape[:2] or not np.sum(mask) > 0):
-            raise DataFormatError(f"target mask has shape {np.shape(mask)} and sum {np.sum(mask):g}; expected {image.shape[:2]}, > 0")
+            raise DataFormatError(
+                f"target mask has shape {np.shape(mask)} and sum {np.sum(mask):g}; expected {image.shape[:2]}, > 0"
+            )
         self.strip = Strip(*image.shape)
         self.weight = _even_weight(self.strip) if mask is None else _weight(self.strip, np.asarray(mask, np.float64))
         self.image = _row_neighbours(self.strip.fill(image))
@@ -112,8 +114,10 @@ def l1_ssim(image: list[Float], target: Target | np.ndarray, ssim_weight: float 
         target = Target(target)
     t = target.strip
     if len(image) != t.channels or any(len(c) != t.width * t.height for c in image):
-        raise DataFormatError(f"image has {len(image)} channels of {len(image[0])} pixels; target is {t.width}x{t.height} "
-                              f"with {t.channels} channels")
+        raise DataFormatError(
+            f"image has {len(image)} channels of {len(image[0])} pixels; target is {t.width}x{t.height} "
+            f"with {t.channels} channels"
+        )
     return dr.custom(_L1SSIM, list(image), target, dr.opaque(Float, ssim_weight))
 
 

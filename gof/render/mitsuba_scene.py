@@ -15,7 +15,7 @@ from gof.errors import DataFormatError, MissingDependencyError
 from gof.gaussians import TransientGaussians
 from gof.render.harmonics import C0
 
-DILATION_SIGMA_PX = 0.3**0.5     # a Gaussian pixel filter this wide does what the 0.3 px^2 dilation stands for
+DILATION_SIGMA_PX = 0.3**0.5  # a Gaussian pixel filter this wide does what the 0.3 px^2 dilation stands for
 
 
 def _mitsuba():
@@ -46,9 +46,14 @@ def ellipsoids(gaussians: TransientGaussians, time_s: float, unit_m: float = 1.0
     color = gaussians.color
     coefficients = ((color - 0.5) / C0)[:, None] if color.ndim == 2 else color
     tensor = lambda a: mi.TensorXf(np.ascontiguousarray(a, np.float32))  # noqa: E731
-    return {"type": "ellipsoids", "centers": tensor(position / unit_m), "scales": tensor(gaussians.scale / unit_m),
-            "quaternions": tensor(gaussians.rotation[:, [1, 2, 3, 0]]), "opacities": tensor(opacity[:, None]),
-            "sh_coeffs": tensor(coefficients.reshape(len(gaussians), -1))}
+    return {
+        "type": "ellipsoids",
+        "centers": tensor(position / unit_m),
+        "scales": tensor(gaussians.scale / unit_m),
+        "quaternions": tensor(gaussians.rotation[:, [1, 2, 3, 0]]),
+        "opacities": tensor(opacity[:, None]),
+        "sh_coeffs": tensor(coefficients.reshape(len(gaussians), -1)),
+    }
 
 
 def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX, unit_m: float = 1.0) -> dict:
@@ -61,28 +66,49 @@ def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_P
     K, w, h = camera.K, camera.width, camera.height
     if abs(K[0, 0] - K[1, 1]) > 1e-6 * K[0, 0] or K[0, 1] != 0:
         raise DataFormatError(f"camera '{camera.name}': Mitsuba's perspective sensor needs fx = fy and no skew")
-    to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])   # Mitsuba: x left, y up
+    to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba: x left, y up
     to_world[:3, 3] /= unit_m
     rfilter = {"type": "gaussian", "stddev": filter_sigma} if filter_sigma > 0 else {"type": "box"}
-    return {"type": "perspective", "fov": float(np.degrees(2 * np.arctan(w / (2 * K[0, 0])))), "fov_axis": "x",
-            "principal_point_offset_x": float(0.5 - K[0, 2] / w), "principal_point_offset_y": float(0.5 - K[1, 2] / h),
-            "near_clip": 0.01 / unit_m, "far_clip": 1e4 / unit_m, "to_world": mi.ScalarTransform4f(to_world),
-            "film": {"type": "hdrfilm", "width": w, "height": h, "rfilter": rfilter, "pixel_format": "rgb"},
-            "sampler": {"type": "independent", "sample_count": spp}}
+    return {
+        "type": "perspective",
+        "fov": float(np.degrees(2 * np.arctan(w / (2 * K[0, 0])))),
+        "fov_axis": "x",
+        "principal_point_offset_x": float(0.5 - K[0, 2] / w),
+        "principal_point_offset_y": float(0.5 - K[1, 2] / h),
+        "near_clip": 0.01 / unit_m,
+        "far_clip": 1e4 / unit_m,
+        "to_world": mi.ScalarTransform4f(to_world),
+        "film": {"type": "hdrfilm", "width": w, "height": h, "rfilter": rfilter, "pixel_format": "rgb"},
+        "sampler": {"type": "independent", "sample_count": spp},
+    }
 
 
-def scene(gaussians: TransientGaussians, camera: Camera, time_s: float, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX):
+def scene(
+    gaussians: TransientGaussians, camera: Camera, time_s: float, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX
+):
     """A loaded Mitsuba scene of the Gaussians alone, colours taken as they are (no sRGB conversion).
 
     The scene's unit is the geometric mean of the Gaussians' standard deviations; see `ellipsoids`.
     """
     unit_m = float(np.exp(np.log(gaussians.scale).mean())) if len(gaussians) else 1.0
-    return _mitsuba().load_dict({"type": "scene", "integrator": {"type": "volprim_rf_basic", "max_depth": 512, "srgb_primitives": False},
-                                 "sensor": sensor(camera, spp, filter_sigma, unit_m), "flame": ellipsoids(gaussians, time_s, unit_m)})
+    return _mitsuba().load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "volprim_rf_basic", "max_depth": 512, "srgb_primitives": False},
+            "sensor": sensor(camera, spp, filter_sigma, unit_m),
+            "flame": ellipsoids(gaussians, time_s, unit_m),
+        }
+    )
 
 
-def render_mitsuba(gaussians: TransientGaussians, camera: Camera, time_s: float, spp: int = 16, seed: int = 0,
-                   filter_sigma: float = DILATION_SIGMA_PX) -> np.ndarray:
+def render_mitsuba(
+    gaussians: TransientGaussians,
+    camera: Camera,
+    time_s: float,
+    spp: int = 16,
+    seed: int = 0,
+    filter_sigma: float = DILATION_SIGMA_PX,
+) -> np.ndarray:
     """(H, W, 3) float32 picture by ray tracing."""
     mi = _mitsuba()
     return np.array(mi.render(scene(gaussians, camera, time_s, spp, filter_sigma), seed=seed))

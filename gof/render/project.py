@@ -15,9 +15,9 @@ from gof.errors import DataFormatError
 from gof.render.backend import Array3f, Array4f, Bool, Float, opaque
 
 LOG2_E = 1.4426950408889634
-MAX_SIGMA_PX = 1e6    # wider Gaussians are drawn this wide (flat over any image) so that determinants stay in float32
-MAX_MEAN_PX = 1e7     # centres further out than this are not drawn: float32 no longer resolves a pixel there
-MIN_OPACITY = 1e-20   # below: log2 is replaced by a constant, gradient 0
+MAX_SIGMA_PX = 1e6  # wider Gaussians are drawn this wide (flat over any image) so that determinants stay in float32
+MAX_MEAN_PX = 1e7  # centres further out than this are not drawn: float32 no longer resolves a pixel there
+MIN_OPACITY = 1e-20  # below: log2 is replaced by a constant, gradient 0
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class Projected:
     c: Float
     log2_opacity: Float
     depth: Float
-    visible: Bool       # in front of `near` and numerically drawable
-    cov_xx: Float       # px^2, dilated
+    visible: Bool  # in front of `near` and numerically drawable
+    cov_xx: Float  # px^2, dilated
     cov_xy: Float
     cov_yy: Float
     det: Float
@@ -90,11 +90,18 @@ def rotation_columns(q: Array4f) -> tuple[Array3f, Array3f, Array3f]:
 def camera_axes(camera: Camera, pose: list[Float] | None = None) -> tuple[list[Array3f], list[Float]]:
     """Rows of the world-to-camera rotation and its translation; `pose` (12 values, row-major 3x4) replaces the camera's."""
     w = [opaque(v) for v in camera.world_to_camera[:3].reshape(-1)] if pose is None else pose
-    return [Array3f(*w[4 * i:4 * i + 3]) for i in range(3)], [w[3], w[7], w[11]]
+    return [Array3f(*w[4 * i : 4 * i + 3]) for i in range(3)], [w[3], w[7], w[11]]
 
 
-def project(position: Array3f, rotation: Array4f, scale: Array3f, opacity: Float, camera: Camera, lens: Lens,
-            pose: list[Float] | None = None) -> Projected:
+def project(
+    position: Array3f,
+    rotation: Array4f,
+    scale: Array3f,
+    opacity: Float,
+    camera: Camera,
+    lens: Lens,
+    pose: list[Float] | None = None,
+) -> Projected:
     """Project N Gaussians.
 
     Args:
@@ -135,8 +142,20 @@ def project(position: Array3f, rotation: Array4f, scale: Array3f, opacity: Float
     inv_det = 1.0 / det
     if lens.antialias:
         opacity = opacity * dr.sqrt(dr.maximum(det_before * inv_det, 1e-12))
-    out = Projected(mean_x, mean_y, (0.5 * LOG2_E) * yy * inv_det, -LOG2_E * xy * inv_det, (0.5 * LOG2_E) * xx * inv_det,
-                     dr.log2(dr.maximum(opacity, MIN_OPACITY)), z, visible, xx, xy, yy, det)
+    out = Projected(
+        mean_x,
+        mean_y,
+        (0.5 * LOG2_E) * yy * inv_det,
+        -LOG2_E * xy * inv_det,
+        (0.5 * LOG2_E) * xx * inv_det,
+        dr.log2(dr.maximum(opacity, MIN_OPACITY)),
+        z,
+        visible,
+        xx,
+        xy,
+        yy,
+        det,
+    )
     if lens.min_radius > 0:
         out.visible = visible & (dr.detach(out).radius >= opaque(lens.min_radius))
     return out

@@ -37,7 +37,9 @@ class Splats:
     def __post_init__(self):
         self.color = list(self.color)
         if not 1 <= len(self.color) <= MAX_CHANNELS:
-            raise DataFormatError(f"'color' has {len(self.color)} channels; 1 to {MAX_CHANNELS} can be drawn in one pass")
+            raise DataFormatError(
+                f"'color' has {len(self.color)} channels; 1 to {MAX_CHANNELS} can be drawn in one pass"
+            )
         n = len(self)
         for name, columns in self._parameters():
             for column in columns:
@@ -48,8 +50,13 @@ class Splats:
         return len(self.opacity)
 
     def _parameters(self):
-        return (("position", list(self.position)), ("rotation", list(self.rotation)), ("scale", list(self.scale)),
-                ("opacity", [self.opacity]), ("color", self.color))
+        return (
+            ("position", list(self.position)),
+            ("rotation", list(self.rotation)),
+            ("scale", list(self.scale)),
+            ("opacity", [self.opacity]),
+            ("color", self.color),
+        )
 
 
 def columns(array, kind=list):
@@ -70,11 +77,20 @@ def require_finite_splats(splats: Splats) -> None:
             bad |= ~dr.isfinite(dr.detach(part))
         if dr.any(bad):
             rows = dr.compress(bad).numpy()
-            raise NonFiniteError(f"'{name}' holds NaN or Inf in {len(rows)} of {len(splats)} rows (first: {rows[:5].tolist()})")
+            raise NonFiniteError(
+                f"'{name}' holds NaN or Inf in {len(rows)} of {len(splats)} rows (first: {rows[:5].tolist()})"
+            )
 
 
-def transient_state(position: Array3f, velocity: Array3f, t_mu: Float, t_sigma: Float, opacity: Float, time_s: float,
-                    dynamic: Bool | None = None) -> tuple[Array3f, Float]:
+def transient_state(
+    position: Array3f,
+    velocity: Array3f,
+    t_mu: Float,
+    t_sigma: Float,
+    opacity: Float,
+    time_s: float,
+    dynamic: Bool | None = None,
+) -> tuple[Array3f, Float]:
     """Position and opacity at a time, differentiable: x0 + (t - t_mu) v and opacity exp(-0.5 ((t - t_mu) / t_sigma)^2).
 
     Args:

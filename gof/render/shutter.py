@@ -8,10 +8,12 @@ from gof.cameras import Camera
 from gof.render.backend import Array3f, Float, opaque
 from gof.render.project import camera_axes
 
-MIN_RELATIVE_SPEED = 0.1    # the readout overtakes a Gaussian with at least this part of its speed in the formula
+MIN_RELATIVE_SPEED = 0.1  # the readout overtakes a Gaussian with at least this part of its speed in the formula
 
 
-def shutter_delay(position: Array3f, velocity: Array3f, camera: Camera, *, exact: bool = True, near: float = 0.01) -> Float:
+def shutter_delay(
+    position: Array3f, velocity: Array3f, camera: Camera, *, exact: bool = True, near: float = 0.01
+) -> Float:
     """Delay after the start of the frame at which each Gaussian is read, s (N,); differentiable.
 
     t = t(p0) / (1 - grad t . v) (paper, supplement "Rolling Shutter"): p0 is the projection at the start of the frame, v

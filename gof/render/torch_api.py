@@ -9,22 +9,52 @@ from gof.cameras import Camera
 from gof.errors import DataFormatError, MissingDependencyError
 from gof.render.backend import Array3f, Array4f, Float, floats
 from gof.render.harmonics import harmonics_color
-from gof.render.native import render_splats
+from gof.render.rasterizer import render_splats
 from gof.render.scene import Splats, require_finite_splats
 
 try:
     import torch
 except ImportError as e:
-    raise MissingDependencyError("gof.render.rasterize works on torch tensors; install torch, or use render_splats without it") from e
+    raise MissingDependencyError(
+        "gof.render.rasterize works on torch tensors; install torch, or use render_splats without it"
+    ) from e
 
-RENDER_MODES = {"RGB": (True, None), "D": (False, "sum"), "ED": (False, "mean"), "RGB+D": (True, "sum"), "RGB+ED": (True, "mean")}
+RENDER_MODES = {
+    "RGB": (True, None),
+    "D": (False, "sum"),
+    "ED": (False, "mean"),
+    "RGB+D": (True, "sum"),
+    "RGB+ED": (True, "mean"),
+}
 
 
-def rasterize(means, quats, scales, opacities, colors, viewmats, Ks, width: int, height: int, *, near_plane: float = 0.01,
-              far_plane: float = 1e10, radius_clip: float = 0.0, eps2d: float = 0.3, sh_degree: int | None = None,
-              backgrounds=None, render_mode: str = "RGB", rasterize_mode: str = "classic", deterministic: bool = False,
-              check_finite: bool = True, packed: bool = True, tile_size: int = 16, channel_chunk: int = 32, sparse_grad: bool = False,
-              absgrad: bool = False):
+def rasterize(
+    means,
+    quats,
+    scales,
+    opacities,
+    colors,
+    viewmats,
+    Ks,
+    width: int,
+    height: int,
+    *,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    radius_clip: float = 0.0,
+    eps2d: float = 0.3,
+    sh_degree: int | None = None,
+    backgrounds=None,
+    render_mode: str = "RGB",
+    rasterize_mode: str = "classic",
+    deterministic: bool = False,
+    check_finite: bool = True,
+    packed: bool = True,
+    tile_size: int = 16,
+    channel_chunk: int = 32,
+    sparse_grad: bool = False,
+    absgrad: bool = False,
+):
     """Draw Gaussians with gsplat's argument names, shapes and camera convention; differentiable.
 
     Args:
@@ -50,41 +80,75 @@ def rasterize(means, quats, scales, opacities, colors, viewmats, Ks, width: int,
     Results are float32 on the CPU whatever the inputs are; gradients have their tensor's type and device.
     """
     if render_mode not in RENDER_MODES or rasterize_mode not in ("classic", "antialiased"):
-        raise DataFormatError(f"render_mode '{render_mode}' is not one of {list(RENDER_MODES)}, or rasterize_mode '{rasterize_mode}' "
-                              "is neither 'classic' nor 'antialiased'")
+        raise DataFormatError(
+            f"render_mode '{render_mode}' is not one of {list(RENDER_MODES)}, or rasterize_mode '{rasterize_mode}' "
+            "is neither 'classic' nor 'antialiased'"
+        )
     if sparse_grad or absgrad:
-        raise DataFormatError("rasterize has dense gradients and no absolute 2D gradients; call it with sparse_grad=False, absgrad=False")
+        raise DataFormatError(
+            "rasterize has dense gradients and no absolute 2D gradients; call it with sparse_grad=False, absgrad=False"
+        )
     n, c = len(means), len(viewmats)
     _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree)
     per_camera = colors.ndim == (3 if sh_degree is None else 4)
-    options = {"size": (width, height), "mode": RENDER_MODES[render_mode], "sh_degree": sh_degree, "radius_clip": radius_clip,
-               "deterministic": deterministic, "check": check_finite,
-               "lens": {"near": near_plane, "far": far_plane, "dilation": eps2d, "antialias": rasterize_mode == "antialiased"}}
+    options = {
+        "size": (width, height),
+        "mode": RENDER_MODES[render_mode],
+        "sh_degree": sh_degree,
+        "radius_clip": radius_clip,
+        "deterministic": deterministic,
+        "check": check_finite,
+        "lens": {"near": near_plane, "far": far_plane, "dilation": eps2d, "antialias": rasterize_mode == "antialiased"},
+    }
     images, alphas, centres, radii = [], [], [], []
-    learns = torch.is_grad_enabled() and any(t.requires_grad for t in (means, quats, scales, opacities, colors, viewmats))
-    means2d = torch.zeros(c, n, 2, requires_grad=learns)    # a leaf that every camera reads, so that autograd fills its .grad
+    learns = torch.is_grad_enabled() and any(
+        t.requires_grad for t in (means, quats, scales, opacities, colors, viewmats)
+    )
+    means2d = torch.zeros(
+        c, n, 2, requires_grad=learns
+    )  # a leaf that every camera reads, so that autograd fills its .grad
     for i in range(c):
         image, alpha, mean2d, radius = _Rasterize.apply(
-            means, quats, scales, opacities, colors[i] if per_camera else colors, viewmats[i],
-            None if backgrounds is None else backgrounds[i], means2d[i], Ks[i], options)
+            means,
+            quats,
+            scales,
+            opacities,
+            colors[i] if per_camera else colors,
+            viewmats[i],
+            None if backgrounds is None else backgrounds[i],
+            means2d[i],
+            Ks[i],
+            options,
+        )
         images.append(image)
         alphas.append(alpha)
         centres.append(mean2d)
         radii.append(radius)
     means2d.data.copy_(torch.stack(centres))
-    return torch.stack(images), torch.stack(alphas), {"means2d": means2d, "radii": torch.stack(radii), "width": width,
-                                                      "height": height, "n_cameras": c}
+    return (
+        torch.stack(images),
+        torch.stack(alphas),
+        {"means2d": means2d, "radii": torch.stack(radii), "width": width, "height": height, "n_cameras": c},
+    )
 
 
 def _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree) -> None:
-    expected = {"means": (means, (n, 3)), "quats": (quats, (n, 4)), "scales": (scales, (n, 3)), "opacities": (opacities, (n,)),
-                "viewmats": (viewmats, (c, 4, 4)), "Ks": (Ks, (c, 3, 3))}
+    expected = {
+        "means": (means, (n, 3)),
+        "quats": (quats, (n, 4)),
+        "scales": (scales, (n, 3)),
+        "opacities": (opacities, (n,)),
+        "viewmats": (viewmats, (c, 4, 4)),
+        "Ks": (Ks, (c, 3, 3)),
+    }
     for name, (tensor, shape) in expected.items():
         if tuple(tensor.shape) != shape:
             raise DataFormatError(f"'{name}' has shape {tuple(tensor.shape)}, expected {shape}")
     tail = 1 if sh_degree is None else 2
     if tuple(colors.shape[:-tail]) not in ((n,), (c, n)):
-        raise DataFormatError(f"'colors' has shape {tuple(colors.shape)}; expected ([{c},] {n}, {'D' if sh_degree is None else 'K, D'})")
+        raise DataFormatError(
+            f"'colors' has shape {tuple(colors.shape)}; expected ([{c},] {n}, {'D' if sh_degree is None else 'K, D'})"
+        )
     if backgrounds is not None and tuple(backgrounds.shape) != (c, colors.shape[-1]):
         raise DataFormatError(f"'backgrounds' has shape {tuple(backgrounds.shape)}, expected {(c, colors.shape[-1])}")
 
@@ -98,7 +162,9 @@ def _columns(tensor) -> list[Float]:
 def _tensor(planes: list[Float], shape: tuple) -> torch.Tensor:
     out = torch.empty(*shape)
     for k, plane in enumerate(planes):
-        out.view(-1, len(planes))[:, k] = torch.from_numpy(np.broadcast_to(dr.detach(plane).numpy(), out.numel() // len(planes)).copy())
+        out.view(-1, len(planes))[:, k] = torch.from_numpy(
+            np.broadcast_to(dr.detach(plane).numpy(), out.numel() // len(planes)).copy()
+        )
     return out
 
 
@@ -114,8 +180,14 @@ class _Rasterize(torch.autograd.Function):
         if background is not None:
             leaves["background"] = [dr.opaque(Float, float(v)) for v in background.detach().reshape(-1)]
         ctx.tensors = {**inputs, "viewmat": viewmat, "background": background}
-        needed = dict(zip(["means", "quats", "scales", "opacities", "colors", "viewmat", "background"], ctx.needs_input_grad, strict=False))
-        needed["means"] |= ctx.needs_input_grad[7]      # keeps the graph alive for the gradient of the 2D means
+        needed = dict(
+            zip(
+                ["means", "quats", "scales", "opacities", "colors", "viewmat", "background"],
+                ctx.needs_input_grad,
+                strict=False,
+            )
+        )
+        needed["means"] |= ctx.needs_input_grad[7]  # keeps the graph alive for the gradient of the 2D means
         for name, arrays in leaves.items():
             if needed[name]:
                 dr.enable_grad(arrays)
@@ -128,13 +200,23 @@ class _Rasterize(torch.autograd.Function):
             d = colors.shape[-1]
             R, t = leaves["viewmat"], [leaves["viewmat"][k] for k in (3, 7, 11)]
             eye = Array3f(*(-sum(R[4 * i + k] * t[i] for i in range(3)) for k in range(3)))
-            color = harmonics_color([color[k * d:(k + 1) * d] for k in range(colors.shape[-2])], position, eye, degree)
+            color = harmonics_color(
+                [color[k * d : (k + 1) * d] for k in range(colors.shape[-2])], position, eye, degree
+            )
         with_color, depth_mode = options["mode"]
         splats = Splats(position, Array4f(*leaves["quats"]), Array3f(*leaves["scales"]), leaves["opacities"][0], color)
         if options["check"]:
             require_finite_splats(splats)
-        frame = render_splats(splats, camera, leaves.get("background"), depth=depth_mode is not None, pose=leaves["viewmat"],
-                              deterministic=options["deterministic"], min_radius=options["radius_clip"], **options["lens"])
+        frame = render_splats(
+            splats,
+            camera,
+            leaves.get("background"),
+            depth=depth_mode is not None,
+            pose=leaves["viewmat"],
+            deterministic=options["deterministic"],
+            min_radius=options["radius_clip"],
+            **options["lens"],
+        )
         planes = list(frame.color) if with_color else []
         if depth_mode:
             planes.append(frame.depth if depth_mode == "sum" else frame.expected_depth)
@@ -147,7 +229,9 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def backward(ctx, g_image, g_alpha, _g_mean2d, _g_radius):
         if ctx.frame is None:
-            raise RuntimeError("rasterize: backward was called twice; call rasterize again (retain_graph is not supported)")
+            raise RuntimeError(
+                "rasterize: backward was called twice; call rasterize again (retain_graph is not supported)"
+            )
         flows = [p for p in ctx.planes if dr.grad_enabled(p)]
         grads = [*_columns(g_image.reshape(-1, g_image.shape[-1])), *_columns(g_alpha.reshape(-1, 1))]
         for plane, grad in zip(ctx.planes, grads, strict=True):
@@ -171,4 +255,3 @@ class _Rasterize(torch.autograd.Function):
         probe = None if mean2d is None else _tensor([mean2d.x, mean2d.y], (len(ctx.tensors["means"]), 2))
         ctx.frame = ctx.leaves = ctx.planes = None
         return (*out, probe, None, None)
-

@@ -15,8 +15,12 @@ def machine() -> dict[str, str]:
     import psutil
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return {"processor": _processor(), "cores": str(cores), "memory": f"{psutil.virtual_memory().total / 2**30:.1f} GiB",
-            "system": f"{platform.system()} {platform.release().split('-')[0]} ({platform.machine()})"}
+    return {
+        "processor": _processor(),
+        "cores": str(cores),
+        "memory": f"{psutil.virtual_memory().total / 2**30:.1f} GiB",
+        "system": f"{platform.system()} {platform.release().split('-')[0]} ({platform.machine()})",
+    }
 
 
 def versions() -> dict[str, str]:
@@ -35,4 +39,7 @@ def versions() -> dict[str, str]:
 def _processor() -> str:
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor() or "unknown")
+    return next(
+        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")),
+        platform.processor() or "unknown",
+    )

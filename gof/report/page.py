@@ -16,7 +16,7 @@ from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.files import atomic_path, read_json, write_json
 from gof.plates import background
-from gof.report import pictures
+from gof.report import animation as pictures
 from gof.report.machine import machine, versions
 from gof.report.velocity import legend
 from gof.stages import StageCost, StageLog, progress_bar
@@ -31,9 +31,17 @@ class Preview:
     frame: int
 
 
-def build_report(out_dir: Path, dataset: Dataset, result: Path, scores: dict[str, Any], stages: Sequence[StageCost | dict] = (),
-                 preview: Preview | None = None, stage_pictures: Path | None = None, camera: int | None = None,
-                 progress: Callable[..., None] | None = None) -> Path:
+def build_report(
+    out_dir: Path,
+    dataset: Dataset,
+    result: Path,
+    scores: dict[str, Any],
+    stages: Sequence[StageCost | dict] = (),
+    preview: Preview | None = None,
+    stage_pictures: Path | None = None,
+    camera: int | None = None,
+    progress: Callable[..., None] | None = None,
+) -> Path:
     """Write out_dir/report.html, and out_dir/pictures/animation.webp and .png for use elsewhere; older ones are replaced.
 
     Args:
@@ -54,7 +62,9 @@ def build_report(out_dir: Path, dataset: Dataset, result: Path, scores: dict[str
     progress = progress or (lambda *a, **k: None)
     camera = len(dataset.cameras) // 2 if camera is None else camera
     plates = [background(dataset, number, result) for number in range(len(dataset.cameras))]
-    animation = pictures.animate(dataset, gaussians, plates[camera], camera, lambda done, total: progress(done, total, stage="animation"))
+    animation = pictures.animate(
+        dataset, gaussians, plates[camera], camera, lambda done, total: progress(done, total, stage="animation")
+    )
     folder = out_dir / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_path(folder / "animation.webp") as temporary:
@@ -64,16 +74,27 @@ def build_report(out_dir: Path, dataset: Dataset, result: Path, scores: dict[str
 
     frame = pictures.brightest_frame(dataset)
     content = {
-        "name": dataset.meta["name"], "dataset": _facts(dataset, gaussians), "animation": animation,
-        "animation_uri": pictures.file_uri(folder / "animation.webp"), "still_uri": pictures.data_uri(folder / "animation.png"),
-        "animation_camera": dataset.cameras[camera].name, "legend_uri": pictures.data_uri(legend(), "png"),
+        "name": dataset.meta["name"],
+        "dataset": _facts(dataset, gaussians),
+        "animation": animation,
+        "animation_uri": pictures.file_uri(folder / "animation.webp"),
+        "still_uri": pictures.data_uri(folder / "animation.png"),
+        "animation_camera": dataset.cameras[camera].name,
+        "legend_uri": pictures.data_uri(legend(), "png"),
         "longest_px_per_frame": animation.longest * dataset.frame_time_s,
-        "views": pictures.three_views(dataset, gaussians, plates, frame), "views_frame": frame,
-        "views_time_ms": 1000 * (dataset.times_s[frame] - dataset.times_s[0]), "views_held_out": frame in dataset.test_frames,
-        "scores": scores, "verdicts": verdicts(scores), "chart": _chart(scores),
+        "views": pictures.three_views(dataset, gaussians, plates, frame),
+        "views_frame": frame,
+        "views_time_ms": 1000 * (dataset.times_s[frame] - dataset.times_s[0]),
+        "views_held_out": frame in dataset.test_frames,
+        "scores": scores,
+        "verdicts": verdicts(scores),
+        "chart": _chart(scores),
         "stages": [asdict(s) if isinstance(s, StageCost) else s for s in stages],
-        "preview": _preview(preview, dataset), "stage_pictures": _stage_pictures(stage_pictures or result.parent / "stages"),
-        "machine": machine(), "versions": versions() | _provenance(dataset), "effects": dataset.meta.get("effects", []),
+        "preview": _preview(preview, dataset),
+        "stage_pictures": _stage_pictures(stage_pictures or result.parent / "stages"),
+        "machine": machine(),
+        "versions": versions() | _provenance(dataset),
+        "effects": dataset.meta.get("effects", []),
     }
     with atomic_path(out_dir / "report.html") as temporary:
         temporary.write_text(_render(content), encoding="utf-8")
@@ -85,32 +106,52 @@ def verdicts(scores: dict[str, Any]) -> list[tuple[bool, str]]:
     out = []
     dve, controls = scores.get("dve"), scores.get("controls", {})
     if dve and dve["l2"] is not None:
-        questions = (("zero", "standing still"), ("random", "moving at the same speed in random directions"),
-                     ("constant", "the best single vector for everything (fitted to the truth)"),
-                     ("height_mean", "the mean velocity of each height (fitted to the truth)"))
+        questions = (
+            ("zero", "standing still"),
+            ("random", "moving at the same speed in random directions"),
+            ("constant", "the best single vector for everything (fitted to the truth)"),
+            ("height_mean", "the mean velocity of each height (fitted to the truth)"),
+        )
         for name, words in questions:
             other = controls.get(name)
             if other and other["l2"] is not None:
                 closer, straighter = dve["l2"] < other["l2"], dve["cos_sim"] > other["cos_sim"]
-                how = {(True, True): "Better than", (False, False): "Not better than", (True, False): "Closer in size, not in direction, than",
-                       (False, True): "Better in direction, not in size, than"}[closer, straighter]
-                out.append((closer and straighter, f"{how} {words}: L2 {dve['l2']:.3f} against {other['l2']:.3f}, "
-                                                   f"CosSim {dve['cos_sim']:.3f} against {other['cos_sim']:.3f}."))
+                how = {
+                    (True, True): "Better than",
+                    (False, False): "Not better than",
+                    (True, False): "Closer in size, not in direction, than",
+                    (False, True): "Better in direction, not in size, than",
+                }[closer, straighter]
+                out.append(
+                    (
+                        closer and straighter,
+                        f"{how} {words}: L2 {dve['l2']:.3f} against {other['l2']:.3f}, "
+                        f"CosSim {dve['cos_sim']:.3f} against {other['cos_sim']:.3f}.",
+                    )
+                )
         gain = dve["speed_ratio"]
         out.append((0.8 <= gain <= 1.25, f"Speeds are {gain:.2f} times the true ones."))
     if scores.get("psnr_flame") is not None:
         gain = scores["psnr_flame"] - scores["psnr_flame_plate"]
-        out.append((gain > 0, f"On flame pixels of held-out frames, {abs(gain):.1f} dB {'above' if gain > 0 else 'below'} the "
-                              "fire-free plate alone."))
+        out.append(
+            (
+                gain > 0,
+                f"On flame pixels of held-out frames, {abs(gain):.1f} dB {'above' if gain > 0 else 'below'} the "
+                "fire-free plate alone.",
+            )
+        )
     return out
 
 
 def _facts(dataset: Dataset, gaussians: TransientGaussians) -> dict[str, str]:
     camera, frame_s = dataset.cameras[0], dataset.frame_time_s
-    return {"cameras": f"{len(dataset.cameras)}, {camera.width} x {camera.height} px",
-            "frames": f"{len(dataset.times_s)} ({len(dataset.test_frames)} held out)"
-                      + (f" at {1 / frame_s:.4g} per second" if frame_s else ""),
-            "Gaussians": f"{len(gaussians):,}" + ("" if gaussians.dynamic.all() else f" ({int(gaussians.dynamic.sum()):,} dynamic)")}
+    return {
+        "cameras": f"{len(dataset.cameras)}, {camera.width} x {camera.height} px",
+        "frames": f"{len(dataset.times_s)} ({len(dataset.test_frames)} held out)"
+        + (f" at {1 / frame_s:.4g} per second" if frame_s else ""),
+        "Gaussians": f"{len(gaussians):,}"
+        + ("" if gaussians.dynamic.all() else f" ({int(gaussians.dynamic.sum()):,} dynamic)"),
+    }
 
 
 def _chart(scores: dict[str, Any]) -> dict[str, Any] | None:
@@ -133,10 +174,16 @@ def _chart(scores: dict[str, Any]) -> dict[str, Any] | None:
             lines, line = [*lines, line], []
         else:
             line.append(f"{xk:.1f},{y(f['l2'])}")
-    return {"lines": [" ".join(part) for part in [*lines, line] if part], "zero": y(0), "one": y(1.0),
-            "constant": None if constant is None else y(constant),
-            "constant_label": None if constant is None else y(constant) + (13 if np.mean(values) > constant else -5),  # clear of the line
-            "end_ms": round(1000 * (times[-1] - times[0]))}
+    return {
+        "lines": [" ".join(part) for part in [*lines, line] if part],
+        "zero": y(0),
+        "one": y(1.0),
+        "constant": None if constant is None else y(constant),
+        "constant_label": None
+        if constant is None
+        else y(constant) + (13 if np.mean(values) > constant else -5),  # clear of the line
+        "end_ms": round(1000 * (times[-1] - times[0])),
+    }
 
 
 def _preview(preview: Preview | None, dataset: Dataset) -> dict[str, Any] | None:
@@ -145,8 +192,12 @@ def _preview(preview: Preview | None, dataset: Dataset) -> dict[str, Any] | None
     if not preview.image.is_file():
         raise DataFormatError(f"{preview.image}: no such picture; render the Blender preview first")
     truth = pictures.to_bytes(dataset.image(preview.camera, preview.frame))
-    return {"truth": pictures.data_uri(pictures.enlarge(truth, pictures.factor_for(truth.shape[1]))),
-            "image": pictures.data_uri(preview.image), "camera": dataset.cameras[preview.camera].name, "frame": preview.frame}
+    return {
+        "truth": pictures.data_uri(pictures.enlarge(truth, pictures.factor_for(truth.shape[1]))),
+        "image": pictures.data_uri(preview.image),
+        "camera": dataset.cameras[preview.camera].name,
+        "frame": preview.frame,
+    }
 
 
 def _stage_pictures(folder: Path) -> list[tuple[str, str]]:
@@ -154,18 +205,29 @@ def _stage_pictures(folder: Path) -> list[tuple[str, str]]:
     if not (folder / "captions.json").exists():
         return []
     captions = read_json(folder / "captions.json")
-    return [(caption, pictures.data_uri(folder / name)) for name, caption in captions.items() if (folder / name).is_file()]
+    return [
+        (caption, pictures.data_uri(folder / name)) for name, caption in captions.items() if (folder / name).is_file()
+    ]
 
 
 def _provenance(dataset: Dataset) -> dict[str, str]:
-    return {f"dataset: {k}": str(v) for k, v in dataset.meta.get("provenance", {}).items() if isinstance(v, str | int | float)}
+    return {
+        f"dataset: {k}": str(v)
+        for k, v in dataset.meta.get("provenance", {}).items()
+        if isinstance(v, str | int | float)
+    }
 
 
 def _render(content: dict[str, Any]) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    environment = Environment(loader=PackageLoader("gof.report", "."), autoescape=True, undefined=StrictUndefined,
-                              trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        loader=PackageLoader("gof.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters["number"] = lambda value, digits=3: "n/a" if value is None else f"{value:.{digits}f}"
     environment.filters["duration"] = lambda s: f"{s:.1f} s" if s < 100 else f"{int(s // 60)} min {int(s % 60)} s"
     return environment.get_template("template.html").render(content)
@@ -195,9 +257,13 @@ def main(argv: list[str]) -> int:
     """The command line of `gof report`."""
     config = tyro.cli(ReportConfig, prog="gof report", args=argv)
     out = config.out_dir
-    result = config.result or next((p for p in (out / "result.npz", out / "reconstruct/result.npz") if p.exists()), out / "result.npz")
+    result = config.result or next(
+        (p for p in (out / "result.npz", out / "reconstruct/result.npz") if p.exists()), out / "result.npz"
+    )
     if not (out / "scores.json").exists():
-        raise DataFormatError(f"{out}/scores.json: no such file; run 'gof evaluate {result} --truth DATASET --out {out}' first")
+        raise DataFormatError(
+            f"{out}/scores.json: no such file; run 'gof evaluate {result} --truth DATASET --out {out}' first"
+        )
     dataset = Dataset.open(config.dataset or out / "dataset")
     logs = dict.fromkeys(folder.resolve() for folder in (dataset.path, result.parent, out))
     stages = [stage for folder in logs for stage in StageLog(folder / "costs.json").stages()]
@@ -207,10 +273,20 @@ def main(argv: list[str]) -> int:
         try:
             preview = Preview(out / p["image"], int(p["camera"]), int(p["frame"]))
         except (KeyError, TypeError, ValueError) as e:
-            raise DataFormatError(f"{out}/preview.json: expected image, camera and frame ({type(e).__name__}: {e})") from e
+            raise DataFormatError(
+                f"{out}/preview.json: expected image, camera and frame ({type(e).__name__}: {e})"
+            ) from e
     with progress_bar("report") as progress:
-        path = build_report(out, dataset, result, read_json(out / "scores.json"), stages, preview, camera=config.camera,
-                            progress=progress)
+        path = build_report(
+            out,
+            dataset,
+            result,
+            read_json(out / "scores.json"),
+            stages,
+            preview,
+            camera=config.camera,
+            progress=progress,
+        )
     if config.json:
         write_json(config.json, {"report": str(path), "bytes": path.stat().st_size})
     print(f"{path} ({path.stat().st_size / 2**20:.1f} MB)")

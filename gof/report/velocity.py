@@ -27,7 +27,9 @@ def living(gaussians: TransientGaussians, time_s: float) -> TransientGaussians:
     return gaussians[gaussians.dynamic & (opacity > 1 / 512)]
 
 
-def screen_velocity(gaussians: TransientGaussians, camera: Camera, time_s: float, velocity: np.ndarray | None = None) -> ScreenVelocity:
+def screen_velocity(
+    gaussians: TransientGaussians, camera: Camera, time_s: float, velocity: np.ndarray | None = None
+) -> ScreenVelocity:
     """Render the Gaussians' velocity J v instead of their colour.
 
     Args:
@@ -49,7 +51,9 @@ def screen_velocity(gaussians: TransientGaussians, camera: Camera, time_s: float
     out = render(TransientGaussians(**values), camera, time_s)
     alpha = out["alpha"]
     seen = alpha > 1e-4
-    return ScreenVelocity(np.where(seen[..., None], out["color"][..., :2] / np.where(seen, alpha, 1)[..., None], 0), alpha)
+    return ScreenVelocity(
+        np.where(seen[..., None], out["color"][..., :2] / np.where(seen, alpha, 1)[..., None], 0), alpha
+    )
 
 
 def direction_colors(flow: np.ndarray, longest: float) -> np.ndarray:
@@ -62,9 +66,22 @@ def direction_colors(flow: np.ndarray, longest: float) -> np.ndarray:
     hue = np.arctan2(flow[..., 1], flow[..., 0]) + np.deg2rad(UP_HUE + 90)  # image y points down: up is -90 degrees
     lightness, chroma = 0.22 + 0.55 * length, 0.145 * length
     lab = np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], -1)
-    lms = (lab @ np.array([[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.2914855480]]).T) ** 3
-    rgb = lms @ np.array([[4.0767416621, -3.3077115913, 0.2309699292], [-1.2684380046, 2.6097574011, -0.3413193965],
-                          [-0.0041960863, -0.7034186147, 1.7076147010]]).T
+    lms = (
+        lab
+        @ np.array(
+            [[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.2914855480]]
+        ).T
+    ) ** 3
+    rgb = (
+        lms
+        @ np.array(
+            [
+                [4.0767416621, -3.3077115913, 0.2309699292],
+                [-1.2684380046, 2.6097574011, -0.3413193965],
+                [-0.0041960863, -0.7034186147, 1.7076147010],
+            ]
+        ).T
+    )
     rgb = np.clip(rgb, 0, 1)
     return np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 1e-9) ** (1 / 2.4) - 0.055)
 
@@ -76,10 +93,14 @@ def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray
         longest: px/s of full brightness; an arrow of that speed reaches its neighbour.
         scale: whole factor by which the panel is larger than the picture.
     """
-    color = direction_colors(velocity.flow, longest) * velocity.alpha[..., None] + GROUND * (1 - velocity.alpha[..., None])
+    color = direction_colors(velocity.flow, longest) * velocity.alpha[..., None] + GROUND * (
+        1 - velocity.alpha[..., None]
+    )
     height, width = velocity.alpha.shape
     spacing_px = width / ARROWS_ACROSS
-    panel = cv2.resize((color * 255 + 0.5).astype(np.uint8), (scale * width, scale * height), interpolation=cv2.INTER_CUBIC)
+    panel = cv2.resize(
+        (color * 255 + 0.5).astype(np.uint8), (scale * width, scale * height), interpolation=cv2.INTER_CUBIC
+    )
     for y in np.arange(spacing_px / 2, height, spacing_px):
         for x in np.arange(spacing_px / 2, width, spacing_px):
             i, j = int(y), int(x)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from blender_addon.spec import Clip, Domain, Render, SceneSpec
+from gof_blender.pure.spec import Clip, Domain, Render, SceneSpec
 
 TOY = SceneSpec(
     "toy",

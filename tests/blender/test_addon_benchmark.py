@@ -9,14 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark import generate
-from blender_addon import costs, report
-from blender_addon import spec as scene_spec
-from blender_addon.job import Job, JobError, expected_s, stages
-from blender_addon.layout import Layout
-from blender_addon.scene.effects import video_compression
 from gof.dataset import Dataset
 from gof.stages import StageLog
+from gof_benchmark.commands import generate
+from gof_blender.pure import cost_model as costs
+from gof_blender.pure import report
+from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.dataset_process import Job, JobError, expected_s, stages
+from gof_blender.pure.layout import Layout
+from gof_blender.scene.effects import video_compression
 from tests.blender.runs import TOY
 from tests.blender.test_addon_fire import in_addon
 
@@ -53,9 +54,14 @@ def made(tmp_path_factory) -> Layout:
 def test_dataset_of_the_users_scene(made):
     dataset = Dataset.open(made.root)
     assert (dataset.meta["name"], dataset.meta["effects"]) == ("cube fire", ["vorticity", "wind"])
-    assert dataset.meta["spec"]["blend_file"] == {"path": "background.blend", "empty": "Fire"}, "the folder can be moved"
+    assert dataset.meta["spec"]["blend_file"] == {"path": "background.blend", "empty": "Fire"}, (
+        "the folder can be moved"
+    )
     assert dataset.meta["display"]["view_transform"] == "AgX", "as the user's scene"
-    assert dataset.velocity.at(0.0).velocity.shape == (12, 12, 24, 3) and dataset.velocity.at(0.02).velocity[..., 2].max() > 0.3
+    assert (
+        dataset.velocity.at(0.0).velocity.shape == (12, 12, 24, 3)
+        and dataset.velocity.at(0.02).velocity[..., 2].max() > 0.3
+    )
     heights = [camera.position[2] for camera in dataset.cameras]
     np.testing.assert_allclose(heights, [0.9, 1.1, 0.9], atol=1e-5)
     assert dataset.static(1)[-1].mean() > 1.3 * dataset.static(1)[0].mean(), "the lit cube is below, the world above"
@@ -98,7 +104,9 @@ def test_a_stopped_job_goes_on(tmp_path):
     assert fractions == sorted(fractions) and 0.2 < fractions[-1] < 1
     before = {path: path.stat().st_mtime_ns for path in layout.root.glob("cameras/*/exr/0*.exr")}
     Job(TOY, layout, PYTHON).run()
-    assert all(path.stat().st_mtime_ns == then for path, then in before.items()), "finished pictures were not made again"
+    assert all(path.stat().st_mtime_ns == then for path, then in before.items()), (
+        "finished pictures were not made again"
+    )
     assert Dataset.open(layout.root).meta["spec"] == TOY.to_dict()
     assert "stopped in render" in layout.job_log.read_text() and layout.job_log.read_text().count("bake ...") == 1
 
@@ -115,8 +123,8 @@ def test_a_job_ends_with_the_process_that_started_it(tmp_path):
 import time
 from pathlib import Path
 from blender_addon import spec
-from blender_addon.job import Job
-from blender_addon.layout import Layout
+from gof_blender.pure.dataset_process import Job
+from gof_blender.pure.layout import Layout
 layout = Layout(Path({str(layout.root)!r}))
 job = Job(spec.load(layout.spec), layout, {PYTHON!r})
 while job.poll():
@@ -203,7 +211,10 @@ def test_costs_add_up(tmp_path):
     for seconds, peak in ((2.0, 300.0), (1.0, 200.0)):
         costs.record(path, "bake", seconds, peak, {"steps": 5})
     costs.record(path, "render", 4.0, 100.0, {})
-    assert [(s.name, s.seconds, s.peak_mb) for s in StageLog(path).stages()] == [("bake", 3.0, 300.0), ("render", 4.0, 100.0)]
+    assert [(s.name, s.seconds, s.peak_mb) for s in StageLog(path).stages()] == [
+        ("bake", 3.0, 300.0),
+        ("render", 4.0, 100.0),
+    ]
     assert json.loads(path.read_text())["wall_s"] == 7.0
 
 

@@ -15,10 +15,10 @@ def fail(*what):  # the wheel hangs in its normal exit after a fire
 sys.excepthook = fail
 import numpy as np
 import blender_addon
-from blender_addon.records import SpecError
-from blender_addon.scene import place
-from blender_addon.ui import scene_spec
-blender_addon.register()
+from gof_blender.pure.checked_json import SpecError
+from gof_blender.scene import place
+from gof_blender.ui import scene_spec
+gof_blender.register()
 scene = bpy.context.scene
 fire = scene.gof.fire
 def message(call):
@@ -65,7 +65,7 @@ def test_only_what_is_chosen_is_in_the_scene():
 def test_parts_are_those_the_generator_builds():
     found = in_addon("""
         from dataclasses import replace
-        from blender_addon.scene import build
+        from gof_blender.scene import build
         fire.fuel, fire.shape, fire.radius = "wood", "logs", 0.2
         fire.cameras.eval_count, fire.cameras.focal_mm = 1, 35
         bpy.ops.gof.add_fire(); bpy.ops.gof.add_cameras()
@@ -139,7 +139,7 @@ def test_edits_of_the_objects_are_read_back():
         bpy.context.view_layer.update()
         spec = scene_spec.of_scene(scene)
         result["spec"] = spec.to_dict()
-        from blender_addon.scene import rig
+        from gof_blender.scene import rig
         to_ours = place.to_our_world(marker.matrix_world, 1.0)
         result["poses"] = max(np.abs(np.array(to_ours @ camera.matrix_world) - np.array(pose)).max()
                               for camera, pose in zip(place.cameras(scene), rig.poses(spec.cameras)))

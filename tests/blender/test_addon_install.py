@@ -49,7 +49,9 @@ def built(tmp_path_factory) -> Path:
 def run(command: list[str], user: Path) -> str:
     """A Blender with an empty user folder; returns what it printed, which is the install log."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("BLENDER_")}
-    done = subprocess.run(command, env=environment | {"BLENDER_USER_RESOURCES": str(user)}, capture_output=True, text=True)
+    done = subprocess.run(
+        command, env=environment | {"BLENDER_USER_RESOURCES": str(user)}, capture_output=True, text=True
+    )
     print(done.stdout, done.stderr)
     assert "INSTALLED" in done.stdout
     assert "Traceback" not in done.stderr and "Warning" not in done.stdout
@@ -59,7 +61,9 @@ def run(command: list[str], user: Path) -> str:
 def test_versions_agree_and_a_wrong_one_is_named(monkeypatch):
     assert build_addon.version() == gof.__version__
     real = build_addon.constant
-    monkeypatch.setattr(build_addon, "constant", lambda path, name: "9.9.9" if name == "__version__" else real(path, name))
+    monkeypatch.setattr(
+        build_addon, "constant", lambda path, name: "9.9.9" if name == "__version__" else real(path, name)
+    )
     with pytest.raises(SystemExit, match=r"blender_manifest\.toml: version is .*, gof\.__version__ is 9\.9\.9"):
         build_addon.version()
 
@@ -68,8 +72,14 @@ def test_zip_holds_the_sources_and_nothing_else_and_is_reproducible(built, tmp_p
     with zipfile.ZipFile(built) as archive:
         names = archive.namelist()
     assert names == sorted(names) and {name.split("/")[0] for name in names} == {build_addon.NAME}
-    assert {Path(name).suffix for name in names} == {".py", ".toml", ""} and not any("__pycache__" in name for name in names)
-    assert {"gaussians_on_fire/__init__.py", "gaussians_on_fire/blender_manifest.toml", "gaussians_on_fire/LICENSE"} <= set(names)
+    assert {Path(name).suffix for name in names} == {".py", ".toml", ""} and not any(
+        "__pycache__" in name for name in names
+    )
+    assert {
+        "gaussians_on_fire/__init__.py",
+        "gaussians_on_fire/blender_manifest.toml",
+        "gaussians_on_fire/LICENSE",
+    } <= set(names)
     assert build_addon.build(tmp_path).read_bytes() == built.read_bytes()
 
 
@@ -84,7 +94,19 @@ def test_only_numpy_and_blender_are_imported(built):
     """What the sources import: the standard library, numpy, and what every Blender has."""
     import ast
 
-    known = {*sys.stdlib_module_names, "numpy", "bpy", "bpy_extras", "mathutils", "gpu", "gpu_extras", "bl_math", "OpenImageIO", "openvdb", "_cycles"}
+    known = {
+        *sys.stdlib_module_names,
+        "numpy",
+        "bpy",
+        "bpy_extras",
+        "mathutils",
+        "gpu",
+        "gpu_extras",
+        "bl_math",
+        "OpenImageIO",
+        "openvdb",
+        "_cycles",
+    }
     for path in build_addon.files():
         if path.suffix != ".py":
             continue
@@ -97,7 +119,9 @@ def test_only_numpy_and_blender_are_imported(built):
 def test_blenders_own_check_accepts_the_zip(built):
     bpy = pytest.importorskip("bpy", reason="the validator comes with Blender")
     scripts = Path(bpy.__file__).resolve().parents[2]
-    check = scripts / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"  # what `blender --command extension validate` runs
+    check = (
+        scripts / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"
+    )  # what `blender --command extension validate` runs
     done = subprocess.run([sys.executable, str(check), "validate", str(built)], capture_output=True, text=True)
     assert done.returncode == 0 and "Success" in done.stdout, done.stdout + done.stderr
 
@@ -113,4 +137,7 @@ def test_installs_as_an_extension(built, tmp_path):
 def test_installs_into_the_blender_application(built, tmp_path):
     """Debian 12's is 3.4, which takes the zip as a legacy add-on."""
     script = INSTALL.replace("ZIP", repr(str(built)), 1)
-    run([shutil.which("blender"), "-b", "--factory-startup", "--python-exit-code", "1", "--python-expr", script], tmp_path)
+    run(
+        [shutil.which("blender"), "-b", "--factory-startup", "--python-exit-code", "1", "--python-expr", script],
+        tmp_path,
+    )

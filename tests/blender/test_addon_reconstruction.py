@@ -27,11 +27,11 @@ sys.excepthook = stop
 import bpy
 import numpy as np
 import blender_addon
-from blender_addon.scene import point_cloud
+from gof_blender.scene import point_cloud
 
 folder = Path(sys.argv[-1])
 bpy.ops.wm.read_factory_settings(use_empty=True)
-blender_addon.register()
+gof_blender.register()
 scene = bpy.context.scene
 scene.render.fps = 50
 
@@ -93,7 +93,9 @@ def at(result: TransientGaussians, time_s: float) -> tuple[np.ndarray, np.ndarra
 
 
 def test_every_format_and_every_mode(folder):
-    found = in_blender(LOOK + """
+    found = in_blender(
+        LOOK
+        + """
 scene.frame_set(26)
 for name, options in (("result.npz", {}), ("result.ply", {}), ("clip.ftgs.ply", {"clip_seconds": 1.0}), ("sequence/0001.ply", {})):
     bpy.ops.gof.import_result(filepath=str(folder / name), **options)
@@ -113,11 +115,16 @@ settings = scene.gof.reconstruction
 for mode in ("ellipsoids", "arrows", "streaks", "points"):
     settings.mode = mode
     result[mode] = [type(drawn(bpy.context.object)[0]).__name__, settings.mode]
-""", folder)
+""",
+        folder,
+    )
     result = TransientGaussians.load(folder / "result.npz")
     shown = len(at(result, 0.5)[0])
     assert found["result.npz"] == ["result", shown] and found["result.ply"] == ["result.001", shown]
-    assert found["clip.ftgs.ply"][1] > shown / 2 and found["sequence/0001.ply"] == ["0001", (result.opacity >= 1 / 255).sum()]
+    assert found["clip.ftgs.ply"][1] > shown / 2 and found["sequence/0001.ply"] == [
+        "0001",
+        (result.opacity >= 1 / 255).sum(),
+    ]
     mean = result.position[result.opacity >= 1 / 255].mean(0).astype(float)
     for frame, steps in ((1, 1), (3.5, 1.5), (8, 2.4)):  # 10 files and 50 frames per second
         assert found[f"sequence at {frame}"] == pytest.approx(mean + 0.1 * steps, abs=1e-4)
@@ -129,7 +136,9 @@ for mode in ("ellipsoids", "arrows", "streaks", "points"):
 
 
 def test_arrows_and_streaks_are_the_way_of_line_time(folder):
-    found = in_blender(LOOK + """
+    found = in_blender(
+        LOOK
+        + """
 bpy.ops.gof.import_result(filepath=str(folder / "one.npz"))
 thing = bpy.context.object
 cloud = point_cloud.inputs(thing)
@@ -149,7 +158,9 @@ for vectors in ("true velocity", "error"):
     result[vectors] = place[np.linalg.norm(place, axis=1).argmax()].tolist()
 cloud["Time Scale"] = 0.5
 result["velocity"] = values(drawn(thing)[0], "velocity", 3)[0].tolist()
-""", one_gaussian(folder, velocity=[0, 1.2, 1.6]))
+""",
+        one_gaussian(folder, velocity=[0, 1.2, 1.6]),
+    )
     assert found["arrows"] == pytest.approx([0, 0.5, 0.5 * 0.09], abs=1e-5)  # 2 m/s for 0.25 s
     assert found["streaks"] == pytest.approx([-0.5, 0, 0.3 * 0.02], abs=1e-5)
     assert found["true velocity"] == pytest.approx([0, 0, 0.25], abs=1e-5)
@@ -158,13 +169,24 @@ result["velocity"] = values(drawn(thing)[0], "velocity", 3)[0].tolist()
 
 
 def one_gaussian(folder: Path, velocity=(0, 0, 0), t_sigma=np.inf) -> Path:
-    TransientGaussians(position=[[0, 0, 0]], velocity=[velocity], t_mu=[0], t_sigma=[t_sigma], scale=[[0.02] * 3],
-                       rotation=[[1, 0, 0, 0]], opacity=[1], color=[[1, 0.5, 0.25]], dynamic=[True]).save(folder / "one.npz")
+    TransientGaussians(
+        position=[[0, 0, 0]],
+        velocity=[velocity],
+        t_mu=[0],
+        t_sigma=[t_sigma],
+        scale=[[0.02] * 3],
+        rotation=[[1, 0, 0, 0]],
+        opacity=[1],
+        color=[[1, 0.5, 0.25]],
+        dynamic=[True],
+    ).save(folder / "one.npz")
     return folder
 
 
 def test_colours_opacity_cut_share_and_emission(folder):
-    found = in_blender(LOOK + """
+    found = in_blender(
+        LOOK
+        + """
 bpy.ops.gof.import_result(filepath=str(folder / "result.npz"))
 thing, settings = bpy.context.object, scene.gof.reconstruction
 cloud = point_cloud.inputs(thing)
@@ -196,12 +218,16 @@ result["share"] = state(thing)[1].tolist()
 scene.frame_set(27)
 scene.frame_set(26)
 result["share again"] = state(thing)[1].tolist()
-""", folder)
+""",
+        folder,
+    )
     result = TransientGaussians.load(folder / "result.npz")
     speed = np.linalg.norm(result.velocity[result.dynamic], axis=1)
     assert found["speed"][0] == 0 and np.percentile(speed, 90) < found["speed"][1] <= speed.max()
     assert found["age"][0] == -found["age"][1] < 0 < found["lifetime"][0] < found["lifetime"][1] < 0.5
-    assert [found[color][2] for color in ("speed", "age", "lifetime", "error")] == [0] * 4  # a colour map lights nothing
+    assert [found[color][2] for color in ("speed", "age", "lifetime", "error")] == [
+        0
+    ] * 4  # a colour map lights nothing
     assert found["order"] == [1, 1] and found["poll"] and found["fitted"] and found["same again"]
     assert found["emission"][0] < 1e-4 and found["emission"][1] == 0.25
     opacity = at(result, 0.5)[1]
@@ -210,13 +236,25 @@ result["share again"] = state(thing)[1].tolist()
     assert set(found["share"]) < set(found["cut"])
 
 
-@pytest.mark.parametrize("name, options, message", [
-    ("nothing.npz", "", "no such file"), ("readme.txt", "", "unknown suffix"), ("empty", "", "no numbered"),
-    ("truncated.ply", "", "truncated"), ("cut.npz", "", "not a readable npz"), ("none.npz", "", "0 points"),
-    ("nan.npz", "", "must be finite"), ("clip.ftgs.ply", "", "set Clip Length"), ("huge.ply", "", "Set Every n-th to 5 or more"),
-    ("huge.ply", "step=3", "tick Import However Many")])
+@pytest.mark.parametrize(
+    "name, options, message",
+    [
+        ("nothing.npz", "", "no such file"),
+        ("readme.txt", "", "unknown suffix"),
+        ("empty", "", "no numbered"),
+        ("truncated.ply", "", "truncated"),
+        ("cut.npz", "", "not a readable npz"),
+        ("none.npz", "", "0 points"),
+        ("nan.npz", "", "must be finite"),
+        ("clip.ftgs.ply", "", "set Clip Length"),
+        ("huge.ply", "", "Set Every n-th to 5 or more"),
+        ("huge.ply", "step=3", "tick Import However Many"),
+    ],
+)
 def test_bad_input_is_an_error_and_changes_nothing(folder, bad_files, name, options, message):
-    found = in_blender(LOOK + f"""
+    found = in_blender(
+        LOOK
+        + f"""
 bpy.ops.mesh.primitive_cube_add()
 before = everything()
 try:
@@ -224,7 +262,9 @@ try:
 except RuntimeError as error:
     result["error"] = str(error)
 result["same"] = everything() == before and bpy.context.object.name == "Cube"
-""", bad_files)
+""",
+        bad_files,
+    )
     assert message in found["error"] and (name in found["error"] or name == "huge.ply")
     assert found["same"] and "answer" not in found
 
@@ -253,14 +293,16 @@ def bad_files(folder) -> Path:
 
 
 def test_undo_register_twice_save_append_and_link(folder, tmp_path):
-    found = in_blender(LOOK + """
+    found = in_blender(
+        LOOK
+        + """
 for _ in range(2):
-    blender_addon.unregister()
-    blender_addon.register()
+    gof_blender.unregister()
+    gof_blender.register()
 result["property"] = hasattr(scene, "gof") and hasattr(bpy.types, "GOF_PT_reconstruction")
-blender_addon.unregister()
+gof_blender.unregister()
 result["gone"] = not hasattr(scene, "gof") and not hasattr(bpy.types, "GOF_PT_reconstruction")
-blender_addon.register()
+gof_blender.register()
 
 bpy.ops.ed.undo_push(message="start")
 before = everything()
@@ -295,7 +337,9 @@ for link in (False, True):
     bpy.context.scene.collection.objects.link(thing)
     bpy.context.scene.frame_set(26)
     result["linked" if link else "appended"] = [same(thing), thing.name, len(bpy.data.scenes), point_cloud.inputs(thing)["Start Frame"]]
-""", folder_with(folder, tmp_path))
+""",
+        folder_with(folder, tmp_path),
+    )
     assert found["property"] and found["gone"] and found["undone"]
     assert found["count"] > 100 and found["reloaded"]
     assert found["appended"] == found["linked"] == [True, "Campfire", 1, 1.0]
@@ -309,11 +353,11 @@ def folder_with(folder: Path, tmp_path: Path) -> Path:
 def test_drop_and_menu():
     found = in_blender("""
 import blender_addon
-blender_addon.register()
+gof_blender.register()
 handler = bpy.types.GOF_FH_result
 result["drop"] = [handler.bl_import_operator, handler.bl_file_extensions, handler.poll_drop(bpy.context)]
 result["menu"] = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
-blender_addon.unregister()
+gof_blender.unregister()
 result["menu after"] = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
 """)
     assert found["drop"] == ["gof.import_result", ".npz;.ply", False]  # no area without a window
@@ -324,7 +368,10 @@ result["menu after"] = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
 def test_debians_blender(folder, tmp_path):
     """Blender 3.4: import by operator, all modes, the same positions and opacities."""
     script = tmp_path / "look.py"
-    script.write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n" + LOOK + """
+    script.write_text(
+        f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n"
+        + LOOK
+        + """
 bpy.ops.gof.import_result(filepath=str(folder / "result.npz"), start_frame=-4.5)
 thing = bpy.context.object
 from mathutils import Matrix
@@ -339,10 +386,16 @@ for mode in ("ellipsoids", "arrows", "streaks"):
     counts.append(len(state(thing)[1]))
 scene.gof.reconstruction.color = "speed"
 np.savez(folder / "seen.npz", place=place, alpha=alpha, counts=counts, version=bpy.app.version)
-blender_addon.unregister()
-""")
-    run = subprocess.run([BLENDER, "-b", "--factory-startup", "--python-exit-code", "1", "--python", str(script), "--",
-                          str(folder)], capture_output=True, text=True, timeout=120, cwd=tmp_path)
+gof_blender.unregister()
+"""
+    )
+    run = subprocess.run(
+        [BLENDER, "-b", "--factory-startup", "--python-exit-code", "1", "--python", str(script), "--", str(folder)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
+    )
     assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
     seen = np.load(folder / "seen.npz")
     position, opacity = at(TransientGaussians.load(folder / "result.npz"), 14.75 / 40)

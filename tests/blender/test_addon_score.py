@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_addon.evaluation import Evaluation, EvaluationError
-from blender_addon.io.velocity_store import VelocityWriter
 from gof.dataset import Dataset
 from gof.evaluate.dve import dve_sequence
 from gof.gaussians import TransientGaussians
+from gof_blender.pure.io.velocity_store import VelocityWriter
+from gof_blender.pure.score_process import Evaluation, EvaluationError
 from tests.blender.runs import in_blender
 from tests.conftest import arc, random_gaussians, write_dataset
 
@@ -20,7 +20,7 @@ import os, sys, traceback
 from pathlib import Path
 import numpy as np
 import blender_addon
-from blender_addon.scene import point_cloud
+from gof_blender.scene import point_cloud
 
 def stop(*error):  # a Python process with bpy may hang at its end
     traceback.print_exception(*error)
@@ -30,7 +30,7 @@ def stop(*error):  # a Python process with bpy may hang at its end
 sys.excepthook = stop
 folder, python = Path(sys.argv[1]), sys.argv[2]
 bpy.ops.wm.read_factory_settings(use_empty=True)
-blender_addon.register()
+gof_blender.register()
 scene = bpy.context.scene
 scene.render.fps = 100
 bpy.ops.gof.import_result(filepath=str(folder / "result.npz"))
@@ -65,7 +65,9 @@ def folder(tmp_path_factory) -> Path:
 
 
 def test_score_is_that_of_the_library(folder):
-    found = in_blender(START + """
+    found = in_blender(
+        START
+        + """
 result["poll before"] = bpy.ops.gof.score.poll()
 settings.dataset, settings.python = str(folder / "dataset"), python
 result["answer"] = list(bpy.ops.gof.score())
@@ -73,15 +75,24 @@ result["numbers"] = settings.numbers.splitlines()
 bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scored.blend"))
 bpy.ops.wm.open_mainfile(filepath=str(folder / "scored.blend"))
 result["kept"] = bpy.context.scene.gof.score.numbers.splitlines() == result["numbers"]
-""", folder, sys.executable)
+""",
+        folder,
+        sys.executable,
+    )
     assert found["answer"] == ["FINISHED"] and not found["poll before"] and found["kept"]
     dataset = Dataset.open(folder / "dataset")
-    wanted = dve_sequence(TransientGaussians.load(folder / "result.npz"), dataset.velocity, dataset.velocity.times_s, 3, "temporal").to_dict()
-    assert f"DVE L2: {wanted['l2']:.3f}" in found["numbers"] and f"DVE CosSim: {wanted['cos_sim']:.3f}" in found["numbers"]
+    wanted = dve_sequence(
+        TransientGaussians.load(folder / "result.npz"), dataset.velocity, dataset.velocity.times_s, 3, "temporal"
+    ).to_dict()
+    assert (
+        f"DVE L2: {wanted['l2']:.3f}" in found["numbers"] and f"DVE CosSim: {wanted['cos_sim']:.3f}" in found["numbers"]
+    )
 
 
 def test_errors_at_the_centres_and_their_views(folder):
-    found = in_blender(START + """
+    found = in_blender(
+        START
+        + """
 settings.dataset = str(folder / "dataset")
 thing.location = (5, 0, 0)  # the cloud's own coordinates count
 thing.rotation_euler.z = 0.3
@@ -96,7 +107,10 @@ result["apart"] = [list(thing.matrix_world.inverted() @ views[name].matrix_world
                    ("result Error", "result True Velocity", "result Error Arrows")] if bpy.context.view_layer.update() is None else None
 bpy.context.view_layer.objects.active = views["result Error"]
 result["poll of a view"] = bpy.ops.gof.show_errors.poll()
-""", folder, sys.executable)
+""",
+        folder,
+        sys.executable,
+    )
     result = TransientGaussians.load(folder / "result.npz")
     inside = (np.arange(80) >= 10) & result.dynamic
     true = np.column_stack([np.zeros(80), result.position[:, 1], 1 + 10 * np.clip(result.t_mu, 0, 0.03)])
@@ -104,24 +118,39 @@ result["poll of a view"] = bpy.ops.gof.show_errors.poll()
     own = np.where(result.dynamic[:, None], result.velocity, 0)
     assert np.allclose(np.array(found["true"])[~inside], own[~inside])  # nothing to compare with: no error
     error = np.linalg.norm(result.velocity - true, axis=1)[inside]
-    assert f"of {inside.sum()} Gaussians" in found["text"] and f"median error {np.median(error):.2f} m/s" in found["text"]
+    assert (
+        f"of {inside.sum()} Gaussians" in found["text"] and f"median error {np.median(error):.2f} m/s" in found["text"]
+    )
     fastest = found["views"]["result Error"][3]
     assert found["views"] == {
-        "result": [0, 0, 0, 1.0], "result Error": [0, 4, 0, fastest],
-        "result True Velocity": [2, 1, 1, fastest], "result Error Arrows": [2, 4, 2, fastest]}
+        "result": [0, 0, 0, 1.0],
+        "result Error": [0, 4, 0, fastest],
+        "result True Velocity": [2, 1, 1, fastest],
+        "result Error Arrows": [2, 4, 2, fastest],
+    }
     assert found["shared"] == [1, 1] and found["poll of a view"]
     steps = np.array(found["apart"])
-    assert np.allclose(steps[:, 1:], 0, atol=1e-5) and np.allclose(steps[:, 0] / steps[0, 0], [1, 2, 3]) and steps[0, 0] > 1
+    assert (
+        np.allclose(steps[:, 1:], 0, atol=1e-5)
+        and np.allclose(steps[:, 0] / steps[0, 0], [1, 2, 3])
+        and steps[0, 0] > 1
+    )
 
 
-@pytest.mark.parametrize("setup, message", [
-    ("settings.python = ''", "Set Python to the one that has gof"),
-    ("settings.python = '/nowhere/python'", "cannot be run"),
-    ("settings.python = str(folder / 'bare' / 'bin' / 'python')", "this Python has no gof; install it there"),
-    ("settings.dataset = str(folder)", "dataset.json"),
-    ("del thing['gof_source']", "import the reconstruction again")])
+@pytest.mark.parametrize(
+    "setup, message",
+    [
+        ("settings.python = ''", "Set Python to the one that has gof"),
+        ("settings.python = '/nowhere/python'", "cannot be run"),
+        ("settings.python = str(folder / 'bare' / 'bin' / 'python')", "this Python has no gof; install it there"),
+        ("settings.dataset = str(folder)", "dataset.json"),
+        ("del thing['gof_source']", "import the reconstruction again"),
+    ],
+)
 def test_what_is_missing_is_said(folder, bare_python, setup, message):
-    found = in_blender(START + f"""
+    found = in_blender(
+        START
+        + f"""
 settings.dataset, settings.python = str(folder / "dataset"), python
 {setup}
 try:
@@ -129,7 +158,10 @@ try:
 except RuntimeError as error:
     result["error"] = str(error)
 result["numbers"] = settings.numbers
-""", folder, sys.executable)
+""",
+        folder,
+        sys.executable,
+    )
     assert message in found["error"] and found["numbers"] == ""
 
 

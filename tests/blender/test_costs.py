@@ -6,11 +6,11 @@ from dataclasses import replace
 import psutil
 import pytest
 
-from benchmark import costs
-from benchmark.generate import load_scene
-from blender_addon.scene.effects import fine_noise, motion_blur, rolling_shutter, smoke
-from blender_addon.spec import PRESETS
 from gof.errors import GofError
+from gof_benchmark.commands.generate import load_scene
+from gof_benchmark.generator import machine as costs
+from gof_blender.pure.spec import PRESETS
+from gof_blender.scene.effects import fine_noise, motion_blur, rolling_shutter, smoke
 
 DEMO = load_scene("demo")
 
@@ -30,8 +30,15 @@ def test_presets_rise_in_cost():
     assert set(PRESETS) == {"toy", "preview", "draft", "standard", "paper"}
 
 
-@pytest.mark.parametrize("effect, stage", [(fine_noise.Settings(), "bake_s"), (motion_blur.Settings(), "bake_s"),
-                                           (rolling_shutter.Settings(), "render_s"), (smoke.Settings(), "render_s")])  # fmt: skip
+@pytest.mark.parametrize(
+    "effect, stage",
+    [
+        (fine_noise.Settings(), "bake_s"),
+        (motion_blur.Settings(), "bake_s"),
+        (rolling_shutter.Settings(), "render_s"),
+        (smoke.Settings(), "render_s"),
+    ],
+)
 def test_listed_effects_cost_and_others_do_not(effect, stage):
     with_it = replace(DEMO, effects=(*DEMO.effects, effect))
     assert getattr(predicted(with_it), stage) > 1.3 * getattr(predicted(DEMO), stage)
@@ -42,7 +49,10 @@ def test_too_large_is_refused_with_advice(tmp_path):
     with pytest.raises(GofError, match=r"lower domain\.resolution from 2048 to") as error:
         costs.refuse_if_too_large(huge, tmp_path)
     advice = int(str(error.value).split(" to ")[1].split(",")[0])
-    assert predicted(replace(DEMO, domain=replace(DEMO.domain, resolution=advice))).memory_mb < 0.9 * psutil.virtual_memory().total / 2**20
+    assert (
+        predicted(replace(DEMO, domain=replace(DEMO.domain, resolution=advice))).memory_mb
+        < 0.9 * psutil.virtual_memory().total / 2**20
+    )
 
 
 def test_full_disk_is_seen_before_it_is_full(tmp_path, monkeypatch):

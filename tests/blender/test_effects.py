@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark import generate
-from blender_addon import spec as scene_spec
-from blender_addon.layout import Layout
-from blender_addon.scene import effects
-from blender_addon.scene.effects import (
+from gof.dataset import Dataset
+from gof_benchmark.commands import generate
+from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.layout import Layout
+from gof_blender.scene import effects
+from gof_blender.scene.effects import (
     clock,
     exposure,
     fine_noise,
@@ -24,7 +25,6 @@ from blender_addon.scene.effects import (
     sensor_noise,
     video_compression,
 )
-from gof.dataset import Dataset
 from tests.blender.runs import TOY, channels, in_blender
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
@@ -40,8 +40,14 @@ def run(spec, folder: Path) -> Layout:
 @pytest.fixture(scope="module")
 def camera_run(tmp_path_factory) -> Layout:
     """Everything that happens in a camera, at once."""
-    listed = (motion_blur.Settings(0.5), rolling_shutter.Settings(0.01), clock.Settings(0.003), exposure.Settings(0.5),
-              sensor_noise.Settings(), video_compression.Settings("lossless"))  # fmt: skip
+    listed = (
+        motion_blur.Settings(0.5),
+        rolling_shutter.Settings(0.01),
+        clock.Settings(0.003),
+        exposure.Settings(0.5),
+        sensor_noise.Settings(),
+        video_compression.Settings("lossless"),
+    )
     spec = replace(TOY, clip=CLIP, effects=listed, cameras=replace(TOY.cameras, count=2, eval_count=1))
     return run(spec, tmp_path_factory.mktemp("camera"))
 
@@ -52,7 +58,9 @@ def gas_run(tmp_path_factory) -> Layout:
     ball = obstacles.Obstacle("box", (0.0, 0.0, 0.7), (0.48, 0.48, 0.3))
     listed = (fine_noise.Settings(), obstacles.Settings((ball,)), moving_emitter.Settings(0.1, 0.4))
     domain = replace(TOY.domain, resolution=24)
-    spec = replace(TOY, clip=replace(CLIP, warm_up_frames=22), domain=domain, effects=listed, ground_truth=("grids", "flow", "vdb"))
+    spec = replace(
+        TOY, clip=replace(CLIP, warm_up_frames=22), domain=domain, effects=listed, ground_truth=("grids", "flow", "vdb")
+    )
     return run(spec, tmp_path_factory.mktemp("gas"))
 
 
@@ -71,7 +79,7 @@ def test_grids_flow_and_vdb_are_written_when_listed(gas_run, camera_run):
     found = in_blender(
         """
         import numpy as np
-        from blender_addon.scene import images  # puts Blender's own Python packages on the path
+        from gof_blender.scene import images  # puts Blender's own Python packages on the path
         import openvdb
         grids, _ = openvdb.readAll(sys.argv[1])
         for grid in grids:
@@ -89,7 +97,11 @@ def test_grids_flow_and_vdb_are_written_when_listed(gas_run, camera_run):
         gas_run.vdb(2),
     )
     cell = field.index_to_world[0, 0]
-    np.testing.assert_allclose(found["velocity"], field.index_to_world[:3, 3] + [[cell / 2] * 3, [1.5 * cell, 2.5 * cell, 3.5 * cell]], atol=1e-5)
+    np.testing.assert_allclose(
+        found["velocity"],
+        field.index_to_world[:3, 3] + [[cell / 2] * 3, [1.5 * cell, 2.5 * cell, 3.5 * cell]],
+        atol=1e-5,
+    )
     np.testing.assert_allclose(found["values"], field.velocity[3:9, 3:9, :12].astype(float), atol=5e-3)
     assert {"flame", "heat", "velocity"} <= set(found["blender"])
     assert not (camera_run.root / "grids").exists() and not (camera_run.root / "vdb").exists(), "only where listed"
@@ -113,8 +125,8 @@ def test_lines_are_the_weighted_sum_of_the_steps_they_see(camera_run):
         import numpy as np
         from pathlib import Path
         from blender_addon import shutter, spec as scene_spec
-        from blender_addon.layout import Layout
-        from blender_addon.scene import render
+        from gof_blender.pure.layout import Layout
+        from gof_blender.scene import render
         mantaflow.enable()
         layout = Layout(Path(sys.argv[1]))
         spec = scene_spec.load(layout.spec)
@@ -135,7 +147,9 @@ def test_lines_are_the_weighted_sum_of_the_steps_they_see(camera_run):
         camera_run.root,
     )
     assert found["steps"] >= 4 and found["largest"] > 0.5
-    assert len({found[f"step {step}"] for step in range(found["steps"])}) == found["steps"], "every step is another instant"
+    assert len({found[f"step {step}"] for step in range(found["steps"])}) == found["steps"], (
+        "every step is another instant"
+    )
     assert found["error"] < 0.02 * found["largest"]
 
 
@@ -148,7 +162,9 @@ def test_pictures_went_through_a_codec_and_light_did_not(camera_run):
         assert camera_run.video(name).stat().st_size > 500
         # Even a "lossless" video halves the resolution of colour; grey values stay.
         decoded = [cv2.imread(str(camera_run.frame(name, k).rgb), cv2.IMREAD_GRAYSCALE).astype(float) for k in range(3)]
-        before = [cv2.imread(str(camera_run.uncompressed(name, k)), cv2.IMREAD_GRAYSCALE).astype(float) for k in range(3)]
+        before = [
+            cv2.imread(str(camera_run.uncompressed(name, k)), cv2.IMREAD_GRAYSCALE).astype(float) for k in range(3)
+        ]
         errors = np.array([[np.abs(a - b).mean() for b in before] for a in decoded])
         assert 0 < np.diag(errors).max() < 3, "changed, and by little"
         assert (errors.argmin(1) == range(3)).all(), "frames keep their place"
@@ -195,7 +211,7 @@ def test_noise_and_motion_reach_the_bake_and_nothing_else_does(gas_run, camera_r
     found = in_blender(
         """
         import numpy as np
-        from blender_addon.scene import fire
+        from gof_blender.scene import fire
         mantaflow.enable()
         bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
         for frame in (1, 6):
@@ -242,8 +258,8 @@ bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
 
 
 def test_a_users_blend_file_is_the_background(tmp_path):
-    from blender_addon.records import SpecError
-    from blender_addon.spec import BlendFile
+    from gof_blender.pure.checked_json import SpecError
+    from gof_blender.pure.spec import BlendFile
 
     subprocess.run([sys.executable, "-c", FOREIGN, str(tmp_path / "room.blend")], check=True, capture_output=True)
     spec = replace(TOY, clip=CLIP, background="blend_file", blend_file=BlendFile("room.blend", "Hearth"))
@@ -263,11 +279,19 @@ def test_a_users_blend_file_is_the_background(tmp_path):
     np.testing.assert_allclose(np.array(found["Wall"])[:3, 3], [0.0, 2.0, 0.5], atol=1e-5)
     np.testing.assert_allclose(np.array(found["Post"])[:3, 3], [0.0, -0.5, 0.1], atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(np.array(found["Wall"])[:3, :3], axis=0), [0.1, 6.0, 4.0], rtol=1e-5)
-    assert np.linalg.norm(np.array(found["Child"])[:3, 3] - np.array(found["Post"])[:3, 3]) == pytest.approx(1.0, rel=0.01)
-    assert found["lamp"] == pytest.approx(300.0) and found["cameras"] == ["cam_0", "cam_1", "cam_2"] and found["scenes"] == 1
+    assert np.linalg.norm(np.array(found["Child"])[:3, 3] - np.array(found["Post"])[:3, 3]) == pytest.approx(
+        1.0, rel=0.01
+    )
+    assert (
+        found["lamp"] == pytest.approx(300.0)
+        and found["cameras"] == ["cam_0", "cam_1", "cam_2"]
+        and found["scenes"] == 1
+    )
     frame, plate = channels(layout.frame("cam_1", 2).exr), channels(layout.static_exr("cam_1"))
     depth = frame["Z"][frame["Z"].shape[0] // 2, frame["Z"].shape[1] // 2]
-    assert depth == pytest.approx(2.8 + 1.95 / np.cos(np.arctan2(0.15, 2.8)), rel=0.03), "the wall is where it should be"
+    assert depth == pytest.approx(2.8 + 1.95 / np.cos(np.arctan2(0.15, 2.8)), rel=0.03), (
+        "the wall is where it should be"
+    )
     # The screen shines in the picture once, from the plate, and is not flame.
     lit = plate["R"] > 2.0
     assert lit.any() and frame["flame.R"][lit].max() < 0.05

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from blender_addon.io import FileFormatError
-from blender_addon.io.cloud import SH_C0
-from blender_addon.io.gaussians_file import Clock, count, load
 from gof.gaussians import TransientGaussians
+from gof_blender.pure.io import FileFormatError
+from gof_blender.pure.io.cloud import SH_C0
+from gof_blender.pure.io.gaussians_file import Clock, count, load
 
 N = 40
 
@@ -16,9 +16,16 @@ def gaussians(color_shape=(3,)) -> TransientGaussians:
     t_sigma = rng.uniform(0.01, 0.2, N)
     t_sigma[::7] = np.inf
     return TransientGaussians(
-        position=rng.normal(size=(N, 3)), velocity=rng.normal(size=(N, 3)), t_mu=rng.uniform(0, 1, N), t_sigma=t_sigma,
-        scale=rng.uniform(1e-3, 0.1, (N, 3)), rotation=rng.normal(size=(N, 4)), opacity=rng.uniform(0, 1, N),
-        color=rng.uniform(0, 1, (N, *color_shape)), dynamic=rng.uniform(size=N) > 0.3)
+        position=rng.normal(size=(N, 3)),
+        velocity=rng.normal(size=(N, 3)),
+        t_mu=rng.uniform(0, 1, N),
+        t_sigma=t_sigma,
+        scale=rng.uniform(1e-3, 0.1, (N, 3)),
+        rotation=rng.normal(size=(N, 4)),
+        opacity=rng.uniform(0, 1, N),
+        color=rng.uniform(0, 1, (N, *color_shape)),
+        dynamic=rng.uniform(size=N) > 0.3,
+    )
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".ply"])
@@ -60,19 +67,28 @@ def with_value(shape, value, fill=0.5):
     return array
 
 
-@pytest.mark.parametrize("changes, message", [
-    ({"schema": None}, "schema is 'none'"), ({"schema": "gof-trajectory/1"}, "gof-trajectory/1"),
-    ({"v": None}, r"\['v'\] are missing"), ({"rgb": None}, "rgb or sh"),
-    ({"x0": with_value((N, 3), np.nan)}, r"'position' must be finite .*rows \[2\]"),
-    ({"v": with_value((N, 3), np.inf)}, "'velocity' must be finite"),
-    ({"t_sigma_s": with_value(N, np.nan)}, "'t_sigma' must be finite"),
-    ({"t_sigma_s": with_value(N, 0)}, "'t_sigma' must be > 0"),
-    ({"scale": with_value((N, 3), -1)}, "'scale' must be > 0"), ({"alpha": with_value(N, 1.5)}, "'opacity' must be in"),
-    ({"rotation": with_value((N, 4), 0)}, "quaternion"), ({"t_mu_s": np.zeros(3)}, r"'t_mu' has shape \(3,\)"),
-    ({"x0": np.zeros((0, 3))}, "0 points"), ({"x0": np.array(1.0)}, "0 points"),
-    ({"scale": np.full((N, 3), "big")}, "expected numbers"),
-    ({"x0": np.full((N, 3), 1e300)}, "'position' must be finite"),
-    ({"rgb": None, "sh": np.zeros((N, 3))}, "'sh' has shape")])
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"schema": None}, "schema is 'none'"),
+        ({"schema": "gof-trajectory/1"}, "gof-trajectory/1"),
+        ({"v": None}, r"\['v'\] are missing"),
+        ({"rgb": None}, "rgb or sh"),
+        ({"x0": with_value((N, 3), np.nan)}, r"'position' must be finite .*rows \[2\]"),
+        ({"v": with_value((N, 3), np.inf)}, "'velocity' must be finite"),
+        ({"t_sigma_s": with_value(N, np.nan)}, "'t_sigma' must be finite"),
+        ({"t_sigma_s": with_value(N, 0)}, "'t_sigma' must be > 0"),
+        ({"scale": with_value((N, 3), -1)}, "'scale' must be > 0"),
+        ({"alpha": with_value(N, 1.5)}, "'opacity' must be in"),
+        ({"rotation": with_value((N, 4), 0)}, "quaternion"),
+        ({"t_mu_s": np.zeros(3)}, r"'t_mu' has shape \(3,\)"),
+        ({"x0": np.zeros((0, 3))}, "0 points"),
+        ({"x0": np.array(1.0)}, "0 points"),
+        ({"scale": np.full((N, 3), "big")}, "expected numbers"),
+        ({"x0": np.full((N, 3), 1e300)}, "'position' must be finite"),
+        ({"rgb": None, "sh": np.zeros((N, 3))}, "'sh' has shape"),
+    ],
+)
 def test_broken_npz(tmp_path, changes, message):
     with pytest.raises(FileFormatError, match=f"result.npz: .*{message}"):
         load(npz(tmp_path, **changes))
@@ -92,13 +108,20 @@ def test_truncated(tmp_path, suffix, keep):
         load(file)
 
 
-@pytest.mark.parametrize("old, new, message", [
-    (b"ply\n", b"plx\n", "not a PLY"), (b"binary_little_endian", b"ascii", "not a binary PLY"),
-    (b"element vertex", b"element face", "first element"), (b"element vertex 40", b"element vertex 99999999", "truncated"),
-    (b"element vertex 40", b"element vertex 0", "0 points"), (b"element vertex 40", b"element vertex -3", "first element"),
-    (b"property float vx", b"property float ux", r"\['vx'\] are missing"),
-    (b"property float vx", b"property float vy", "broken"),
-    (b"property float vx", b"property list uchar int vx", "not a plain number")])
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        (b"ply\n", b"plx\n", "not a PLY"),
+        (b"binary_little_endian", b"ascii", "not a binary PLY"),
+        (b"element vertex", b"element face", "first element"),
+        (b"element vertex 40", b"element vertex 99999999", "truncated"),
+        (b"element vertex 40", b"element vertex 0", "0 points"),
+        (b"element vertex 40", b"element vertex -3", "first element"),
+        (b"property float vx", b"property float ux", r"\['vx'\] are missing"),
+        (b"property float vx", b"property float vy", "broken"),
+        (b"property float vx", b"property list uchar int vx", "not a plain number"),
+    ],
+)
 def test_broken_ply(tmp_path, old, new, message):
     file = gaussians().save(tmp_path / "result.ply")
     data = file.read_bytes()
@@ -185,8 +208,8 @@ def test_sequence_of_plys(tmp_path, as_folder):
     first = slice(0, N)
     halfway = cloud.position[first] + 0.1 * cloud.velocity[first]
     assert np.allclose(halfway, (states[3].position + states[5].position) / 2, atol=1e-6)
-    assert np.array_equal(cloud.position[N:2 * N], states[5].position)
-    assert (cloud.end[:N] == cloud.begin[N:2 * N]).all()  # never two at once, never none
+    assert np.array_equal(cloud.position[N : 2 * N], states[5].position)
+    assert (cloud.end[:N] == cloud.begin[N : 2 * N]).all()  # never two at once, never none
 
 
 def test_sequence_whose_gaussians_change(tmp_path):

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark import generate
-from blender_addon import spec as scene_spec
-from blender_addon.layout import Layout
-from blender_addon.scene.effects import smoke, vorticity, wind
-from blender_addon.spec import SceneSpec
 from gof.dataset import Dataset
 from gof.errors import GofError
+from gof_benchmark.commands import generate
+from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.layout import Layout
+from gof_blender.pure.spec import SceneSpec
+from gof_blender.scene.effects import smoke, vorticity, wind
 from tests.blender.runs import TOY, channels, in_blender
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
@@ -37,7 +37,9 @@ def toy(tmp_path_factory) -> Layout:
     )
     costs = json.loads((folder / "costs.json").read_text())
     walls = {stage["name"]: stage["settings"]["wall_s"] for stage in costs["stages"]}
-    assert sorted(walls) == ["bake", "finish", "ground-truth", "render"], "and no stage for an effect that is not listed"
+    assert sorted(walls) == ["bake", "finish", "ground-truth", "render"], (
+        "and no stage for an effect that is not listed"
+    )
     assert max(walls.values()) <= costs["wall_s"] < sum(stage["seconds"] for stage in costs["stages"]) + 20
     return Layout(folder / "toy")
 
@@ -51,7 +53,7 @@ def worker(layout: Layout, stage: str) -> list[str]:
     return [
         sys.executable,
         "-m",
-        "blender_addon.generate",
+        "gof_blender.worker.generate",
         "--spec",
         str(layout.spec),
         "--out",
@@ -129,7 +131,7 @@ def test_plate_plus_fire_is_the_full_render(toy):
     found = in_blender(
         """
         import numpy as np, pathlib
-        from blender_addon.scene import render, rig, images
+        from gof_blender.scene import render, rig, images
         from blender_addon import spec as scene_spec
         mantaflow.enable()
         bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
@@ -176,7 +178,7 @@ def test_cameras_agree_with_blender(tmp_path, roll):
         from bpy_extras.object_utils import world_to_camera_view
         from mathutils import Vector
         from blender_addon import spec as scene_spec
-        from blender_addon.scene import build, rig
+        from gof_blender.scene import build, rig
         spec = scene_spec.load(sys.argv[1])
         build.scene(spec)
         bpy.context.view_layer.update()
@@ -274,7 +276,7 @@ def test_only_listed_effects_are_built(tmp_path):
     found = in_blender(
         """
         from blender_addon import spec as scene_spec
-        from blender_addon.scene import build
+        from gof_blender.scene import build
         for name in ("none", "all"):
             fire = build.scene(scene_spec.load(f"{sys.argv[1]}/{name}.json"))
             settings = fire.domain_settings
@@ -299,6 +301,10 @@ def test_only_listed_effects_are_built(tmp_path):
         == {"smoke": 0, "vorticity": 0, "flame_vorticity": 0, "reads_density": False, "fields": [], "wind_to": None}
         | always
     )
-    assert found["all"]["smoke"] == pytest.approx(0.5 * TOY.fuel.soot) and found["all"]["reads_density"] and found["all"]["fields"] == ["WIND"]
+    assert (
+        found["all"]["smoke"] == pytest.approx(0.5 * TOY.fuel.soot)
+        and found["all"]["reads_density"]
+        and found["all"]["fields"] == ["WIND"]
+    )
     np.testing.assert_allclose(found["all"]["wind_to"], [np.cos(np.pi / 6), 0.5, 0], atol=1e-6)
     np.testing.assert_allclose(found["all"]["vorticity"], vorticity.Settings().gas * 25 / 60, rtol=1e-6)

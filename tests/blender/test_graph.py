@@ -12,18 +12,29 @@ from pathlib import Path
 import psutil
 import pytest
 
-from blender_addon import spec as scene_spec
-from blender_addon.layout import Layout
 from gof.dataset import Dataset
+from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.layout import Layout
 from tests.blender.runs import TOY
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
-SPEC = replace(TOY, name="graph", clip=replace(TOY.clip, frames=16, warm_up_frames=8), domain=replace(TOY.domain, resolution=64))
+SPEC = replace(
+    TOY, name="graph", clip=replace(TOY.clip, frames=16, warm_up_frames=8), domain=replace(TOY.domain, resolution=64)
+)
 
 
 def start(folder: Path, *options) -> tuple[subprocess.Popen, Layout]:
     scene_spec.save(SPEC, folder / "spec.json")
-    command = [sys.executable, "-m", "gof", "generate", str(folder / "spec.json"), "--out", str(folder / "data"), *options]
+    command = [
+        sys.executable,
+        "-m",
+        "gof",
+        "generate",
+        str(folder / "spec.json"),
+        "--out",
+        str(folder / "data"),
+        *options,
+    ]
     log = open(folder / "log.txt", "w")
     return subprocess.Popen(command, stdout=log, stderr=log), Layout(folder / "data")
 
@@ -41,7 +52,9 @@ def wait_until(condition, process: subprocess.Popen, seconds: float = 180) -> No
 
 
 def renderers(process: subprocess.Popen) -> list[psutil.Process]:
-    return [p for p in psutil.Process(process.pid).children(recursive=True) if p.is_running() and "serve" in p.cmdline()]
+    return [
+        p for p in psutil.Process(process.pid).children(recursive=True) if p.is_running() and "serve" in p.cmdline()
+    ]
 
 
 def check_complete(layout: Layout, before: dict[Path, int]) -> None:
@@ -69,11 +82,23 @@ def test_pictures_follow_the_bake_and_survive_kill_9_of_the_renderer(tmp_path):
 
 @pytest.mark.slow
 def test_dask_workers_of_their_own_and_kill_9_of_one(tmp_path):
-    scheduler = subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"],
-                                 stderr=subprocess.PIPE, text=True)  # fmt: skip
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
         address = next(m.group() for line in scheduler.stderr if (m := re.search(r"tcp://[\d.]+:\d+", line)))
-        worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        worker = [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            address,
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+        ]
         workers = [subprocess.Popen(worker, stderr=subprocess.DEVNULL, cwd=os.getcwd()) for _ in range(2)]
         try:
             process, layout = start(tmp_path, "--scheduler", address)

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from blender_addon.spec import SceneSpec
 from gof.gaussians import TransientGaussians
+from gof_blender.pure.spec import SceneSpec
 
 ROOT = Path(__file__).resolve().parents[2]
 FRAME = 2
 LOOK = """
 import json, sys
 import bpy
-from blender_addon.mantaflow import leave
+from gof_blender.scene.mantaflow import leave
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 scene, thing = bpy.context.scene, bpy.data.objects["Flame Gaussians"]
 def count():
@@ -37,9 +37,20 @@ def run(*arguments) -> subprocess.CompletedProcess:
 
 
 def run_import(folder: Path, **changes) -> subprocess.CompletedProcess:
-    options = {"result": folder / "result.npz", "dataset": folder / "dataset", "blend": folder / "out" / "scene.blend",
-               "preview": folder / "out" / "preview.png", "frame": FRAME, "mode": "points", "samples": 4} | changes
-    return run("-m", "blender_addon.import_result", *(part for key, value in options.items() for part in (f"--{key}", value)))
+    options = {
+        "result": folder / "result.npz",
+        "dataset": folder / "dataset",
+        "blend": folder / "out" / "scene.blend",
+        "preview": folder / "out" / "preview.png",
+        "frame": FRAME,
+        "mode": "points",
+        "samples": 4,
+    } | changes
+    return run(
+        "-m",
+        "gof_blender.worker.import_result",
+        *(part for key, value in options.items() for part in (f"--{key}", value)),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +66,16 @@ def folder(tmp_path_factory, spec) -> Path:
     (folder / "dataset" / "dataset.json").write_text(json.dumps(description))
     rng, n = np.random.default_rng(0), 400
     TransientGaussians(
-        position=rng.uniform([-0.1, -0.1, 0.3], [0.1, 0.1, 0.9], (n, 3)), velocity=np.tile([0, 0, 1.0], (n, 1)),
-        t_mu=rng.uniform(0, 4 / spec.clip.fps, n), t_sigma=np.full(n, 5 / spec.clip.fps), scale=np.full((n, 3), 0.03),
-        rotation=np.tile([1.0, 0, 0, 0], (n, 1)), opacity=np.full(n, 0.3), color=np.tile([1.0, 0.6, 0.1], (n, 1)),
-        dynamic=np.ones(n, bool)).save(folder / "result.npz")
+        position=rng.uniform([-0.1, -0.1, 0.3], [0.1, 0.1, 0.9], (n, 3)),
+        velocity=np.tile([0, 0, 1.0], (n, 1)),
+        t_mu=rng.uniform(0, 4 / spec.clip.fps, n),
+        t_sigma=np.full(n, 5 / spec.clip.fps),
+        scale=np.full((n, 3), 0.03),
+        rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
+        opacity=np.full(n, 0.3),
+        color=np.tile([1.0, 0.6, 0.1], (n, 1)),
+        dynamic=np.ones(n, bool),
+    ).save(folder / "result.npz")
     return folder
 
 
@@ -77,8 +94,8 @@ def test_blend_and_preview(done, folder, spec):
     height, width = (int(side * spec.render.percentage / 100) for side in spec.cameras.sensor_px)
     assert picture.shape == (height, width, 3)
     # The flame stands in the middle of the picture, orange and brighter than what is beside it.
-    middle = picture[int(0.35 * height):int(0.6 * height), int(0.45 * width):int(0.55 * width)].mean((0, 1))
-    side = picture[int(0.35 * height):int(0.6 * height), : int(0.2 * width)].mean((0, 1))
+    middle = picture[int(0.35 * height) : int(0.6 * height), int(0.45 * width) : int(0.55 * width)].mean((0, 1))
+    side = picture[int(0.35 * height) : int(0.6 * height), : int(0.2 * width)].mean((0, 1))
     assert middle[0] > 0.6 and middle[0] > middle[1] + 0.1 > middle[2] + 0.2, middle
     assert middle[0] > side[0] + 0.2, (middle, side)
 
@@ -101,9 +118,15 @@ def test_existing_files_are_kept(done, folder):
     assert (folder / "out" / "scene.blend").stat().st_mtime_ns == before
 
 
-@pytest.mark.parametrize("changes, message", [
-    ({"result": "nothing.npz"}, "nothing.npz: no such file"), ({"dataset": "tests"}, "dataset.json: no such file"),
-    ({"frame": 4}, "has frames 0 to 3"), ({"camera": "cam_9"}, "has cam_0, cam_1, cam_2")])
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"result": "nothing.npz"}, "nothing.npz: no such file"),
+        ({"dataset": "tests"}, "dataset.json: no such file"),
+        ({"frame": 4}, "has frames 0 to 3"),
+        ({"camera": "cam_9"}, "has cam_0, cam_1, cam_2"),
+    ],
+)
 def test_errors(folder, changes, message):
     result = run_import(folder, blend=folder / "new" / "scene.blend", preview=folder / "new" / "preview.png", **changes)
     assert result.returncode == 2 and message in result.stderr
@@ -111,9 +134,15 @@ def test_errors(folder, changes, message):
     assert not (folder / "new").exists()
 
 
-@pytest.mark.parametrize("text, message", [("{", "not readable as JSON"), ("{}", "not a 'gof-dataset'"),
-                                           ('{"schema": "gof-dataset"}', "no scene spec"),
-                                           ('{"schema": "gof-dataset", "spec": {}}', "gof-scene")])
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("{", "not readable as JSON"),
+        ("{}", "not a 'gof-dataset'"),
+        ('{"schema": "gof-dataset"}', "no scene spec"),
+        ('{"schema": "gof-dataset", "spec": {}}', "gof-scene"),
+    ],
+)
 def test_foreign_dataset(folder, tmp_path, text, message):
     (tmp_path / "dataset.json").write_text(text)
     result = run_import(folder, dataset=tmp_path, blend=tmp_path / "scene.blend", preview=tmp_path / "preview.png")

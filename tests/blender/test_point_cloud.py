@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_addon.io import gaussians_file
-from blender_addon.io.cloud import GaussianCloud
 from gof.gaussians import TransientGaussians
+from gof_blender.pure.io import gaussians_file
+from gof_blender.pure.io.cloud import GaussianCloud
 
 ROOT = Path(__file__).resolve().parents[2]
 START, FPS, CUT_OFF, EXTENT = 81, 100, 1 / 255, 2.5
@@ -21,15 +21,17 @@ from pathlib import Path
 import bpy
 import numpy as np
 from mathutils import Euler, Matrix
-from blender_addon.io import gaussians_file
-from blender_addon.mantaflow import leave
-from blender_addon.scene import display, point_cloud
+from gof_blender.pure.io import gaussians_file
+from gof_blender.scene.mantaflow import leave
+from gof_blender.scene import display, point_cloud
 
 folder = Path(sys.argv[1])
 bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene
 """
-EVALUATE = COMMON + """
+EVALUATE = (
+    COMMON
+    + """
 scene.render.fps = 100
 out = {}
 
@@ -77,7 +79,10 @@ except ValueError as error:
 np.savez(folder / "seen.npz", **out)
 leave()
 """
-RENDER = COMMON + """
+)
+RENDER = (
+    COMMON
+    + """
 scene.render.fps, scene.render.engine = 100, "CYCLES"
 scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 1024, False, "BOX"
 scene.render.resolution_x = scene.render.resolution_y = 48
@@ -116,19 +121,25 @@ shown["column"] = [display.display_values(pixels[..., c].ravel(), scene).tolist(
 (folder / "shown.json").write_text(json.dumps(shown))
 leave()
 """
+)
 
 
 def run(script: str, *arguments) -> None:
-    result = subprocess.run([sys.executable, "-c", script, *map(str, arguments)], cwd=ROOT, capture_output=True, text=True,
-                            timeout=300)
+    result = subprocess.run(
+        [sys.executable, "-c", script, *map(str, arguments)], cwd=ROOT, capture_output=True, text=True, timeout=300
+    )
     assert result.returncode == 0, result.stdout[-1500:] + result.stderr[-2500:]
 
 
 def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
     w, x, y, z = quaternion
-    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -138,9 +149,16 @@ def cloud(tmp_path_factory) -> tuple[GaussianCloud, Path]:
     t_sigma = rng.uniform(0.01, 0.08, n)
     t_sigma[:20] = np.inf
     TransientGaussians(
-        position=rng.uniform(-1, 1, (n, 3)), velocity=rng.normal(size=(n, 3)), t_mu=rng.uniform(-0.05, 0.4, n), t_sigma=t_sigma,
-        scale=rng.uniform(0.01, 0.05, (n, 3)), rotation=rng.normal(size=(n, 4)), opacity=rng.uniform(0.05, 1, n),
-        color=rng.uniform(0, 1, (n, 3)), dynamic=np.arange(n) % 10 > 0).save(folder / "result.npz")
+        position=rng.uniform(-1, 1, (n, 3)),
+        velocity=rng.normal(size=(n, 3)),
+        t_mu=rng.uniform(-0.05, 0.4, n),
+        t_sigma=t_sigma,
+        scale=rng.uniform(0.01, 0.05, (n, 3)),
+        rotation=rng.normal(size=(n, 4)),
+        opacity=rng.uniform(0.05, 1, n),
+        color=rng.uniform(0, 1, (n, 3)),
+        dynamic=np.arange(n) % 10 > 0,
+    ).save(folder / "result.npz")
     run(EVALUATE, folder, json.dumps(FRAMES))
     return gaussians_file.load(folder / "result.npz"), folder / "seen.npz"
 
@@ -188,8 +206,12 @@ def test_shapes(cloud, frame):
     position, _, visible = closed_form(gaussians, (frame - START) / FPS)
     local = seen[f"ellipsoids/{frame}/local"].reshape(-1, 12, 3)
     assert np.allclose(np.linalg.norm(local, axis=2), EXTENT / 0.7947, atol=1e-5)
-    axes = np.array([rotation_matrix(q.astype(float)) * s for q, s in
-                     zip(gaussians.rotation[visible], gaussians.scale[visible], strict=True)])
+    axes = np.array(
+        [
+            rotation_matrix(q.astype(float)) * s
+            for q, s in zip(gaussians.rotation[visible], gaussians.scale[visible], strict=True)
+        ]
+    )
     wanted = position[:, None] + np.einsum("nij,nvj->nvi", axes, local)
     assert np.abs(seen[f"ellipsoids/{frame}/position"].reshape(-1, 12, 3) - wanted).max() < 1e-5
     radius = EXTENT * np.cbrt(gaussians.scale[visible].astype(float).prod(1))
@@ -217,16 +239,30 @@ def test_unknown_mode(cloud):
 def rendered(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("rendered")
     for mode, scale in (("ellipsoids", [0.05, 0.12, 0.08]), ("points", [0.1, 0.1, 0.1])):
-        TransientGaussians(position=[[0.1, 0.05, 0]], velocity=[[0, 0, 0]], t_mu=[0], t_sigma=[np.inf], scale=[scale],
-                           rotation=[[0.9, 0.2, -0.3, 0.4]], opacity=[0.8], color=[[1, 1, 1]],
-                           dynamic=[True]).save(folder / f"{mode}.npz")
+        TransientGaussians(
+            position=[[0.1, 0.05, 0]],
+            velocity=[[0, 0, 0]],
+            t_mu=[0],
+            t_sigma=[np.inf],
+            scale=[scale],
+            rotation=[[0.9, 0.2, -0.3, 0.4]],
+            opacity=[0.8],
+            color=[[1, 1, 1]],
+            dynamic=[True],
+        ).save(folder / f"{mode}.npz")
     rng, n = np.random.default_rng(2), 600
     bright = np.arange(n) % 2 == 0
-    TransientGaussians(position=rng.uniform([-0.3, -0.1, -0.3], [0.3, 0.1, 0.3], (n, 3)), velocity=np.zeros((n, 3)),
-                       t_mu=np.zeros(n), t_sigma=np.full(n, 0.1), scale=np.full((n, 3), 0.05),
-                       rotation=np.tile([1.0, 0, 0, 0], (n, 1)), opacity=np.full(n, 0.06),
-                       color=np.where(bright[:, None], [1.0, 0.7, 0.1], [0.6, 0.1, 0.1]),
-                       dynamic=np.ones(n, bool)).save(folder / "column.npz")
+    TransientGaussians(
+        position=rng.uniform([-0.3, -0.1, -0.3], [0.3, 0.1, 0.3], (n, 3)),
+        velocity=np.zeros((n, 3)),
+        t_mu=np.zeros(n),
+        t_sigma=np.full(n, 0.1),
+        scale=np.full((n, 3), 0.05),
+        rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
+        opacity=np.full(n, 0.06),
+        color=np.where(bright[:, None], [1.0, 0.7, 0.1], [0.6, 0.1, 0.1]),
+        dynamic=np.ones(n, bool),
+    ).save(folder / "column.npz")
     run(RENDER, folder)
     return folder
 
@@ -266,7 +302,9 @@ def test_display_values_come_back(rendered, transform):
     assert linear[0] == 0 and (np.diff(linear) > 0).all() and np.isfinite(linear).all()
 
 
-ANY_MOMENT = COMMON + """
+ANY_MOMENT = (
+    COMMON
+    + """
 scene.render.use_motion_blur = True
 cases, seen = json.loads(sys.argv[2]), {}
 cloud = gaussians_file.load(folder / "result.npz")
@@ -290,6 +328,7 @@ for k, case in enumerate(cases):
 np.savez(folder / "moments.npz", **seen)
 leave()
 """
+)
 
 
 def test_any_moment_equals_the_library(cloud, tmp_path):
@@ -302,12 +341,24 @@ def test_any_moment_equals_the_library(cloud, tmp_path):
     for k in range(24):
         matrix = np.eye(4)
         if k % 3:
-            matrix[:3] = np.column_stack([np.linalg.qr(rng.normal(size=(3, 3)))[0] * rng.uniform(0.3, 1.5, 3), rng.uniform(-1, 1, 3)])
+            matrix[:3] = np.column_stack(
+                [np.linalg.qr(rng.normal(size=(3, 3)))[0] * rng.uniform(0.3, 1.5, 3), rng.uniform(-1, 1, 3)]
+            )
         fps, base = [(24, 1.0), (30, 1.001), (100, 1.0), (50, 1.25)][k % 4]
-        frame = float(rng.uniform(-30, 250)) if k % 2 else float(rng.integers(1, 200) + rng.choice([-0.25, 0.25]))  # 180 degree shutter
+        frame = (
+            float(rng.uniform(-30, 250)) if k % 2 else float(rng.integers(1, 200) + rng.choice([-0.25, 0.25]))
+        )  # 180 degree shutter
         speed = [1.0, 0.1, -0.5][k % 3]
-        cases.append({"fps": fps, "base": base, "frame": frame, "speed": speed, "matrix": matrix.tolist(),
-                      "start": frame - rng.uniform(-0.1, 0.5) / speed * fps / base})
+        cases.append(
+            {
+                "fps": fps,
+                "base": base,
+                "frame": frame,
+                "speed": speed,
+                "matrix": matrix.tolist(),
+                "start": frame - rng.uniform(-0.1, 0.5) / speed * fps / base,
+            }
+        )
     run(ANY_MOMENT, tmp_path, json.dumps(cases))
     seen = np.load(tmp_path / "moments.npz")
     for k, case in enumerate(cases):
@@ -319,7 +370,9 @@ def test_any_moment_equals_the_library(cloud, tmp_path):
         assert np.abs(seen[f"alpha{k}"] - opacity).max() < 1e-5
 
 
-MOTION_BLUR = COMMON + """
+MOTION_BLUR = (
+    COMMON
+    + """
 scene.render.fps, scene.render.engine = 100, "CYCLES"
 scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 256, False, "BOX"
 scene.render.resolution_x, scene.render.resolution_y = 64, 16
@@ -348,15 +401,23 @@ for mode in ("points", "ellipsoids"):
 (folder / "blur.json").write_text(json.dumps(answer))
 leave()
 """
+)
 
 
 def test_motion_blur(tmp_path):
     """60 m/s past a shutter of 5 ms: a trail of 0.3 m around the place at the frame, though another Gaussian appears and
     vanishes while the shutter is open, so that its ends show other numbers of points."""
     TransientGaussians(
-        position=[[0, 0, 0], [0, 0.3, 0]], velocity=[[60, 0, 0], [0, 0, 0]], t_mu=[0.1, 0.1], t_sigma=[9, 0.0005],
-        scale=np.full((2, 3), 0.02), rotation=np.tile([1.0, 0, 0, 0], (2, 1)), opacity=[1, 1], color=np.ones((2, 3)),
-        dynamic=[True, True]).save(tmp_path / "moving.npz")
+        position=[[0, 0, 0], [0, 0.3, 0]],
+        velocity=[[60, 0, 0], [0, 0, 0]],
+        t_mu=[0.1, 0.1],
+        t_sigma=[9, 0.0005],
+        scale=np.full((2, 3), 0.02),
+        rotation=np.tile([1.0, 0, 0, 0], (2, 1)),
+        opacity=[1, 1],
+        color=np.ones((2, 3)),
+        dynamic=[True, True],
+    ).save(tmp_path / "moving.npz")
     run(MOTION_BLUR, tmp_path)
     answer = json.loads((tmp_path / "blur.json").read_text())
     for mode in ("points", "ellipsoids"):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from blender_addon.io import projected_flow
 from gof.cameras import Camera
+from gof_blender.pure.io import projected_flow
 
 INDEX_TO_WORLD = np.array([[0.05, 0, 0, -0.5], [0, 0.05, 0, -0.4], [0, 0, 0.05, 0.1], [0, 0, 0, 1.0]])
 POSE = np.array([[1, 0, 0, 0], [0, 0, -1, 0.6], [0, 1, 0, 2.5], [0, 0, 0, 1.0]])
@@ -50,5 +50,7 @@ def test_bad_points_stay_finite():
     flow, weight = project(np.ones(SHAPE), np.ones((*SHAPE, 3)), ~EVERYWHERE)
     assert not flow.any() and not weight.any()
     behind = np.diag([1.0, -1, -1, 1]) @ POSE
-    flow, _ = projected_flow.flow(CAMERA.K, behind, (100, 80), np.ones(SHAPE), np.ones((*SHAPE, 3)), INDEX_TO_WORLD, EVERYWHERE)
+    flow, _ = projected_flow.flow(
+        CAMERA.K, behind, (100, 80), np.ones(SHAPE), np.ones((*SHAPE, 3)), INDEX_TO_WORLD, EVERYWHERE
+    )
     assert np.isfinite(flow).all()

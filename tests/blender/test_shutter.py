@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from blender_addon import shutter
-from blender_addon.scene.effects import clock, motion_blur, rolling_shutter
-from blender_addon.spec import Clip, Render, SceneSpec
+from gof_blender.pure import shutter
+from gof_blender.pure.spec import Clip, Render, SceneSpec
+from gof_blender.scene.effects import clock, motion_blur, rolling_shutter
 
 SPEC = SceneSpec("x", clip=Clip(frames=3, fps=100.0, warm_up_frames=3), render=Render(percentage=10))
 
@@ -52,7 +52,10 @@ def test_clocks_differ_between_cameras_and_repeat():
     assert len(np.unique(delays)) == 9 and np.abs(delays).max() < 3 * 0.0025
     again = [[shutter.timing(spec, c, k).delay for k in range(3)] for c in range(3)]
     np.testing.assert_array_equal(delays, again)
-    assert len(np.unique([shutter.timing(with_effects(clock.Settings()), c, k).delay for c in range(3) for k in range(3)])) == 3
+    assert (
+        len(np.unique([shutter.timing(with_effects(clock.Settings()), c, k).delay for c in range(3) for k in range(3)]))
+        == 3
+    )
 
 
 def test_simulation_covers_everything_a_shutter_sees():

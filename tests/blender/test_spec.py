@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
-from benchmark.generate import SCENES
-from blender_addon import spec as scene_spec
-from blender_addon.scene import effects
-from blender_addon.scene.effects import motion_blur, rolling_shutter, smoke, vorticity, wind
-from blender_addon.spec import Clip, Domain, Fire, Render, Rig, SceneSpec, SpecError
+from gof_benchmark.commands.generate import SCENES
+from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.spec import Clip, Domain, Fire, Render, Rig, SceneSpec, SpecError
+from gof_blender.scene import effects
+from gof_blender.scene.effects import motion_blur, rolling_shutter, smoke, vorticity, wind
 
 
 def example() -> SceneSpec:
@@ -53,7 +53,9 @@ def test_effects_ask_for_steps_between_frames_and_for_what_the_shutter_sees():
     clip = Clip(frames=3, fps=100.0, warm_up_frames=2)
     blurred = SceneSpec("x", clip=clip, effects=(motion_blur.Settings(shutter=1.0, steps=4),))
     assert (blurred.steps_per_frame, blurred.first_frame, blurred.last_frame) == (4, 9, 17 + 2)
-    both = replace(blurred, effects=(motion_blur.Settings(shutter=1.0, steps=4), rolling_shutter.Settings(0.01, steps=6)))
+    both = replace(
+        blurred, effects=(motion_blur.Settings(shutter=1.0, steps=4), rolling_shutter.Settings(0.01, steps=6))
+    )
     assert both.steps_per_frame == 12 and both.last_frame == 1 + 12 * 4 + 6 + 12
     with pytest.raises(SpecError, match="long enough for the shutter to open before frame 0"):
         replace(blurred, clip=replace(clip, warm_up_frames=0))
@@ -127,7 +129,9 @@ def test_every_effect_module_keeps_the_contract():
     for name in effects.names():
         module = effects.module(name)
         assert effects.name_of(module.Settings()) == name
-        hooks = {"apply", "ABSORBS_LIGHT", "steps_per_frame", "timing", "overlay", "expose", "ENCODES"} & set(vars(module))
+        hooks = {"apply", "ABSORBS_LIGHT", "steps_per_frame", "timing", "overlay", "expose", "ENCODES"} & set(
+            vars(module)
+        )
         assert hooks, "an effect changes something"
 
 

@@ -11,25 +11,31 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmark import generate
-from blender_addon import spec as scene_spec
-from blender_addon.layout import Layout
-from blender_addon.scene import effects, led_board
-from blender_addon.scene.effects import clock, rolling_shutter, sensor_noise, sync_board
-from blender_addon.spec import SceneSpec
 from gof.capture.decode import DecodeOptions
 from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr
+from gof_benchmark.commands import generate
+from gof_blender.pure import led_board
+from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.layout import Layout
+from gof_blender.pure.spec import SceneSpec
+from gof_blender.scene import effects
+from gof_blender.scene.effects import clock, rolling_shutter, sensor_noise, sync_board
 from tests.blender.runs import TOY, channels
 from tests.conftest import look_at
 
 FIRMWARE = Path(__file__).parents[2] / "firmware/core"
 START_S = 2.5
 CAMERA = (sensor_noise.Settings(), rolling_shutter.Settings(0.004, steps=1), clock.Settings(0.002, steps=1))
-SPEC = replace(TOY, clip=replace(TOY.clip, frames=14, warm_up_frames=4), domain=replace(TOY.domain, resolution=16),
-               cameras=replace(TOY.cameras, count=2), render=replace(TOY.render, percentage=50, plate_samples=1, max_bounces=0))  # fmt: skip
+SPEC = replace(
+    TOY,
+    clip=replace(TOY.clip, frames=14, warm_up_frames=4),
+    domain=replace(TOY.domain, resolution=16),
+    cameras=replace(TOY.cameras, count=2),
+    render=replace(TOY.render, percentage=50, plate_samples=1, max_bounces=0),
+)
 
 
 def test_layout_is_that_of_the_template():
@@ -39,7 +45,9 @@ def test_layout_is_that_of_the_template():
     np.testing.assert_allclose([[(x, y) for x in led_board.STRIP_X] for y in led_board.STRIP_Y], template.strip_ends)
     corners = {(x, y) for x0, y0, x1, y1 in led_board.BOXES for x in (x0, x1) for y in (y0, y1)}
     assert {tuple(corner) for corner in template.outline} == corners
-    drawn = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), template.marker_id, 6)
+    drawn = cv2.aruco.generateImageMarker(
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), template.marker_id, 6
+    )
     np.testing.assert_array_equal(led_board.MARKER, (drawn > 0) != template.inverted)
 
 
@@ -112,8 +120,10 @@ def pair(tmp_path_factory) -> tuple[Layout, Layout]:
     pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
     folder = tmp_path_factory.mktemp("board")
     board = sync_board.Settings((0.0, 0.0, 0.25), marker_m=0.12, start_s=START_S)
-    return (run(replace(SPEC, name="board", effects=(*CAMERA, board)), folder),
-            run(replace(SPEC, name="plain", effects=CAMERA, clip=replace(SPEC.clip, frames=1)), folder))  # fmt: skip
+    return (
+        run(replace(SPEC, name="board", effects=(*CAMERA, board)), folder),
+        run(replace(SPEC, name="plain", effects=CAMERA, clip=replace(SPEC.clip, frames=1)), folder),
+    )
 
 
 def test_times_read_from_the_pictures_are_the_true_ones(pair):
@@ -126,7 +136,11 @@ def test_times_read_from_the_pictures_are_the_true_ones(pair):
         # As portrait pictures are stored, the sensor's rows are columns; the picture's centre lies between two of them.
         centre = camera["row_time_s"] * (camera["width"] - 1) / 2
         error = [frame["time_s"] for frame in read["frames"]] - np.array(camera["time_s"]) - centre - START_S
-        print(camera["name"], f"rms {1e6 * np.sqrt(np.mean(error**2)):.2f} us", {k: v for k, v in read.items() if k != "frames"})
+        print(
+            camera["name"],
+            f"rms {1e6 * np.sqrt(np.mean(error**2)):.2f} us",
+            {k: v for k, v in read.items() if k != "frames"},
+        )
         assert 1e6 * np.sqrt(np.mean(error**2)) < 5
         assert read["readout"] == camera["readout"] == "left" and not read["faults"]
         assert read["row_time_us"] == pytest.approx(1e6 * camera["row_time_s"], abs=0.05)
@@ -140,7 +154,9 @@ def test_mask_covers_the_board_and_scores_skip_it(pair):
     for camera in range(2):
         weight = dataset.board_weight(camera)
         assert 0.02 < (weight == 0).mean() < 0.25 and ((weight > 0) & (weight < 1)).any()
-        blink = np.ptp([dataset.image(camera, k).min(-1) for k in range(6)], axis=0) > 0.5  # white, which flames are not
+        blink = (
+            np.ptp([dataset.image(camera, k).min(-1) for k in range(6)], axis=0) > 0.5
+        )  # white, which flames are not
         assert blink.sum() > 200 and not weight[blink].any()
         plate, same = dataset.static(camera), without.static(camera)
         np.testing.assert_array_equal(plate[weight == 1], same[weight == 1])

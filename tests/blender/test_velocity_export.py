@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 from benchmark import velocity_truth
 from blender_addon import mantaflow
-from blender_addon.scene import velocity
+from gof_blender.scene import velocity
 
 mantaflow.enable()
 folder, data_format = Path(sys.argv[1]), sys.argv[2]
@@ -69,8 +69,9 @@ mantaflow.leave()
 
 
 def run(folder: Path, data_format: str) -> dict:
-    result = subprocess.run([sys.executable, "-c", CHILD, str(folder), data_format], cwd=ROOT, capture_output=True,
-                            text=True, timeout=60)
+    result = subprocess.run(
+        [sys.executable, "-c", CHILD, str(folder), data_format], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
     assert result.returncode == 0, result.stdout[-1500:] + result.stderr[-1500:]
     return json.loads((folder / "answer.json").read_text())
 
@@ -88,7 +89,12 @@ def answer(folder):
 def test_attributes_and_progress(answer, folder):
     attributes = answer["done"]["ok"]
     assert {k: attributes[k] for k in ("schema", "version", "units", "frame", "layout")} == {
-        "schema": "gof-velocity", "version": 1, "units": "m/s", "frame": "world", "layout": "cell_centred"}
+        "schema": "gof-velocity",
+        "version": 1,
+        "units": "m/s",
+        "frame": "world",
+        "layout": "cell_centred",
+    }
     assert attributes["time_s"] == pytest.approx([0, 1 / 25, 3 / 25])  # first frame is time 0
     assert answer["progress"] == [[1, 3], [2, 3], [3, 3]]
     assert answer["again"]["ok"] == attributes
@@ -105,9 +111,17 @@ def test_centring_is_the_mean_of_two_faces(answer, folder):
         assert np.array_equal(value[-1], lower[-1])
 
 
-@pytest.mark.parametrize("what, word", [("other frames", "shape"), ("not baked", "frame 9 is not baked"),
-                                        ("no frames", "no frames"), ("fps", "must be > 0"),
-                                        ("time scale", "time scale 0.5, not 1.0"), ("moving", "moves at frame 3")])
+@pytest.mark.parametrize(
+    "what, word",
+    [
+        ("other frames", "shape"),
+        ("not baked", "frame 9 is not baked"),
+        ("no frames", "no frames"),
+        ("fps", "must be > 0"),
+        ("time scale", "time scale 0.5, not 1.0"),
+        ("moving", "moves at frame 3"),
+    ],
+)
 def test_refused(answer, what, word):
     assert word in answer[what]["text"]
 

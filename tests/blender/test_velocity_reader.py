@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from blender_addon.io import FileFormatError
-from blender_addon.io.velocity_reader import TrueVelocity, of_dataset
-from blender_addon.io.velocity_store import VelocityWriter
 from gof.fields import VelocityField, VelocitySequence
+from gof_blender.pure.io import FileFormatError
+from gof_blender.pure.io.velocity_reader import TrueVelocity, of_dataset
+from gof_blender.pure.io.velocity_store import VelocityWriter
 
 GRID, TIMES = (70, 9, 66), (0.0, 0.1, 0.25)  # more than one chunk along x and z
 
@@ -57,15 +57,23 @@ def test_before_and_after_the_clip_is_its_first_and_last_frame(tmp_path):
 
 
 def test_no_points(tmp_path):
-    velocity, inside = TrueVelocity(write(tmp_path / "velocity.zarr", grid=(4, 4, 4))).sample(np.zeros((0, 3)), np.zeros(0))
+    velocity, inside = TrueVelocity(write(tmp_path / "velocity.zarr", grid=(4, 4, 4))).sample(
+        np.zeros((0, 3)), np.zeros(0)
+    )
     assert velocity.shape == (0, 3) and inside.shape == (0,)
 
 
-@pytest.mark.parametrize("change, message", [
-    (lambda d: d.pop("shape"), "KeyError"), (lambda d: d["attributes"].update(schema="gof-grid"), "gof-grid"),
-    (lambda d: d["attributes"].update(units="knots"), "knots"), (lambda d: d["codecs"].append({"name": "zstd"}), "zstd"),
-    (lambda d: d["attributes"].update(index_to_world=np.zeros((4, 4)).tolist()), "LinAlgError"),
-    (lambda d: d["attributes"].update(time_s=[0.0]), "shape")])
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda d: d.pop("shape"), "KeyError"),
+        (lambda d: d["attributes"].update(schema="gof-grid"), "gof-grid"),
+        (lambda d: d["attributes"].update(units="knots"), "knots"),
+        (lambda d: d["codecs"].append({"name": "zstd"}), "zstd"),
+        (lambda d: d["attributes"].update(index_to_world=np.zeros((4, 4)).tolist()), "LinAlgError"),
+        (lambda d: d["attributes"].update(time_s=[0.0]), "shape"),
+    ],
+)
 def test_broken_description(tmp_path, change, message):
     file = write(tmp_path / "velocity.zarr", grid=(4, 4, 4)) / "zarr.json"
     description = json.loads(file.read_text())

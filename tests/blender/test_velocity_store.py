@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import zarr
 
-from blender_addon.io import FileFormatError
-from blender_addon.io.velocity_store import VelocityWriter
 from gof.fields import VelocitySequence
+from gof_blender.pure.io import FileFormatError
+from gof_blender.pure.io.velocity_store import VelocityWriter
 
 GRID = (70, 33, 130)  # two, one and three chunks
 MATRIX = np.array([[0, -0.1, 0, 1], [0.1, 0, 0, 2], [0, 0, 0.1, 3], [0, 0, 0, 1]])
@@ -104,8 +104,14 @@ def test_finished_array_is_left_alone(tmp_path):
     assert store.finish() == attributes
 
 
-@pytest.mark.parametrize("changes, word", [({"dtype": "float32"}, "data_type"), ({"time_s": TIMES[:2]}, "shape"),
-                                           ({"index_to_world": np.eye(4)}, "index_to_world")])
+@pytest.mark.parametrize(
+    "changes, word",
+    [
+        ({"dtype": "float32"}, "data_type"),
+        ({"time_s": TIMES[:2]}, "shape"),
+        ({"index_to_world": np.eye(4)}, "index_to_world"),
+    ],
+)
 @pytest.mark.parametrize("finished", [True, False])
 def test_other_array_is_an_error(tmp_path, changes, word, finished):
     path = tmp_path / "velocity.zarr"
@@ -133,8 +139,9 @@ def test_foreign_and_truncated_folders_are_errors(tmp_path):
         writer(path)
 
 
-@pytest.mark.parametrize("bad, dtype, word", [(np.nan, "float32", "NaN"), (np.inf, "float16", "NaN or Inf"),
-                                              (7e4, "float16", "float32")])
+@pytest.mark.parametrize(
+    "bad, dtype, word", [(np.nan, "float32", "NaN"), (np.inf, "float16", "NaN or Inf"), (7e4, "float16", "float32")]
+)
 def test_values_that_cannot_be_stored(tmp_path, bad, dtype, word):
     store = writer(tmp_path / "velocity.zarr", dtype=dtype)
     broken = velocity(0)
@@ -144,9 +151,19 @@ def test_values_that_cannot_be_stored(tmp_path, bad, dtype, word):
     assert not store.has_frame(0)
 
 
-@pytest.mark.parametrize("changes", [{"dtype": "int8"}, {"grid": (3, 0, 2)}, {"time_s": []}, {"time_s": [0, 0, 1]},
-                                     {"time_s": [0, np.nan, 1]}, {"index_to_world": np.zeros((4, 4))},
-                                     {"index_to_world": np.full((4, 4), np.nan)}, {"voxel_size": 0.0}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"dtype": "int8"},
+        {"grid": (3, 0, 2)},
+        {"time_s": []},
+        {"time_s": [0, 0, 1]},
+        {"time_s": [0, np.nan, 1]},
+        {"index_to_world": np.zeros((4, 4))},
+        {"index_to_world": np.full((4, 4), np.nan)},
+        {"voxel_size": 0.0},
+    ],
+)
 def test_bad_arguments(tmp_path, changes):
     with pytest.raises(ValueError):
         writer(tmp_path / "velocity.zarr", **changes)

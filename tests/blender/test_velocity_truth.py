@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmark import velocity_truth
 from gof.fields import VelocitySequence
+from gof_benchmark.evidence import velocity_truth
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +33,9 @@ def test_exported_velocity_moves_the_smoke(folder, case):
 @pytest.mark.timeout(240)  # 6 s each on two free cores
 def test_posed_domain_gives_the_turned_field(folder):
     """A turned, moved domain with unapplied scale holds the same flow, seen in world axes."""
-    plain, posed = (VelocitySequence.open(velocity_truth.run_case(name, folder) / "velocity.zarr")
-                    for name in ("plain", "posed"))
+    plain, posed = (
+        VelocitySequence.open(velocity_truth.run_case(name, folder) / "velocity.zarr") for name in ("plain", "posed")
+    )
     case = velocity_truth.CASES["posed"]
     x, y, z = np.radians(case.rotation_deg)
     turn_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])

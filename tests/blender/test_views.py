@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from benchmark import views
-from benchmark.views.colmap import is_flat, unproject
-from benchmark.views.rig import Rig
 from gof.cameras import Camera
 from gof.errors import DataFormatError
+from gof_benchmark import views
+from gof_benchmark.views.colmap import is_flat, unproject
+from gof_benchmark.views.rig import Rig
 
 OpenEXR = pytest.importorskip("OpenEXR")
 cv2 = pytest.importorskip("cv2")
@@ -42,17 +42,33 @@ def dataset(tmp_path_factory):
             wall, floor = (2.0 - camera.position[1]) / rays[:, 1], -camera.position[2] / rays[:, 2]
         depth = np.minimum(np.where(wall > 0, wall, 1e10), np.where(floor > 0, floor, 1e10)).reshape(HEIGHT, WIDTH)
         (root / "static").mkdir(exist_ok=True)
-        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"Z": depth.astype(np.float32)}) as file:
+        with OpenEXR.File(
+            {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"Z": depth.astype(np.float32)}
+        ) as file:
             file.write(str(root / "static" / f"{name}.exr"))
         picture = np.random.default_rng(index).integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
         cv2.imwrite(str(root / "static" / f"{name}.png"), picture)
         (root / "cameras" / name / "rgb").mkdir(parents=True)
         for frame in range(FRAMES):
             cv2.imwrite(str(root / f"cameras/{name}/rgb/{frame:06d}.png"), picture)
-        cameras.append(camera.to_dict() | {"role": role, "roll_deg": 90, "static": f"static/{name}.png",
-                       "rgb": f"cameras/{name}/rgb/{{frame:06d}}.png", "mask": f"cameras/{name}/mask/{{frame:06d}}.png"})  # fmt: skip
-    meta = {"schema": "gof-dataset", "version": 1, "name": "views", "time_s": [k / 50 for k in range(FRAMES)],
-            "cameras": cameras, "splits": {"train": [0, 1, 2, 3, 5, 6, 7, 8], "test": [4]}}  # fmt: skip
+        cameras.append(
+            camera.to_dict()
+            | {
+                "role": role,
+                "roll_deg": 90,
+                "static": f"static/{name}.png",
+                "rgb": f"cameras/{name}/rgb/{{frame:06d}}.png",
+                "mask": f"cameras/{name}/mask/{{frame:06d}}.png",
+            }
+        )
+    meta = {
+        "schema": "gof-dataset",
+        "version": 1,
+        "name": "views",
+        "time_s": [k / 50 for k in range(FRAMES)],
+        "cameras": cameras,
+        "splits": {"train": [0, 1, 2, 3, 5, 6, 7, 8], "test": [4]},
+    }
     (root / "dataset.json").write_text(json.dumps(meta))
     for name in views.NAMES:
         views.write(name, root)
@@ -61,7 +77,9 @@ def dataset(tmp_path_factory):
 
 
 def bilinear(grid: np.ndarray, x: float, y: float) -> np.ndarray:
-    return cv2.remap(grid.astype(np.float32), np.float32([[x]]), np.float32([[y]]), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0, 0]
+    return cv2.remap(
+        grid.astype(np.float32), np.float32([[x]]), np.float32([[y]]), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )[0, 0]
 
 
 def test_pycolmap_reads_the_model_and_depth_lands_on_the_same_pixels(dataset):
@@ -131,8 +149,11 @@ def test_nerfstudio_fields_and_poses(dataset):
 
 
 def test_dnerf_splits_and_field_of_view(dataset):
-    train, test, rig = (json.loads((dataset / "transforms_train.json").read_text()),
-                        json.loads((dataset / "transforms_test.json").read_text()), Rig.open(dataset))  # fmt: skip
+    train, test, rig = (
+        json.loads((dataset / "transforms_train.json").read_text()),
+        json.loads((dataset / "transforms_test.json").read_text()),
+        Rig.open(dataset),
+    )
     assert (len(train["frames"]), len(test["frames"])) == (3 * 8, 3 + FRAMES)
     assert {frame["time"] for frame in test["frames"]} >= {0.0, 0.5, 1.0}
     assert all((dataset / (frame["file_path"] + ".png")).is_file() for frame in train["frames"] + test["frames"])

@@ -15,7 +15,9 @@ def emulator_binary(tmp_path_factory):
     if os.name != "posix" or not (shutil.which("cc") and shutil.which("make")):
         pytest.skip("the emulator needs a POSIX system with cc and make")
     build = tmp_path_factory.mktemp("firmware")
-    subprocess.run(["make", "-C", ROOT / "firmware", f"BUILD={build}", build / "emulator"], check=True, capture_output=True)
+    subprocess.run(
+        ["make", "-C", ROOT / "firmware", f"BUILD={build}", build / "emulator"], check=True, capture_output=True
+    )
     return build / "emulator"
 
 
@@ -25,7 +27,9 @@ def start_emulator(emulator_binary):
     running = []
 
     def start(*arguments):
-        process = subprocess.Popen([emulator_binary, *map(str, arguments)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [emulator_binary, *map(str, arguments)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         running.append(process)
         return process, process.stdout.readline().strip()
 

@@ -51,7 +51,13 @@ def test_bridged_strips_are_named(start_emulator):
 
 def test_command_line_session(start_emulator, tmp_path, capsys):
     _, port = start_emulator()
-    for action in (["find"], ["set", "--tick-us", "500", "--count", "7"], ["start"], ["monitor", "--seconds", "0.3"], ["stop"]):
+    for action in (
+        ["find"],
+        ["set", "--tick-us", "500", "--count", "7"],
+        ["start"],
+        ["monitor", "--seconds", "0.3"],
+        ["stop"],
+    ):
         assert gof(["capture", "board", *action, "--port", port, "--json", str(tmp_path / "out.json")]) == 0
     text = capsys.readouterr().out
     assert "gof-board" in text and "armed    count     7.0  period 5 ms" in text and "jitter" in text and "Gray" in text

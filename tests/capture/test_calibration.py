@@ -23,7 +23,9 @@ from gof.lens import Lens
 from tests.conftest import look_at, write_dataset
 
 TARGET = Charuco()
-TRUE = Lens(640, 360, np.array([[560.0, 0, 326], [0, 561.0, 177], [0, 0, 1]]), np.array([-0.25, 0.06, 0.0005, -0.0005, 0.0]))
+TRUE = Lens(
+    640, 360, np.array([[560.0, 0, 326], [0, 561.0, 177], [0, 0, 1]]), np.array([-0.25, 0.06, 0.0005, -0.0005, 0.0])
+)
 SHOT = SyntheticShot(width=400, height=560, marker_px=42, centre=(0.48, 0.72), noise=0)
 BOARD = BoardTemplate.load("gof_board")
 
@@ -123,10 +125,29 @@ def test_command_writes_what_gof_static_reads(views, tmp_path, capsys):
         cv2.imwrite(str(tmp_path / f"photos/{k:02d}.png"), picture)
     write_video(tmp_path / "target.avi", (picture for picture, _, _ in views for _ in range(2)), "FFV1")
     out, footage = tmp_path / "cameras.json", [str(tmp_path / "photos"), str(tmp_path / "target.avi")]
-    assert gof(["capture", "calibrate", *footage, "--out", str(out), "--views", "9", "--json", str(tmp_path / "figures.json")]) == 0
+    assert (
+        gof(
+            [
+                "capture",
+                "calibrate",
+                *footage,
+                "--out",
+                str(out),
+                "--views",
+                "9",
+                "--json",
+                str(tmp_path / "figures.json"),
+            ]
+        )
+        == 0
+    )
     assert "photos: focal 5" in capsys.readouterr().out
     entries = json.loads(out.read_text())["cameras"]
-    assert [e["name"] for e in entries] == ["photos", "target"] and entries[0]["views"] == 16 and 8 <= entries[1]["views"] < 18
+    assert (
+        [e["name"] for e in entries] == ["photos", "target"]
+        and entries[0]["views"] == 16
+        and 8 <= entries[1]["views"] < 18
+    )
     for entry in entries:
         assert Lens.from_dict(entry, "cameras.json").K[0, 0] == pytest.approx(560, abs=1) and entry["rms_px"] < 0.1
     assert gof(["capture", "calibrate", str(tmp_path / "photos"), "--out", str(out)]) == 1
@@ -232,20 +253,55 @@ def test_annotate_with_distorted_footage(pictures, tmp_path):
     lens = Lens(560, 400, np.array([[500.0, 0, 280], [0, 500, 200], [0, 0, 1]]), np.array([-0.2, 0.03, 0, 0]))
     (tmp_path / "cameras.json").write_text(json.dumps({"cameras": [lens.to_dict()]}))
     stored = str(tmp_path / "stored")
-    assert gof(["capture", "annotate", str(folder), "--template", "gof_board", "--footage", stored, stored,
-                "--cameras", str(tmp_path / "cameras.json")]) == 0
+    assert (
+        gof(
+            [
+                "capture",
+                "annotate",
+                str(folder),
+                "--template",
+                "gof_board",
+                "--footage",
+                stored,
+                stored,
+                "--cameras",
+                str(tmp_path / "cameras.json"),
+            ]
+        )
+        == 0
+    )
     data = Dataset.open(folder)
     for camera, entry in zip(data.cameras, data.meta["cameras"], strict=True):
         mask = cv2.imread(str(folder / entry["board_mask"]), cv2.IMREAD_UNCHANGED)
         at = lens.before_undistortion("clockwise").astype(np.float32)
-        flicker = cv2.remap(np.ptp(np.stack(pictures).astype(np.int16), axis=0).astype(np.float32), at[..., 0] - 0.5, at[..., 1] - 0.5, cv2.INTER_LINEAR)
+        flicker = cv2.remap(
+            np.ptp(np.stack(pictures).astype(np.int16), axis=0).astype(np.float32),
+            at[..., 0] - 0.5,
+            at[..., 1] - 0.5,
+            cv2.INTER_LINEAR,
+        )
         assert mask.shape == flicker.shape and mask[flicker > 30].min() == 255
         delay = np.load(folder / entry["row_delay"])
         np.testing.assert_array_equal(delay, dataset_row_delay(lens, "clockwise", camera))
         assert 20e-6 < np.abs(delay - straight_lines(camera)).max() < 500e-6
     (tmp_path / "small.json").write_text(json.dumps({"cameras": [lens.to_dict() | {"width": 100}]}))
-    assert gof(["capture", "annotate", str(folder), "--template", "gof_board", "--footage", stored, stored,
-                "--cameras", str(tmp_path / "small.json")]) == 1
+    assert (
+        gof(
+            [
+                "capture",
+                "annotate",
+                str(folder),
+                "--template",
+                "gof_board",
+                "--footage",
+                stored,
+                stored,
+                "--cameras",
+                str(tmp_path / "small.json"),
+            ]
+        )
+        == 1
+    )
 
 
 def test_row_delay_of_a_smaller_dataset_is_the_same_in_seconds():

@@ -69,7 +69,9 @@ def test_wrong_single_times_are_not_drops(wrong, counted, seed):
     index, repeated = positions([1] * 95)
     time = times(index, repeated, 2500.0, 5.0, seed)
     time[np.random.default_rng(seed).choice(np.arange(2, 94, 7), len(wrong), replace=False)] += wrong
-    np.testing.assert_array_equal(clock.link(time if counted else time % PERIOD, 2500.0, repeated, PERIOD, counted), index)
+    np.testing.assert_array_equal(
+        clock.link(time if counted else time % PERIOD, 2500.0, repeated, PERIOD, counted), index
+    )
 
 
 def test_unwrap_follows_drops_and_repeats():

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.no_sync import believing, mistakes
 from gof.dataset import Dataset
 from gof.errors import GofError
+from gof_benchmark.evidence.no_sync import believing, mistakes
 
 
 def test_rounded_and_exaggerated_times(tiny_dataset):

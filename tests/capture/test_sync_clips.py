@@ -24,11 +24,14 @@ def sync(clips):
     return run
 
 
-@pytest.mark.parametrize("scene, readout", [("capture_04/scene_0010", "left"), ("capture_05/scene_0006", "left"), ("capture_03/scene_0004", "right")])
+@pytest.mark.parametrize(
+    "scene, readout",
+    [("capture_04/scene_0010", "left"), ("capture_05/scene_0006", "left"), ("capture_03/scene_0004", "right")],
+)
 def test_slope_residual_and_row_direction(sync, scene, readout):
     for camera in sync(scene)["cameras"]:
         assert camera["frame_interval_us"] == pytest.approx(2500.0, abs=0.1)
-        assert camera["rms_us"] <= 9 and camera["max_residual_us"] < 25 
+        assert camera["rms_us"] <= 9 and camera["max_residual_us"] < 25
         # Tied strips leave some frames without an edge in view; they are marked, the clock carries on.
         assert camera["outliers"] <= (10 if camera["faults"] else 2)
         assert camera["readout"] == readout and camera["row_time_us"] == pytest.approx(4.08, abs=0.08)

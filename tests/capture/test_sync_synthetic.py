@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.capture_accuracy import errors, measure, signals_of
 from gof.capture.decode import DecodeOptions, decode
 from gof.capture.locate import BoardNotFound, Summary, locate
 from gof.capture.strips import NotDecodable, robust_line
 from gof.capture.synthetic import SyntheticShot, lit_share, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.cli import main as gof
+from gof_benchmark.evidence.capture_accuracy import errors, measure, signals_of
 
 BOARD = BoardTemplate.load("gof_board")
 SMALL = SyntheticShot(width=400, height=560, marker_px=42, centre=(0.48, 0.72), row_time=4.0)
@@ -25,7 +25,12 @@ def shoot(shot, frames=64, template=BOARD, change=None):
 def test_overlap_integral_is_exact():
     rng = np.random.default_rng(0)
     for _ in range(50):
-        start, exposure, on, length = rng.uniform(0, 9000), rng.uniform(50, 9000), rng.uniform(0, 4000), rng.uniform(100, 3900)
+        start, exposure, on, length = (
+            rng.uniform(0, 9000),
+            rng.uniform(50, 9000),
+            rng.uniform(0, 4000),
+            rng.uniform(100, 3900),
+        )
         t = start + exposure * (np.arange(200_000) + 0.5) / 200_000
         expected = ((t - on) % 4000 < length).mean()
         assert lit_share(np.array(start), exposure, on, length, 4000.0) == pytest.approx(expected, abs=2e-5)
@@ -39,7 +44,9 @@ def test_times_within_five_us_whatever_exposure_and_saturation(readout, exposure
     e = errors(times, shot.times(64), shot)
     assert e["fused_rms_us"] < 2 and e["single_rms_us"] < 5, e
     assert times.readout == readout and times.row_time_us == pytest.approx(4.0, abs=0.03)
-    assert times.count_agreement == 1 and len(times.count_candidates) == 1 and times.faults == [] and times.warnings == []
+    assert (
+        times.count_agreement == 1 and len(times.count_candidates) == 1 and times.faults == [] and times.warnings == []
+    )
     # The stated uncertainty is of the size of the error, not far below it.
     assert e["fused_rms_us"] < 4 * times.sigma_us.mean() + 0.5
     assert times.exposure_us == pytest.approx(exposure, rel=0.25)
@@ -47,17 +54,34 @@ def test_times_within_five_us_whatever_exposure_and_saturation(readout, exposure
 
 def test_landscape_camera_beside_an_upended_board():
     """Rows down the picture, strips turned along them."""
-    shot = SyntheticShot(width=640, height=400, marker_px=40, roll_deg=90.0, centre=(0.8, 0.5), readout="down", row_time=5.0)
+    shot = SyntheticShot(
+        width=640, height=400, marker_px=40, roll_deg=90.0, centre=(0.8, 0.5), readout="down", row_time=5.0
+    )
     times = decode(shoot(shot), BOARD, DecodeOptions())
     assert times.readout == "down" and errors(times, shot.times(64), shot)["single_rms_us"] < 5
 
 
 def test_compressed_video_through_the_command(tmp_path):
-    shots = {"a": replace(SMALL, seed=1), "b": replace(SMALL, seed=2, fps=240.0, start=SMALL.start + 1357.9, readout="right", exposure=400.0)}
+    shots = {
+        "a": replace(SMALL, seed=1),
+        "b": replace(SMALL, seed=2, fps=240.0, start=SMALL.start + 1357.9, readout="right", exposure=400.0),
+    }
     for name, shot in shots.items():
         write_video(tmp_path / f"{name}.mp4", render(shot, BOARD, 64))
-    code = gof(["capture", "sync", str(tmp_path / "a.mp4"), str(tmp_path / "b.mp4"), "--out", str(tmp_path / "out"),
-                "--template", "gof_board", "--json", str(tmp_path / "figures.json")])
+    code = gof(
+        [
+            "capture",
+            "sync",
+            str(tmp_path / "a.mp4"),
+            str(tmp_path / "b.mp4"),
+            "--out",
+            str(tmp_path / "out"),
+            "--template",
+            "gof_board",
+            "--json",
+            str(tmp_path / "figures.json"),
+        ]
+    )
     assert code == 0
     result = json.loads((tmp_path / "out/times.json").read_text())
     for camera in result["cameras"]:
@@ -75,7 +99,17 @@ def test_compressed_video_through_the_command(tmp_path):
 def test_row_time_from_the_sensor_table(tmp_path, capsys):
     shot = replace(SMALL, row_time=2.85 * 720 / 400)  # all 720 rows of that sensor in 400 lines
     write_video(tmp_path / "a.mp4", render(shot, BOARD, 40))
-    command = ["capture", "sync", str(tmp_path / "a.mp4"), "--out", str(tmp_path / "out"), "--template", "gof_board", "--sensor", "gopro_hero13_720p400"]
+    command = [
+        "capture",
+        "sync",
+        str(tmp_path / "a.mp4"),
+        "--out",
+        str(tmp_path / "out"),
+        "--template",
+        "gof_board",
+        "--sensor",
+        "gopro_hero13_720p400",
+    ]
     assert gof(command) == 0
     camera = json.loads((tmp_path / "out/times.json").read_text())["cameras"][0]
     assert camera["row_time_us"] == pytest.approx(shot.row_time)

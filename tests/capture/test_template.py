@@ -19,7 +19,9 @@ def test_templates_and_their_drawings(name, leds):
     svg = ET.fromstring(draw_svg(board, 60.0))
     tags = [e.tag.split("}")[1] for e in svg]
     assert tags.count("circle") == leds and tags.count("line") == 5 and tags.count("rect") == 36
-    assert float(svg.get("width")[:-2]) == pytest.approx(60 * (np.ptp(np.vstack([board.outline, board.strip_ends.reshape(-1, 2)])[:, 0]) + 0.4), rel=1e-3)
+    assert float(svg.get("width")[:-2]) == pytest.approx(
+        60 * (np.ptp(np.vstack([board.outline, board.strip_ends.reshape(-1, 2)])[:, 0]) + 0.4), rel=1e-3
+    )
 
 
 def test_drawn_marker_is_the_one_that_is_looked_for():
@@ -32,13 +34,21 @@ def test_drawn_marker_is_the_one_that_is_looked_for():
     for e in rects:
         x, y, s = (float(e.get("x")) - x0) * 5 + 100, (float(e.get("y")) - y0) * 5 + 100, float(e.get("width")) * 5
         image[round(y) : round(y + s), round(x) : round(x + s)] = 255 if e.get("fill") == "#fff" else 17
-    _, ids, _ = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)).detectMarkers(255 - image)
+    _, ids, _ = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)).detectMarkers(
+        255 - image
+    )
     assert ids.ravel().tolist() == [0]
 
 
-@pytest.mark.parametrize("change, message", [
-    (lambda d: d.pop("strips"), "strips"), (lambda d: d["strips"].pop(), "five"), (lambda d: d["leds"].pop(3), "each Gray bit"),
-    (lambda d: d.update(schema="x"), "gof-led-board")])
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda d: d.pop("strips"), "strips"),
+        (lambda d: d["strips"].pop(), "five"),
+        (lambda d: d["leds"].pop(3), "each Gray bit"),
+        (lambda d: d.update(schema="x"), "gof-led-board"),
+    ],
+)
 def test_malformed_templates_are_refused(tmp_path, change, message):
     d = json.loads((files("gof.capture") / "gof_board.json").read_text())
     change(d)

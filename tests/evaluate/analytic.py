@@ -35,14 +35,25 @@ def waves(k):
         return np.exp(-0.5 * np.einsum("i,nij,j->n", vector, cov, vector))
 
     def abc(x):
-        return np.stack([np.sin(k * x[:, 2]) + np.cos(k * x[:, 1]), np.sin(k * x[:, 0]) + np.cos(k * x[:, 2]),
-                         np.sin(k * x[:, 1]) + np.cos(k * x[:, 0])], 1)
+        return np.stack(
+            [
+                np.sin(k * x[:, 2]) + np.cos(k * x[:, 1]),
+                np.sin(k * x[:, 0]) + np.cos(k * x[:, 2]),
+                np.sin(k * x[:, 1]) + np.cos(k * x[:, 0]),
+            ],
+            1,
+        )
 
     def abc_mean(x, cov):
         d = np.stack([damp(k * e, cov) for e in np.eye(3)], 1)
-        return np.stack([d[:, 2] * np.sin(k * x[:, 2]) + d[:, 1] * np.cos(k * x[:, 1]),
-                         d[:, 0] * np.sin(k * x[:, 0]) + d[:, 2] * np.cos(k * x[:, 2]),
-                         d[:, 1] * np.sin(k * x[:, 1]) + d[:, 0] * np.cos(k * x[:, 0])], 1)
+        return np.stack(
+            [
+                d[:, 2] * np.sin(k * x[:, 2]) + d[:, 1] * np.cos(k * x[:, 1]),
+                d[:, 0] * np.sin(k * x[:, 0]) + d[:, 2] * np.cos(k * x[:, 2]),
+                d[:, 1] * np.sin(k * x[:, 1]) + d[:, 0] * np.cos(k * x[:, 0]),
+            ],
+            1,
+        )
 
     def taylor_green(x):  # sin(kx) cos(ky), -cos(kx) sin(ky), 0
         s, c = np.sin(k * x), np.cos(k * x)
@@ -65,7 +76,15 @@ def covariance(scale, rotation):
 def make_gaussians(n=50, seed=0, **changes) -> TransientGaussians:
     """Random rotated, anisotropic Gaussians in a unit box around the origin, always on; `changes` replaces fields."""
     rng = np.random.default_rng(seed)
-    values = dict(position=rng.uniform(-0.5, 0.5, (n, 3)), velocity=rng.normal(size=(n, 3)), t_mu=np.zeros(n),
-                  t_sigma=np.full(n, np.inf), scale=rng.uniform(0.02, 0.2, (n, 3)), rotation=rng.normal(size=(n, 4)),
-                  opacity=rng.uniform(0.1, 0.9, n), color=rng.uniform(size=(n, 3)), dynamic=np.ones(n, bool))
+    values = dict(
+        position=rng.uniform(-0.5, 0.5, (n, 3)),
+        velocity=rng.normal(size=(n, 3)),
+        t_mu=np.zeros(n),
+        t_sigma=np.full(n, np.inf),
+        scale=rng.uniform(0.02, 0.2, (n, 3)),
+        rotation=rng.normal(size=(n, 4)),
+        opacity=rng.uniform(0.1, 0.9, n),
+        color=rng.uniform(size=(n, 3)),
+        dynamic=np.ones(n, bool),
+    )
     return TransientGaussians(**{name: np.asarray(value) for name, value in (values | changes).items()})

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.commands.evaluate import evaluate
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.evaluate.image import ssim_map
-from gof.evaluate.run import evaluate
 from tests.conftest import arc, random_gaussians, write_dataset
 
 PLATE, ERROR = 64 / 255, 51 / 255
@@ -23,7 +23,15 @@ def board(tmp_path):
     pictures[::2, :, 39:, 10:20] += ERROR
     masks = np.zeros((5, 2, 64, 36), bool)
     masks[:, :, 30:, 15:] = True
-    folder = write_dataset(tmp_path / "data", cameras, pictures, np.full((2, 64, 36, 3), PLATE), 0.01 * np.arange(5), masks=masks, test_frames=[2])
+    folder = write_dataset(
+        tmp_path / "data",
+        cameras,
+        pictures,
+        np.full((2, 64, 36, 3), PLATE),
+        0.01 * np.arange(5),
+        masks=masks,
+        test_frames=[2],
+    )
     covered = np.zeros((64, 36), np.uint8)
     covered[40:, 10:20], covered[39, 10:20] = 255, 102
     meta = json.loads((folder / "dataset.json").read_text())
@@ -48,7 +56,10 @@ def test_weighted_scores_in_closed_form(board):
     assert whole["psnr"] == pytest.approx(-10 * np.log10(ERROR**2 * 250 / (64 * 36)), abs=1e-5)
     assert masked["psnr_plate"] == pytest.approx(masked["psnr"], abs=1e-5)
     error = ssim_map(np.full((64, 36, 3), PLATE), dataset.image(0, 2)).mean(-1)
-    assert masked["ssim"] == pytest.approx((weight * error).sum() / weight.sum(), abs=1e-6) and masked["ssim"] > whole["ssim"]
+    assert (
+        masked["ssim"] == pytest.approx((weight * error).sum() / weight.sum(), abs=1e-6)
+        and masked["ssim"] > whole["ssim"]
+    )
     # nothing moves here; what the board's flicker is to the one camera, its soft row still is to the other
     assert masked["temporal_l2"] == whole["temporal_l2"] == pytest.approx(1, abs=1e-5)
     assert scores["images"]["board_share"] == pytest.approx((1 - weight).mean() / 2, abs=1e-6)
@@ -56,7 +67,9 @@ def test_weighted_scores_in_closed_form(board):
 
 def test_hard_mask_hides_the_board_entirely(board):
     folder, _ = board
-    cv2.imwrite(str(folder / "cameras/cam_0/board_mask.png"), np.pad(np.full((30, 20), 255, np.uint8), ((34, 0), (5, 11))))
+    cv2.imwrite(
+        str(folder / "cameras/cam_0/board_mask.png"), np.pad(np.full((30, 20), 255, np.uint8), ((34, 0), (5, 11)))
+    )
     g = random_gaussians(1)
     g.position[:] = [0, 50, 0]
     row = evaluate(g, Dataset.open(folder))["images"]["pictures"][0]

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from gof.errors import DataFormatError
-from gof.evaluate import bricks, dve_sequence
-from gof.evaluate.bricks import StoredField, cell_ranges, pool_of, touched_chunks
+from gof.evaluate import dve_sequence
+from gof.evaluate import sparse_grid as bricks
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import expected_velocity, expected_velocity_plain
+from gof.evaluate.sparse_grid import StoredField, cell_ranges, pool_of, touched_chunks
 from gof.fields import CHUNK, VelocityField, VelocitySequence
 from tests.evaluate.analytic import Sequence, make_gaussians
 
@@ -31,8 +32,13 @@ def store(request, tmp_path_factory):
 
 def gaussians(n=3000):
     rng = np.random.default_rng(1)
-    return make_gaussians(n, position=rng.uniform(-0.8, 0.8, (n, 3)) * [1, 0.5, 0.9], scale=10 ** rng.uniform(-3.5, -1.2, (n, 3)),
-                          t_mu=np.full(n, 0.05), t_sigma=np.full(n, 0.1))
+    return make_gaussians(
+        n,
+        position=rng.uniform(-0.8, 0.8, (n, 3)) * [1, 0.5, 0.9],
+        scale=10 ** rng.uniform(-3.5, -1.2, (n, 3)),
+        t_mu=np.full(n, 0.05),
+        t_sigma=np.full(n, 0.1),
+    )
 
 
 def shape_of(g):
@@ -44,10 +50,13 @@ def test_same_as_the_whole_field(store, time_s):
     g = gaussians()
     whole, stored = store.at(time_s), StoredField(store, time_s)
     twin = expected_velocity_plain(whole, *shape_of(g), 3)
-    for got in (expected_velocity_on_grid(stored, *shape_of(g), 3), expected_velocity_on_grid(whole, *shape_of(g), 3),
-                expected_velocity(StoredField(store, time_s), *(a[:1500] for a in shape_of(g)), 3)):
+    for got in (
+        expected_velocity_on_grid(stored, *shape_of(g), 3),
+        expected_velocity_on_grid(whole, *shape_of(g), 3),
+        expected_velocity(StoredField(store, time_s), *(a[:1500] for a in shape_of(g)), 3),
+    ):
         for name, a, b in zip(got._fields, got, twin, strict=True):
-            np.testing.assert_allclose(a, b[:len(a)], atol=5e-6, err_msg=name)
+            np.testing.assert_allclose(a, b[: len(a)], atol=5e-6, err_msg=name)
     points = np.random.default_rng(2).uniform(-0.8, 0.8, (2000, 3))
     np.testing.assert_allclose(stored.sample(points), whole.sample(points), atol=1e-6)
     np.testing.assert_array_equal(stored.contains(points), whole.contains(points))
@@ -69,10 +78,16 @@ def test_parts_do_not_change_the_answer(store, monkeypatch):
 
 
 def test_only_touched_chunks_are_read(store, monkeypatch):
-    g = make_gaussians(2000, position=np.random.default_rng(3).normal([0.2, -0.2, 0.3], 0.01, (2000, 3)), scale=np.full((2000, 3), 0.003))
+    g = make_gaussians(
+        2000,
+        position=np.random.default_rng(3).normal([0.2, -0.2, 0.3], 0.01, (2000, 3)),
+        scale=np.full((2000, 3), 0.003),
+    )
     read = []
     original = VelocitySequence.chunk
-    monkeypatch.setattr(VelocitySequence, "chunk", lambda self, index, number: read.append(number) or original(self, index, number))
+    monkeypatch.setattr(
+        VelocitySequence, "chunk", lambda self, index, number: read.append(number) or original(self, index, number)
+    )
     dve_sequence(g, store, [0.0], controls=False)
     # x 0.2 m is cell 95, y -0.2 cell 15, z 0.3 cell 95: with the spread of 10 cells, chunk (1, 0, 1) and no other
     assert read == [(1, 0, 1)]
@@ -89,12 +104,13 @@ def test_touched_chunks_against_counting():
         if (b < 0).any() or (a >= size).any():
             continue
         a, b = np.clip(a, 0, size - 1) // CHUNK, np.clip(b, 0, size - 1) // CHUNK
-        expected[a[0]:b[0] + 1, a[1]:b[1] + 1, a[2]:b[2] + 1] = True
+        expected[a[0] : b[0] + 1, a[1] : b[1] + 1, a[2] : b[2] + 1] = True
     np.testing.assert_array_equal(touched_chunks(field, low, high), expected)
 
 
 def test_every_node_falls_into_its_cell_range():
     from gof.evaluate.quadrature import product_rule, rotation_matrices
+
     g = make_gaussians(500)
     field = VelocityField(np.zeros((4, 4, 4, 3)), np.diag([0.1, 0.3, 0.2, 1]))
     x, s, q = shape_of(g)

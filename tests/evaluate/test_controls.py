@@ -48,8 +48,10 @@ def test_no_constant_vector_beats_the_constant_control(case):
     parts = [probe(g, sequence.at(t), t) for t in sequence.times_s]
     for _ in range(20):
         vector = rng.normal(size=3) * 0.2 + [0, 0, 2]
-        sums = sum((weighted_sums(p, np.broadcast_to(vector, p.truth.shape)) for p in parts[1:]),
-                   weighted_sums(parts[0], np.broadcast_to(vector, parts[0].truth.shape)))
+        sums = sum(
+            (weighted_sums(p, np.broadcast_to(vector, p.truth.shape)) for p in parts[1:]),
+            weighted_sums(parts[0], np.broadcast_to(vector, parts[0].truth.shape)),
+        )
         assert np.sqrt(sums.error2 / sums.truth2) >= score.controls["constant"].l2
 
 

@@ -32,8 +32,11 @@ def test_against_the_formulas_with_the_analytic_expectation(flow):
     got = dve(g, Analytic(V), 0.0, order=7)
     assert got.l2 == pytest.approx(l2, rel=1e-7) and got.cos_sim == pytest.approx(cos, rel=1e-7, abs=1e-9)
     assert got.n == 300 and got.n_culled == 0 and got.undefined == ""
-    assert got.speed_ratio == pytest.approx((g.scale.prod(1) * g.opacity * (g.velocity * truth).sum(1)).sum()
-                                            / (g.scale.prod(1) * g.opacity * (truth**2).sum(1)).sum(), rel=1e-5)
+    assert got.speed_ratio == pytest.approx(
+        (g.scale.prod(1) * g.opacity * (g.velocity * truth).sum(1)).sum()
+        / (g.scale.prod(1) * g.opacity * (truth**2).sum(1)).sum(),
+        rel=1e-5,
+    )
     assert sum(e**2 for e in got.l2_axis) == pytest.approx(got.l2**2)
 
 
@@ -59,8 +62,15 @@ def test_gaussians_are_scored_where_they_are_at_that_time():
 
 def test_temporal_and_base_opacity():
     """Two Gaussians, one of them long dead at t = 0: it counts with base opacity only."""
-    g = make_gaussians(2, position=np.zeros((2, 3)), velocity=[[1.0, 0, 0], [0, 0, 0]], t_mu=[0, 10.0],
-                       t_sigma=[1.0, 1.0], scale=np.full((2, 3), 0.1), opacity=[0.5, 0.5])
+    g = make_gaussians(
+        2,
+        position=np.zeros((2, 3)),
+        velocity=[[1.0, 0, 0], [0, 0, 0]],
+        t_mu=[0, 10.0],
+        t_sigma=[1.0, 1.0],
+        scale=np.full((2, 3), 0.1),
+        opacity=[0.5, 0.5],
+    )
     field = Analytic(lambda p: np.ones((len(p), 1)) * np.array([1.0, 0, 0]))
     assert dve(g, field, 0.0).l2 == pytest.approx(0, abs=1e-6)
     base = dve(g, field, 0.0, opacity="base")
@@ -70,11 +80,19 @@ def test_temporal_and_base_opacity():
 
 
 def test_static_gaussians_are_left_out_unless_asked_for():
-    g = make_gaussians(2, position=np.zeros((2, 3)), velocity=[[1.0, 0, 0], [1.0, 0, 0]], dynamic=[True, False],
-                       scale=np.full((2, 3), 0.1), opacity=[0.5, 0.5])
+    g = make_gaussians(
+        2,
+        position=np.zeros((2, 3)),
+        velocity=[[1.0, 0, 0], [1.0, 0, 0]],
+        dynamic=[True, False],
+        scale=np.full((2, 3), 0.1),
+        opacity=[0.5, 0.5],
+    )
     field = Analytic(lambda p: np.ones((len(p), 1)) * np.array([1.0, 0, 0]))
     assert dve(g, field, 0.0).n == 1 and dve(g, field, 0.0).l2 == pytest.approx(0, abs=1e-7)
-    both = dve(g, field, 0.0, include_static=True)  # a static Gaussian's stored velocity means nothing: it counts as zero
+    both = dve(
+        g, field, 0.0, include_static=True
+    )  # a static Gaussian's stored velocity means nothing: it counts as zero
     assert both.n == 2 and both.l2 == pytest.approx(np.sqrt(0.5))
     assert both.weight_zero_velocity == pytest.approx(0.5)
 
@@ -90,9 +108,12 @@ def test_all_zero_true_field_is_undefined_and_says_why():
 
 @pytest.mark.parametrize("case", ["no gaussians", "zero opacity", "dead", "all static"])
 def test_nothing_to_weigh(case):
-    g = {"no gaussians": make_gaussians(0), "zero opacity": make_gaussians(3, opacity=np.zeros(3)),
-         "dead": make_gaussians(3, t_mu=np.full(3, 1e6), t_sigma=np.ones(3)),
-         "all static": make_gaussians(3, dynamic=np.zeros(3, bool))}[case]
+    g = {
+        "no gaussians": make_gaussians(0),
+        "zero opacity": make_gaussians(3, opacity=np.zeros(3)),
+        "dead": make_gaussians(3, t_mu=np.full(3, 1e6), t_sigma=np.ones(3)),
+        "all static": make_gaussians(3, dynamic=np.zeros(3, bool)),
+    }[case]
     got = dve(g, Analytic(np.ones_like), 0.0)
     assert (got.l2, got.cos_sim, got.n, got.weight, got.weight_outside) == (None, None, 0, 0, 0)
     assert "weight" in got.undefined
@@ -118,8 +139,13 @@ def test_half_outside_counts_as_zero_truth_and_is_reported():
     got = dve(g, field, 0.0)
     assert got.weight_outside == pytest.approx(5 / 6)
     assert got.l2 == pytest.approx(5.0)  # expected velocity 2/6: error 10/6 over 2/6
-    far = make_gaussians(2, position=[[0, 0, 0], [9.0, 0, 0]], velocity=[[2.0, 0, 0]] * 2, scale=np.full((2, 3), 0.05),
-                         opacity=[0.5, 0.5])
+    far = make_gaussians(
+        2,
+        position=[[0, 0, 0], [9.0, 0, 0]],
+        velocity=[[2.0, 0, 0]] * 2,
+        scale=np.full((2, 3), 0.05),
+        opacity=[0.5, 0.5],
+    )
     score = dve_sequence(far, Sequence([0.0], lambda t: field))
     assert score.pooled.weight_outside == pytest.approx(0.5)
     assert (score.l2, score.cos_sim) == (pytest.approx(1), pytest.approx(0.5))
@@ -139,8 +165,9 @@ def test_nan_cell_is_an_error_only_where_it_is_read(bad):
 def test_culling_stays_within_its_bound():
     rng = np.random.default_rng(4)
     n = 3000
-    g = make_gaussians(n, opacity=10.0 ** rng.uniform(-20, 0, n),
-                       velocity=rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-3, 3, (n, 1)))
+    g = make_gaussians(
+        n, opacity=10.0 ** rng.uniform(-20, 0, n), velocity=rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-3, 3, (n, 1))
+    )
     V, _ = waves(2.0)["abc"]
     samples = probe(g, Analytic(V), 0.0)
     assert samples.culled > 300 and samples.culled + len(samples.index) == n
@@ -163,8 +190,10 @@ def test_order_of_the_gaussians_does_not_matter():
     rng = np.random.default_rng(5)
     n = 200_000
     weight, v, t = 10.0 ** rng.uniform(-6, 0, n), rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
-    a, b = (weighted_sums(Samples(0.0, np.arange(n), v[i], weight[i], v[i], t[i], t[i], np.ones(n), np.zeros(n, bool), 0))
-            for i in (np.arange(n), rng.permutation(n)))
+    a, b = (
+        weighted_sums(Samples(0.0, np.arange(n), v[i], weight[i], v[i], t[i], t[i], np.ones(n), np.zeros(n, bool), 0))
+        for i in (np.arange(n), rng.permutation(n))
+    )
     for name in ("weight", "error2", "truth2", "cosine"):
         assert getattr(a, name) == pytest.approx(getattr(b, name), rel=1e-12)
 
@@ -229,8 +258,10 @@ def test_undefined_frames_are_skipped_in_the_mean_and_counted():
 
 
 def test_missing_frames_and_foreign_clocks(tmp_path):
-    fields = [VelocityField.from_array(np.full((4, 4, 4, 3), 1 + t, np.float32), (-1, -1, -1), 0.5, t)
-              for t in (0.0, 0.1, 0.4)]
+    fields = [
+        VelocityField.from_array(np.full((4, 4, 4, 3), 1 + t, np.float32), (-1, -1, -1), 0.5, t)
+        for t in (0.0, 0.1, 0.4)
+    ]
     store = VelocitySequence.create(tmp_path / "v.zarr", fields)
     g = make_gaussians(10, t_mu=np.full(10, 0.2), t_sigma=np.full(10, 0.2))
     assert len(dve_sequence(g, store).frames) == 3  # frames 2 and 3 of the clip are missing: score what there is

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from blender_addon.io.velocity_store import VelocityWriter, scalar
+from gof.commands.evaluate import evaluate, table
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.evaluate.emission import EXPONENT, FlameGrid, score_on_emission, velocity_at
-from gof.evaluate.run import evaluate, table
 from gof.fields import VelocityField, VelocitySequence
+from gof_blender.pure.io.velocity_store import VelocityWriter, scalar
 from tests.evaluate.analytic import make_gaussians
 from tests.evaluate.synthetic_flame import flame_dataset
 
@@ -22,7 +22,7 @@ TO_WORLD[:3, 3] = [-1.75, -1.75, 0]
 
 def write_grid(path, flame, quantity="flame"):
     """flame (T, X, Y, Z) as the generator stores it."""
-    writer = VelocityWriter(path, flame.shape[1:], TO_WORLD, TIMES[:len(flame)], SIDE, "float16", scalar(quantity))
+    writer = VelocityWriter(path, flame.shape[1:], TO_WORLD, TIMES[: len(flame)], SIDE, "float16", scalar(quantity))
     for k, frame in enumerate(flame):
         writer.write_frame(k, frame.__getitem__)
     writer.finish()
@@ -46,7 +46,12 @@ def column(tmp_path):
 def cloud(n=3000, **changes):
     """Gaussians all over the column and around it."""
     rng = np.random.default_rng(0)
-    return make_gaussians(n, position=rng.uniform([-0.4, -0.4, 0.8], [0.4, 0.4, 3.2], (n, 3)), scale=rng.uniform(0.05, 0.1, (n, 3)), **changes)
+    return make_gaussians(
+        n,
+        position=rng.uniform([-0.4, -0.4, 0.8], [0.4, 0.4, 3.2], (n, 3)),
+        scale=rng.uniform(0.05, 0.1, (n, 3)),
+        **changes,
+    )
 
 
 def test_places_follow_the_emission(tmp_path):
@@ -57,7 +62,9 @@ def test_places_follow_the_emission(tmp_path):
     x = grid.places(0.0, 4000, rng)
     cell = np.floor((x - TO_WORLD[:3, 3]) / SIDE).astype(int)
     first = (cell == [5, 6, 7]).all(1)
-    assert (first | (cell == [66, 1, 69]).all(1)).all() and first.mean() == pytest.approx(1 / (1 + 0.5**EXPONENT), abs=1e-3)
+    assert (first | (cell == [66, 1, 69]).all(1)).all() and first.mean() == pytest.approx(
+        1 / (1 + 0.5**EXPONENT), abs=1e-3
+    )
     inside = (x[first] - TO_WORLD[:3, 3]) / SIDE - [5, 6, 7]
     np.testing.assert_allclose(inside.mean(0), 0.5, atol=0.03)  # all over the cell
     np.testing.assert_allclose(inside.std(0), 1 / np.sqrt(12), atol=0.02)
@@ -65,8 +72,14 @@ def test_places_follow_the_emission(tmp_path):
 
 def test_the_answer_of_overlapping_gaussians_by_hand():
     """Two Gaussians with different opacities and a turned, flat shape; a place out of reach of both."""
-    g = make_gaussians(2, position=[[0, 0, 0], [0.1, 0, 0]], velocity=[[1, 0, 0], [0, 2, 0]], scale=[[0.1, 0.2, 0.05]] * 2, opacity=[0.8, 0.4],
-                       rotation=[[1, 0, 0, 0], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]])  # the second a quarter turn about z
+    g = make_gaussians(
+        2,
+        position=[[0, 0, 0], [0.1, 0, 0]],
+        velocity=[[1, 0, 0], [0, 2, 0]],
+        scale=[[0.1, 0.2, 0.05]] * 2,
+        opacity=[0.8, 0.4],
+        rotation=[[1, 0, 0, 0], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]],
+    )  # the second a quarter turn about z
     x = np.array([[0.05, 0.1, 0.02], [5, 5, 5]])
     a = 0.8 * np.exp(-0.5 * ((0.05 / 0.1) ** 2 + (0.1 / 0.2) ** 2 + (0.02 / 0.05) ** 2))
     b = 0.4 * np.exp(-0.5 * ((0.05 / 0.2) ** 2 + (0.1 / 0.1) ** 2 + (0.02 / 0.05) ** 2))
@@ -92,8 +105,11 @@ def test_right_velocities_are_right_wherever_they_sit(column):
     flame, truth = column
 
     def right(g):
-        return make_gaussians(len(g), **{n: getattr(g, n) for n in ("position", "scale", "opacity", "rotation")},
-                              velocity=g.position * [0, 0, 1])
+        return make_gaussians(
+            len(g),
+            **{n: getattr(g, n) for n in ("position", "scale", "opacity", "rotation")},
+            velocity=g.position * [0, 0, 1],
+        )
 
     full = score_on_emission(right(cloud()), truth, flame, TIMES[:1])
     assert full.score.l2 < 0.03 and full.score.cos_sim > 0.9999
@@ -103,7 +119,9 @@ def test_right_velocities_are_right_wherever_they_sit(column):
     half = score_on_emission(right(lower), truth, flame, TIMES[:1])
     assert 0.3 < half.uncovered < 0.48  # Gaussians below 2 m reach a little above it, up to here:
     top = 3 - 2 * half.uncovered
-    assert half.score.l2 == pytest.approx(np.sqrt((27 - top**3) / 26), abs=0.02) and half.score.cos_sim == pytest.approx(1 - half.uncovered, abs=1e-3)
+    assert half.score.l2 == pytest.approx(
+        np.sqrt((27 - top**3) / 26), abs=0.02
+    ) and half.score.cos_sim == pytest.approx(1 - half.uncovered, abs=1e-3)
 
 
 def test_the_same_places_for_every_result(column):
@@ -124,7 +142,9 @@ def test_without_flame_and_with_bad_grids(tmp_path, column):
     with pytest.raises(DataFormatError, match="same times"):
         flame.places(0.05, 10, np.random.default_rng(0))
     with pytest.raises(DataFormatError, match="negative"):
-        FlameGrid(write_grid(tmp_path / "bad.zarr", np.full((2, 4, 4, 4), -1.0))).places(0.0, 10, np.random.default_rng(0))
+        FlameGrid(write_grid(tmp_path / "bad.zarr", np.full((2, 4, 4, 4), -1.0))).places(
+            0.0, 10, np.random.default_rng(0)
+        )
 
 
 def test_in_evaluate(tmp_path):
@@ -135,9 +155,20 @@ def test_in_evaluate(tmp_path):
     dataset = Dataset.open(tmp_path / "data")
     assert evaluate(truth, dataset, images=False)["dve"]["on_emission"] is None
     r = np.linalg.norm(dataset.velocity.at(0.0).cell_centers()[..., :2], axis=-1)
-    array = zarr.create_array(str(tmp_path / "data/grids/flame.zarr"), shape=(9, 32, 32, 32), chunks=(1, 64, 64, 64), dtype="float32", fill_value=0, attributes={
-        "schema": "gof-grid", "version": 1, "quantity": "flame", "index_to_world": dataset.velocity.index_to_world.tolist(),
-        "time_s": dataset.velocity.times_s.tolist()})
+    array = zarr.create_array(
+        str(tmp_path / "data/grids/flame.zarr"),
+        shape=(9, 32, 32, 32),
+        chunks=(1, 64, 64, 64),
+        dtype="float32",
+        fill_value=0,
+        attributes={
+            "schema": "gof-grid",
+            "version": 1,
+            "quantity": "flame",
+            "index_to_world": dataset.velocity.index_to_world.tolist(),
+            "time_s": dataset.velocity.times_s.tolist(),
+        },
+    )
     array[:] = np.broadcast_to(np.where(r < 0.15, 0.7, 0), (9, 32, 32, 32))
     scores = evaluate(truth, dataset, images=False)
     on = scores["dve"]["on_emission"]

@@ -44,7 +44,9 @@ def test_turned_domain_with_unequal_cells():
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 5, 2), (2, 2, 2)])
 def test_axes_of_one_cell(shape):
-    g = make_gaussians(500, scale=np.full((500, 3), 0.03), position=np.random.default_rng(1).uniform(-0.3, 0.3, (500, 3)))
+    g = make_gaussians(
+        500, scale=np.full((500, 3), 0.03), position=np.random.default_rng(1).uniform(-0.3, 0.3, (500, 3))
+    )
     assert_agree(field(shape), g)
 
 
@@ -54,7 +56,9 @@ def test_half_precision_store():
 
 def test_on_the_faces_of_cells_and_of_the_domain():
     """Points exactly on centres, faces and the border belong where the field says they do."""
-    f = VelocityField.from_array(np.random.default_rng(2).normal(size=(4, 4, 4, 3)).astype(np.float32), (-1, -1, -1), 0.5)
+    f = VelocityField.from_array(
+        np.random.default_rng(2).normal(size=(4, 4, 4, 3)).astype(np.float32), (-1, -1, -1), 0.5
+    )
     axis = np.arange(-1.25, 1.3, 0.25)
     points = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
     got = expected_velocity_on_grid(f, points, np.full_like(points, 1e-9), np.tile([1.0, 0, 0, 0], (len(points), 1)), 1)
@@ -84,8 +88,10 @@ def test_nan_is_passed_on_where_it_is_read_and_far_points_are_outside():
 
 def test_many_gaussians_on_a_grid_take_the_compiled_path(monkeypatch):
     called = []
-    monkeypatch.setattr("gof.evaluate.grid_quadrature.expected_velocity_on_grid",
-                        lambda *a: called.append(len(a[1])) or expected_velocity_on_grid(*a))
+    monkeypatch.setattr(
+        "gof.evaluate.grid_quadrature.expected_velocity_on_grid",
+        lambda *a: called.append(len(a[1])) or expected_velocity_on_grid(*a),
+    )
     g = make_gaussians(quadrature.COMPILED_FROM // 27 + 1)
     expected_velocity(field(), *shape_of(g))
     expected_velocity(field(), *shape_of(g[:10]))

@@ -71,7 +71,9 @@ def test_against_torchmetrics_and_pytorch_msssim(noise):
     image[10:20, 10:20] *= 0.5
     a, b = (torch.from_numpy(np.moveaxis(x, -1, 0)[None]) for x in (image, truth))
     assert psnr(image, truth) == pytest.approx(float(metrics.peak_signal_noise_ratio(a, b, data_range=1.0)), abs=1e-5)
-    ours = ssim_map(image, truth)[5:-5, 5:-5].mean()  # they differ at the border: complete windows, or mirrored pictures
+    ours = ssim_map(image, truth)[
+        5:-5, 5:-5
+    ].mean()  # they differ at the border: complete windows, or mirrored pictures
     _, theirs = metrics.structural_similarity_index_measure(a, b, data_range=1.0, return_full_image=True)
     assert ours == pytest.approx(float(theirs[..., 5:-5, 5:-5].mean()), abs=1e-6)
     assert ours == pytest.approx(float(msssim.ssim(a, b, data_range=1.0)), abs=1e-6)

@@ -10,9 +10,9 @@ import subprocess
 import numpy as np
 import pytest
 
+from gof.commands.evaluate import main as evaluate_main
 from gof.errors import DataFormatError
 from gof.evaluate.leaderboard import best_rows, collect, main, pareto, to_csv, to_markdown
-from gof.evaluate.run import main as evaluate_main
 from gof.evaluate.streams import draw, max_projection, streamlines, volume, x_slice
 from gof.gaussians import TransientGaussians
 from tests.evaluate.synthetic_flame import flame_dataset
@@ -27,9 +27,29 @@ def results(tmp_path_factory):
         (folder / name).mkdir()
         fields = {n: getattr(truth, n) for n in truth.__dataclass_fields__} | {"velocity": factor * truth.velocity}
         TransientGaussians(**fields).save(folder / name / "result.npz")
-        assert evaluate_main([str(folder / name / "result.npz"), "--truth", str(folder / "data"), "--out", str(folder / name), "--no-images"]) == 0
+        assert (
+            evaluate_main(
+                [
+                    str(folder / name / "result.npz"),
+                    "--truth",
+                    str(folder / "data"),
+                    "--out",
+                    str(folder / name),
+                    "--no-images",
+                ]
+            )
+            == 0
+        )
     (folder / "exact/method.json").write_text(json.dumps({"name": "Exact | <b>method</b>", "train_seconds": 100}))
-    (folder / "slow/costs.json").write_text(json.dumps({"schema": "gof-costs", "version": 1, "stages": [{"name": "a", "seconds": 4.5}, {"name": "b", "seconds": 5.5}]}))
+    (folder / "slow/costs.json").write_text(
+        json.dumps(
+            {
+                "schema": "gof-costs",
+                "version": 1,
+                "stages": [{"name": "a", "seconds": 4.5}, {"name": "b", "seconds": 5.5}],
+            }
+        )
+    )
     (folder / "gone/result.npz").unlink()
     return folder
 
@@ -38,8 +58,14 @@ def test_rows(results):
     rows = collect([results / n for n in ("exact", "slow", "gone")])
     exact, slow, gone = rows[:3]
     assert exact["name"].startswith("Exact") and (exact["train_s"], slow["train_s"], gone["train_s"]) == (100, 10, None)
-    assert exact["l2"] < 0.02 < slow["l2"] and slow["speed_ratio"] == pytest.approx(0.5, abs=0.02) and exact["evaluate_s"] > 0
-    assert [r["name"] for r in rows[3:]] == [f"control: {n}" for n in ("zero", "random", "shuffled", "constant", "height_mean", "true_centre")]
+    assert (
+        exact["l2"] < 0.02 < slow["l2"]
+        and slow["speed_ratio"] == pytest.approx(0.5, abs=0.02)
+        and exact["evaluate_s"] > 0
+    )
+    assert [r["name"] for r in rows[3:]] == [
+        f"control: {n}" for n in ("zero", "random", "shuffled", "constant", "height_mean", "true_centre")
+    ]
     best = best_rows(rows)
     assert best["l2"] == 0 and best["train_s"] == 1 and "speed_ratio" not in best and "gaussians" not in best
     with pytest.raises(DataFormatError, match="gof evaluate"):
@@ -51,7 +77,12 @@ def test_tables(results):
     table = list(csv.DictReader(io.StringIO(to_csv(rows))))
     assert float(table[1]["l2"]) == rows[1]["l2"] and table[2]["control"] == "1" and table[0]["psnr"] == ""
     lines = to_markdown(rows).splitlines()
-    assert lines[2].startswith("| Exact \\| ") and f"**{rows[0]['l2']:.3f}**" in lines[2] and "*control: zero*" in lines[4] and "PSNR" not in lines[0]
+    assert (
+        lines[2].startswith("| Exact \\| ")
+        and f"**{rows[0]['l2']:.3f}**" in lines[2]
+        and "*control: zero*" in lines[4]
+        and "PSNR" not in lines[0]
+    )
 
 
 def test_pareto_front():
@@ -92,8 +123,17 @@ def test_volume_keeps_mean_velocity_and_ignores_floaters():
     rng = np.random.default_rng(0)
     position = rng.normal(0, 0.1, (n, 3))
     position[0] = [50, 0, 0]
-    g = TransientGaussians(position=position, velocity=np.tile([0.1, 0.2, 3.0], (n, 1)), t_mu=np.zeros(n), t_sigma=np.full(n, np.inf), scale=np.full((n, 3), 0.01),
-                           rotation=np.tile([1.0, 0, 0, 0], (n, 1)), opacity=np.full(n, 0.5), color=np.zeros((n, 3)), dynamic=np.ones(n, bool))
+    g = TransientGaussians(
+        position=position,
+        velocity=np.tile([0.1, 0.2, 3.0], (n, 1)),
+        t_mu=np.zeros(n),
+        t_sigma=np.full(n, np.inf),
+        scale=np.full((n, 3), 0.01),
+        rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
+        opacity=np.full(n, 0.5),
+        color=np.zeros((n, 3)),
+        dynamic=np.ones(n, bool),
+    )
     v = volume(g, 0.0)
     assert v.cell < 0.02 and max(v.density.shape) <= 80
     dense = v.density > 0.1 * v.density.max()
@@ -125,9 +165,30 @@ def test_page_in_a_browser(results, tmp_path):
     const b = [...document.querySelectorAll("#scores th button")].find(b => b.textContent === "DVE L2"); b.click(); const up = names(); b.click(); const down = names();
     setTimeout(() => { document.title = JSON.stringify({up, down, faults, charts: document.querySelectorAll(".main-svg").length}); }, 500);</script>"""
     (tmp_path / "probe.html").write_text(page.replace("<head>", "<head>" + watch).replace("</body>", probe + "</body>"))
-    done = subprocess.run(["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-                           "--disable-component-update", "--disable-sync", f"--user-data-dir={tmp_path}/profile", "--virtual-time-budget=5000", "--dump-dom",
-                           f"file://{tmp_path}/probe.html"], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [
+            "chromium",
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-quic",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            f"--user-data-dir={tmp_path}/profile",
+            "--virtual-time-budget=5000",
+            "--dump-dom",
+            f"file://{tmp_path}/probe.html",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
     seen = json.loads(re.search(r"<title>(.*?)</title>", done.stdout, re.S)[1])
     assert seen["faults"] == [] and seen["charts"] >= 2
-    assert seen["up"][0] == "control: true_centre" and seen["up"][1].startswith("Exact") and seen["down"] == ["control: random", "control: zero"]
+    assert (
+        seen["up"][0] == "control: true_centre"
+        and seen["up"][1].startswith("Exact")
+        and seen["down"] == ["control: random", "control: zero"]
+    )

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from gof.commands.evaluate import Extras, evaluate
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError, MissingDependencyError, NonFiniteError
 from gof.evaluate.depth import read_depth, rmse_depth
 from gof.evaluate.image import temporal_l2
 from gof.evaluate.perceptual import HEADS, LAYERS, TRUNK, flip, lpips
-from gof.evaluate.run import Extras, evaluate
 from tests.evaluate.synthetic_flame import flame_dataset
 
 
@@ -38,7 +38,9 @@ def test_change_between_frames():
     a, b = rng.random((2, 16, 16, 3))
     assert temporal_l2((a, b), (a, b)) == 0
     assert temporal_l2((0.5 * a, 0.5 * a), (a, b)) == pytest.approx(1)  # frozen
-    assert temporal_l2((a + 0.3, b + 0.3), (a, b)) == pytest.approx(0, abs=1e-12)  # a wrong but steady brightness is no flicker
+    assert temporal_l2((a + 0.3, b + 0.3), (a, b)) == pytest.approx(
+        0, abs=1e-12
+    )  # a wrong but steady brightness is no flicker
     assert temporal_l2((b, a), (a, b)) == pytest.approx(2)  # backwards
     assert temporal_l2((a, b), (a, a)) is None
     mask = np.zeros((16, 16))
@@ -58,7 +60,9 @@ def test_flip_or_its_absence():
         return
     truth = np.random.default_rng(3).random((40, 50, 3))
     _, theirs, _ = flip_evaluator.evaluate(truth.astype(np.float32), pytest_image.astype(np.float32), "LDR")
-    assert flip(pytest_image, truth) == pytest.approx(theirs, abs=1e-4) and flip(truth, truth) == pytest.approx(0, abs=1e-6)
+    assert flip(pytest_image, truth) == pytest.approx(theirs, abs=1e-4) and flip(truth, truth) == pytest.approx(
+        0, abs=1e-6
+    )
     left = np.zeros((40, 50))
     left[:, :25] = 1
     both = (flip(pytest_image, truth, left) + flip(pytest_image, truth, 1 - left)) / 2
@@ -72,9 +76,18 @@ def weights(tmp_path_factory):
     folder, generator = tmp_path_factory.mktemp("weights"), torch.Generator().manual_seed(0)
     trunk = {"classifier.6.bias": torch.zeros(1000)}
     for n, c, o, k, _, _ in LAYERS:
-        trunk |= {f"features.{n}.weight": torch.randn(o, c, k, k, generator=generator) / np.sqrt(c * k * k), f"features.{n}.bias": torch.randn(o, generator=generator)}
+        trunk |= {
+            f"features.{n}.weight": torch.randn(o, c, k, k, generator=generator) / np.sqrt(c * k * k),
+            f"features.{n}.bias": torch.randn(o, generator=generator),
+        }
     torch.save(trunk, folder / TRUNK)
-    torch.save({f"lin{i}.model.1.weight": torch.rand(1, o, 1, 1, generator=generator) for i, (_, _, o, *_) in enumerate(LAYERS)}, folder / HEADS)
+    torch.save(
+        {
+            f"lin{i}.model.1.weight": torch.rand(1, o, 1, 1, generator=generator)
+            for i, (_, _, o, *_) in enumerate(LAYERS)
+        },
+        folder / HEADS,
+    )
     return folder
 
 
@@ -82,9 +95,20 @@ def test_lpips_against_the_network_built_from_modules(weights):
     """The published definition, written with torch.nn modules in AlexNet's order."""
     torch = pytest.importorskip("torch")
     nn = torch.nn
-    features = nn.Sequential(nn.Conv2d(3, 64, 11, 4, 2), nn.ReLU(), nn.MaxPool2d(3, 2), nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2),
-                             nn.Conv2d(192, 384, 3, padding=1), nn.ReLU(), nn.Conv2d(384, 256, 3, padding=1), nn.ReLU(),
-                             nn.Conv2d(256, 256, 3, padding=1), nn.ReLU())
+    features = nn.Sequential(
+        nn.Conv2d(3, 64, 11, 4, 2),
+        nn.ReLU(),
+        nn.MaxPool2d(3, 2),
+        nn.Conv2d(64, 192, 5, padding=2),
+        nn.ReLU(),
+        nn.MaxPool2d(3, 2),
+        nn.Conv2d(192, 384, 3, padding=1),
+        nn.ReLU(),
+        nn.Conv2d(384, 256, 3, padding=1),
+        nn.ReLU(),
+        nn.Conv2d(256, 256, 3, padding=1),
+        nn.ReLU(),
+    )
     state = torch.load(weights / TRUNK)
     features.load_state_dict({k.removeprefix("features."): v for k, v in state.items() if k.startswith("features")})
     heads = torch.load(weights / HEADS)
@@ -93,7 +117,9 @@ def test_lpips_against_the_network_built_from_modules(weights):
 
     def layers(image):
         x = torch.tensor(2 * image - 1, dtype=torch.float32).permute(2, 0, 1)[None]
-        x = (x - torch.tensor([-0.030, -0.088, -0.188]).view(1, 3, 1, 1)) / torch.tensor([0.458, 0.448, 0.450]).view(1, 3, 1, 1)
+        x = (x - torch.tensor([-0.030, -0.088, -0.188]).view(1, 3, 1, 1)) / torch.tensor([0.458, 0.448, 0.450]).view(
+            1, 3, 1, 1
+        )
         out = []
         for i, module in enumerate(features):
             x = module(x)
@@ -102,7 +128,10 @@ def test_lpips_against_the_network_built_from_modules(weights):
         return out
 
     with torch.no_grad():
-        expected = sum(float((heads[f"lin{i}.model.1.weight"][0] * (p - q) ** 2).sum(1).mean()) for i, (p, q) in enumerate(zip(layers(a), layers(b), strict=True)))
+        expected = sum(
+            float((heads[f"lin{i}.model.1.weight"][0] * (p - q) ** 2).sum(1).mean())
+            for i, (p, q) in enumerate(zip(layers(a), layers(b), strict=True))
+        )
     assert lpips(a, b, weights) == pytest.approx(expected, rel=1e-4) and lpips(a, a, weights) == 0
     with pytest.raises(DataFormatError, match="32 px"):
         lpips(a[:20], b[:20], weights)
@@ -126,11 +155,17 @@ def test_all_of_them_in_evaluate(tmp_path, weights):
     for c in dataset.cameras:
         (tmp_path / "depth" / c.name).mkdir(parents=True)
         for k in dataset.test_frames:
-            np.save(tmp_path / "depth" / c.name / f"{k:06d}.npy", 2 * render(truth, c, float(dataset.times_s[k]))["depth"] + 1)
+            np.save(
+                tmp_path / "depth" / c.name / f"{k:06d}.npy",
+                2 * render(truth, c, float(dataset.times_s[k]))["depth"] + 1,
+            )
     scores = evaluate(truth, dataset, extras=Extras(weights, tmp_path / "depth"))
     assert scores["rmse_depth"] < 1e-4 and scores["lpips"] < scores["lpips_plate"] / 5
     assert scores["temporal_l2"] < 0.1 and scores["temporal_l2_plate"] == 1
-    still = type(truth)(**{n: getattr(truth, n) for n in truth.__dataclass_fields__} | {"velocity": 0 * truth.velocity, "t_sigma": np.full(len(truth), np.inf)})
+    still = type(truth)(
+        **{n: getattr(truth, n) for n in truth.__dataclass_fields__}
+        | {"velocity": 0 * truth.velocity, "t_sigma": np.full(len(truth), np.inf)}
+    )
     frozen = evaluate(still, dataset)
     assert frozen["temporal_l2"] == pytest.approx(1, abs=1e-3) and any("LPIPS" in a for a in frozen["images"]["absent"])
     (tmp_path / "depth" / dataset.cameras[0].name / "000004.npy").unlink()

@@ -33,10 +33,21 @@ def dataset(tmp_path_factory):
     """3 cameras, 9 frames 20 ms apart, a 48 m box of 2 m cells."""
     cameras = arc(3, width=18, height=32, focal_px=30.0)
     grid = VelocityField.from_array(np.zeros((24, 24, 24, 3)), (-24, -24, -24), 2.0)
-    fields = [VelocityField.from_array(flow(grid.cell_centers(), t).astype(np.float32), (-24, -24, -24), 2.0, t) for t in TIMES]
+    fields = [
+        VelocityField.from_array(flow(grid.cell_centers(), t).astype(np.float32), (-24, -24, -24), 2.0, t)
+        for t in TIMES
+    ]
     pictures = np.random.default_rng(0).random((9, 3, 32, 18, 3))
-    return write_dataset(tmp_path_factory.mktemp("linear") / "data", cameras, pictures, pictures[0], TIMES, fields,
-                         masks=pictures[..., 0] > 0.5, test_frames=[4])
+    return write_dataset(
+        tmp_path_factory.mktemp("linear") / "data",
+        cameras,
+        pictures,
+        pictures[0],
+        TIMES,
+        fields,
+        masks=pictures[..., 0] > 0.5,
+        test_frames=[4],
+    )
 
 
 def evaluate(result, dataset, out, *options) -> dict:
@@ -60,8 +71,12 @@ def closed_form(state) -> tuple[float, float]:
 def check(scores, method, state):
     l2, cos_sim = closed_form(state)
     assert scores["import"]["method"] == method and scores["dve"]["frames_scored"] == len(TIMES)
-    assert scores["dve"]["l2"] == pytest.approx(l2, rel=2e-5) and scores["dve"]["cos_sim"] == pytest.approx(cos_sim, abs=2e-5)
-    assert scores["dve"]["weight_outside"] == 0 and scores["controls"]["true_centre"]["l2"] == pytest.approx(0, abs=1e-5)
+    assert scores["dve"]["l2"] == pytest.approx(l2, rel=2e-5) and scores["dve"]["cos_sim"] == pytest.approx(
+        cos_sim, abs=2e-5
+    )
+    assert scores["dve"]["weight_outside"] == 0 and scores["controls"]["true_centre"]["l2"] == pytest.approx(
+        0, abs=1e-5
+    )
     assert scores["controls"]["zero"]["l2"] == 1 and scores["psnr"] > 0 and scores["ssim_flame"] is not None
 
 
@@ -73,7 +88,11 @@ def authors_state(raw, linear=SAME[:3, :3], shift=0.0):
     def state(t):
         dt = 1000 * t - raw["t_mu"][d].astype(float)
         alpha = logistic(raw["opacity"][d]) * np.exp(-(dt**2) / (2 * raw["t_sigma"][d].astype(float) ** 2))
-        return volume * alpha[:, 0], (raw["xyz"][d] + dt * raw["velocity"][d]) @ linear.T + shift, 1000 * raw["velocity"][d].astype(float) @ linear.T
+        return (
+            volume * alpha[:, 0],
+            (raw["xyz"][d] + dt * raw["velocity"][d]) @ linear.T + shift,
+            1000 * raw["velocity"][d].astype(float) @ linear.T,
+        )
 
     return state
 
@@ -95,7 +114,11 @@ def test_4dgs_of_yang(dataset, tmp_path):
 
     def state(t):
         dt = t - raw["t"].astype(float)
-        return volume * logistic(raw["opacity"][:, 0]) * np.exp(-(dt[:, 0] ** 2) / (2 * S[:, 3, 3])), raw["xyz"] + dt * velocity, velocity
+        return (
+            volume * logistic(raw["opacity"][:, 0]) * np.exp(-(dt[:, 0] ** 2) / (2 * S[:, 3, 3])),
+            raw["xyz"] + dt * velocity,
+            velocity,
+        )
 
     check(evaluate(tmp_path / "chkpnt30000.pth", dataset, tmp_path / "s.json"), "yang", state)
 
@@ -107,8 +130,11 @@ def freetime_state(raw, to_world=SAME):
     def state(t):
         dt = t / 1.2 - raw["times"].astype(float)
         window = np.exp(-0.5 * (dt / np.maximum(np.exp(raw["durations"].astype(float)), 0.02)) ** 2)[:, 0]
-        return (volume * logistic(raw["opacities"]) * window, (raw["means"] + dt * raw["velocities"]) @ to_world[:3, :3].T + to_world[:3, 3],
-                raw["velocities"] @ to_world[:3, :3].T / 1.2)
+        return (
+            volume * logistic(raw["opacities"]) * window,
+            (raw["means"] + dt * raw["velocities"]) @ to_world[:3, :3].T + to_world[:3, 3],
+            raw["velocities"] @ to_world[:3, :3].T / 1.2,
+        )
 
     return state
 
@@ -125,7 +151,9 @@ def test_freetimegs_with_its_normalisation_undone(dataset, tmp_path, kind):
         result, raw = tmp_path / "a.ftgs.ply", lookalikes.ftgs_ply(tmp_path / "a.ftgs.ply")
     scores = evaluate(result, dataset, tmp_path / "s.json", "--world", tmp_path / "colmap")
     check(scores, "freetime", freetime_state(raw, np.linalg.inv(normalisation(poses, points))))
-    left = evaluate(result, dataset, tmp_path / "t.json", "--no-images")  # in the training's world it is another score, and a note says so
+    left = evaluate(
+        result, dataset, tmp_path / "t.json", "--no-images"
+    )  # in the training's world it is another score, and a note says so
     assert left["dve"]["l2"] == pytest.approx(closed_form(freetime_state(raw))[0], rel=2e-5)
     assert any("normalises" in note for note in left["import"]["notes"])
 
@@ -137,11 +165,18 @@ def test_a_sequence_of_plys_at_half_steps(dataset, tmp_path):
     raw = {k: v.detach().numpy() for k, v in lookalikes.capture(rng, 40).items()}
 
     def values(t):
-        return x0 + v0 * t + 0.5 * a * t**2, raw["scaling"] + t * np.array([1, -1, 2.0]), raw["opacity"] + 3 * t * np.sign(raw["opacity"])
+        return (
+            x0 + v0 * t + 0.5 * a * t**2,
+            raw["scaling"] + t * np.array([1, -1, 2.0]),
+            raw["opacity"] + 3 * t * np.sign(raw["opacity"]),
+        )
 
     for number in range(17):
         x, scaling, opacity = values(0.01 * number)
-        lookalikes.splat_ply(tmp_path / f"gaussian_pertimestamp/time_{number:05d}.ply", raw | {"xyz": x, "scaling": scaling, "opacity": opacity})
+        lookalikes.splat_ply(
+            tmp_path / f"gaussian_pertimestamp/time_{number:05d}.ply",
+            raw | {"xyz": x, "scaling": scaling, "opacity": opacity},
+        )
 
     def state(t):
         x, scaling, opacity = values(t)
@@ -154,7 +189,12 @@ def test_a_sequence_of_plys_at_half_steps(dataset, tmp_path):
 
 def test_a_trajectory_with_its_own_velocities(dataset, tmp_path):
     rng = np.random.default_rng(6)
-    centre, radius, phase, rate = rng.normal(size=(50, 3)), rng.uniform(0.1, 1, 50), rng.uniform(0, 6, 50), rng.uniform(5, 20, 50)
+    centre, radius, phase, rate = (
+        rng.normal(size=(50, 3)),
+        rng.uniform(0.1, 1, 50),
+        rng.uniform(0, 6, 50),
+        rng.uniform(5, 20, 50),
+    )
     scale, alpha = rng.uniform(0.02, 0.2, (50, 3)), rng.uniform(0.1, 1, 50)
 
     def state(t):
@@ -164,8 +204,14 @@ def test_a_trajectory_with_its_own_velocities(dataset, tmp_path):
         return scale.prod(1) * alpha * np.exp(-5 * t), x, v
 
     states = [state(t) for t in TIMES]
-    Trajectory(TIMES, np.stack([x for _, x, _ in states]), np.stack([w for w, _, _ in states]) / scale.prod(1), scale, rng.normal(size=(50, 4)),
-               velocity=np.stack([v for _, _, v in states])).save(tmp_path / "t.npz")
+    Trajectory(
+        TIMES,
+        np.stack([x for _, x, _ in states]),
+        np.stack([w for w, _, _ in states]) / scale.prod(1),
+        scale,
+        rng.normal(size=(50, 4)),
+        velocity=np.stack([v for _, _, v in states]),
+    ).save(tmp_path / "t.npz")
     scores = evaluate(tmp_path / "t.npz", dataset, tmp_path / "s.json")
     check(scores, "trajectory", state)
     assert "velocities as stored" in scores["import"]["notes"]
@@ -209,4 +255,6 @@ def test_what_an_alignment_leaves_is_reported(dataset, tmp_path, own_world):
     # if all cameras share the blame evenly, sqrt(2) / 3 of the error is left; orientations hold the rest in place
     assert 0.02 * np.sqrt(2) / 3 * 0.9 < left < 0.02 / np.sqrt(3) * 1.01
     assert f"{left * 1000:.2g} mm" in " ".join(scores["import"]["notes"])
-    assert main(["evaluate", str(tmp_path / "model"), "--truth", str(dataset), "--align", str(tmp_path / "nothing")]) == 1
+    assert (
+        main(["evaluate", str(tmp_path / "model"), "--truth", str(dataset), "--align", str(tmp_path / "nothing")]) == 1
+    )

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from gof.commands.evaluate import evaluate, main
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
-from gof.evaluate.run import evaluate, main
 from gof.gaussians import TransientGaussians
 from tests.evaluate.synthetic_flame import flame_dataset
 
@@ -40,7 +40,9 @@ def test_worse_results_score_worse_in_what_they_get_wrong(flame):
     _, dataset, truth = flame
     right = evaluate(truth, dataset)
     slow = evaluate(changed(truth, velocity=0.5 * truth.velocity), dataset, images=False)
-    assert slow["dve"]["l2"] == pytest.approx(0.5, abs=0.05) and slow["dve"]["speed_ratio"] == pytest.approx(0.5, abs=0.05)
+    assert slow["dve"]["l2"] == pytest.approx(0.5, abs=0.05) and slow["dve"]["speed_ratio"] == pytest.approx(
+        0.5, abs=0.05
+    )
     assert slow["dve"]["cos_sim"] > 0.99 and "psnr" not in slow and "render" not in slow["costs"]
     dim = evaluate(changed(truth, opacity=0.3 * truth.opacity), dataset)
     assert dim["psnr_flame"] < right["psnr_flame"] - 10
@@ -64,7 +66,10 @@ def test_command_line(flame, capsys):
     folder, _, truth = flame
     truth.save(folder / "result.npz")
     out, extra = folder / "scores", folder / "copy.json"
-    assert main([str(folder / "result.npz"), "--truth", str(folder / "data"), "--out", str(out), "--json", str(extra)]) == 0
+    assert (
+        main([str(folder / "result.npz"), "--truth", str(folder / "data"), "--out", str(out), "--json", str(extra)])
+        == 0
+    )
     printed = capsys.readouterr().out
     assert "CosSim" in printed and "control: constant" in printed and "plate" in printed
     scores = json.loads((out / "scores.json").read_text())
@@ -91,15 +96,25 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
     original = evaluate(truth, dataset)
     times = dataset.times_s
     ftgs = evaluate(save(truth, tmp_path / "a.ftgs.ply", times[0], times[-1], len(times)), dataset)
-    assert ftgs["import"]["method"] == "freetime" and ftgs["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-4)
+    assert ftgs["import"]["method"] == "freetime" and ftgs["dve"]["l2"] == pytest.approx(
+        original["dve"]["l2"], abs=1e-4
+    )
     assert ftgs["psnr"] == pytest.approx(original["psnr"], abs=0.2)
 
     steps = np.arange(times[0], times[-1] + 1e-9, (times[1] - times[0]) / 2)
     states = [truth.at(t) for t in steps]
-    Trajectory(steps, np.stack([p for p, _ in states]), np.stack([o for _, o in states]), truth.scale, truth.rotation, color=truth.color).save(
-        tmp_path / "t.npz")
+    Trajectory(
+        steps,
+        np.stack([p for p, _ in states]),
+        np.stack([o for _, o in states]),
+        truth.scale,
+        truth.rotation,
+        color=truth.color,
+    ).save(tmp_path / "t.npz")
     sampled = evaluate(tmp_path / "t.npz", dataset)
-    assert sampled["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=2e-3) and sampled["psnr"] == pytest.approx(original["psnr"], abs=0.1)
+    assert sampled["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=2e-3) and sampled["psnr"] == pytest.approx(
+        original["psnr"], abs=0.1
+    )
     assert set(sampled["controls"]) == set(original["controls"])
     for name in ("zero", "constant", "height_mean", "true_centre", "shuffled"):
         assert sampled["controls"][name]["l2"] == pytest.approx(original["controls"][name]["l2"], abs=2e-2)
@@ -120,9 +135,15 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
     aligned = evaluate(tmp_path / "elsewhere.npz", dataset, align=tmp_path / "cameras.json")
     np.testing.assert_allclose(aligned["import"]["alignment"]["matrix"], inverse, atol=1e-6)
     assert aligned["import"]["alignment"]["position_rms_m"] < 1e-6
-    assert aligned["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-3) and aligned["psnr"] == pytest.approx(original["psnr"], abs=0.1)
+    assert aligned["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-3) and aligned["psnr"] == pytest.approx(
+        original["psnr"], abs=0.1
+    )
     with pytest.raises(DataFormatError, match="--time-unit"):
-        evaluate(tmp_path / "a.ftgs.ply", Dataset(dataset.path, dataset.meta, dataset.cameras, dataset.times_s[:1]), foreign=ImportOptions())
+        evaluate(
+            tmp_path / "a.ftgs.ply",
+            Dataset(dataset.path, dataset.meta, dataset.cameras, dataset.times_s[:1]),
+            foreign=ImportOptions(),
+        )
 
 
 def test_a_checkpoint_of_the_papers_code_through_the_whole_path(flame, tmp_path):
@@ -132,12 +153,37 @@ def test_a_checkpoint_of_the_papers_code_through_the_whole_path(flame, tmp_path)
     n, (low, high) = len(truth), (0.005, 0.08)
     logit = lambda x: np.log(x / (1 - x))  # noqa: E731
     rest = np.zeros((n, 15, 3))
-    arrays = [truth.position, truth.velocity / 1000, ((truth.color - 0.5) / 0.28209479177387814)[:, None], rest, logit((truth.scale - low) / (high - low)),
-              3 * truth.rotation, logit(truth.opacity)[:, None], 1000 * truth.t_mu[:, None], 1000 * truth.t_sigma[:, None]]
+    arrays = [
+        truth.position,
+        truth.velocity / 1000,
+        ((truth.color - 0.5) / 0.28209479177387814)[:, None],
+        rest,
+        logit((truth.scale - low) / (high - low)),
+        3 * truth.rotation,
+        logit(truth.opacity)[:, None],
+        1000 * truth.t_mu[:, None],
+        1000 * truth.t_sigma[:, None],
+    ]
     tensors = [torch.nn.Parameter(torch.tensor(np.asarray(a, np.float32))) for a in arrays]
-    torch.save(((3, *tensors, torch.ones(n, dtype=torch.bool), torch.zeros(n), torch.zeros(n, 1), torch.zeros(n, 1), {}, np.float64(3.0)), 7000),
-               tmp_path / "chkpnt7000.pth")
+    torch.save(
+        (
+            (
+                3,
+                *tensors,
+                torch.ones(n, dtype=torch.bool),
+                torch.zeros(n),
+                torch.zeros(n, 1),
+                torch.zeros(n, 1),
+                {},
+                np.float64(3.0),
+            ),
+            7000,
+        ),
+        tmp_path / "chkpnt7000.pth",
+    )
     (tmp_path / "scale_bounds.json").write_text(json.dumps({"dynamic_scale_min": low, "dynamic_scale_max": high}))
     original, got = evaluate(truth, dataset), evaluate(tmp_path, dataset)
     assert got["import"]["method"] == "authors" and got["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-4)
-    assert got["dve"]["cos_sim"] == pytest.approx(original["dve"]["cos_sim"], abs=1e-5) and got["psnr"] == pytest.approx(original["psnr"], abs=0.05)
+    assert got["dve"]["cos_sim"] == pytest.approx(original["dve"]["cos_sim"], abs=1e-5) and got[
+        "psnr"
+    ] == pytest.approx(original["psnr"], abs=0.05)

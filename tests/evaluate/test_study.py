@@ -7,7 +7,7 @@ import pytest
 
 from gof.evaluate.closed_forms import abc, gaussian_vortex, linear, taylor_green
 from gof.evaluate.quadrature import rotation_matrices
-from gof.evaluate.study import gaussians, main
+from gof_benchmark.studies.dve import gaussians, main
 
 
 @pytest.mark.parametrize("flow", [linear(), taylor_green(10.0), abc(10.0), gaussian_vortex(0.15)], ids=lambda f: f.name)
@@ -33,8 +33,18 @@ def test_the_study_shows_what_it_claims(tmp_path, capsys):
             falling = [error["order", flow, f"order {n}", k_sigma] for n in (1, 3, 5, 7)]
             assert falling == sorted(falling, reverse=True) and falling[3] < 1e-3
         assert error["grid", flow, "128^3 order 3", 0.5] < error["grid", flow, "32^3 order 3", 0.5] / 8
-        assert error["precision", flow, "float32 kernel", 0.5] < 1e-6 < error["precision", flow, "float16 kernel", 0.5] < 1e-3
+        assert (
+            error["precision", flow, "float32 kernel", 0.5]
+            < 1e-6
+            < error["precision", flow, "float16 kernel", 0.5]
+            < 1e-3
+        )
     charts = {path.stem: path.read_text() for path in tmp_path.glob("*.svg")}
-    assert sorted(charts) == ["study_dve_abc", "study_dve_gaussian_vortex", "study_dve_linear", "study_dve_taylor-green"]
+    assert sorted(charts) == [
+        "study_dve_abc",
+        "study_dve_gaussian_vortex",
+        "study_dve_linear",
+        "study_dve_taylor-green",
+    ]
     assert "Monte Carlo" in charts["study_dve_abc"] and charts["study_dve_linear"].count("<circle") == 12
     assert all(r["seconds"] > 0 for r in rows)

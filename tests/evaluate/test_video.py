@@ -35,7 +35,11 @@ class Network(nn.Module):
         super().__init__()
         self.stem = convolution(3, 64, (3, 7, 7), (1, 2, 2), (1, 3, 3), nn.ReLU())
         for level, (before, after) in enumerate(pairwise(CHANNELS[1:]), 1):
-            setattr(self, f"layer{level}", nn.Sequential(Block(before, after, 2 if level > 1 else 1), Block(after, after, 1)))
+            setattr(
+                self,
+                f"layer{level}",
+                nn.Sequential(Block(before, after, 2 if level > 1 else 1), Block(after, after, 1)),
+            )
         self.fc = nn.Linear(512, 400)
 
 
@@ -59,17 +63,26 @@ def by_definition(network, head, levels, video, truth, clip, patch):
     """Clip by clip and patch by patch, as the paper's feature distance."""
     weight, gain = head
     split = torch.split(weight.abs(), CHANNELS[:levels], 1)
-    x, y = (torch.tensor(np.ascontiguousarray(np.moveaxis(v, -1, 0)), dtype=torch.float32)[None] for v in (video, truth))
-    mean, std = torch.tensor([0.43216, 0.394666, 0.37645]).view(1, 3, 1, 1, 1), torch.tensor([0.22803, 0.22145, 0.216989]).view(1, 3, 1, 1, 1)
+    x, y = (
+        torch.tensor(np.ascontiguousarray(np.moveaxis(v, -1, 0)), dtype=torch.float32)[None] for v in (video, truth)
+    )
+    mean, std = (
+        torch.tensor([0.43216, 0.394666, 0.37645]).view(1, 3, 1, 1, 1),
+        torch.tensor([0.22803, 0.22145, 0.216989]).view(1, 3, 1, 1, 1),
+    )
     errors = []
     for t in range(0, x.shape[2], clip):
         for h in range(0, x.shape[3], patch[0]):
             for w in range(0, x.shape[4], patch[1]):
-                a, b = (((v - mean) / std)[:, :, t:t + clip, h:h + patch[0], w:w + patch[1]] for v in (x, y))
+                a, b = (((v - mean) / std)[:, :, t : t + clip, h : h + patch[0], w : w + patch[1]] for v in (x, y))
                 error = (split[0] * ((a - b) ** 2).mean((2, 3, 4), keepdim=True)).sum()
-                for level, stage in enumerate([network.stem, network.layer1, network.layer2, network.layer3, network.layer4][:levels - 1], 1):
+                for level, stage in enumerate(
+                    [network.stem, network.layer1, network.layer2, network.layer3, network.layer4][: levels - 1], 1
+                ):
                     a, b = stage(a), stage(b)
-                    difference = nn.functional.normalize(a, dim=1, eps=1e-10) - nn.functional.normalize(b, dim=1, eps=1e-10)
+                    difference = nn.functional.normalize(a, dim=1, eps=1e-10) - nn.functional.normalize(
+                        b, dim=1, eps=1e-10
+                    )
                     error = error + (split[level] * (difference**2).mean((2, 3, 4), keepdim=True)).sum()
                 errors.append(float(gain * error))
     return 100 - np.mean(errors)
@@ -124,12 +137,17 @@ def test_nothing_in_a_head_is_executed(model, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     os.link(folder / TRUNK, tmp_path / TRUNK)
     picture = np.zeros((16, 16, 3))
-    for content, reason in ((pickle.dumps(Attack()), "no tensor"), (b"", "not the two tensors"), (pickle.dumps((torch.ones(5), torch.tensor(1.0))), "131"),
-                            (pickle.dumps((torch.full((131,), np.nan), torch.tensor(1.0))), "finite")):
+    for content, reason in (
+        (pickle.dumps(Attack()), "no tensor"),
+        (b"", "not the two tensors"),
+        (pickle.dumps((torch.ones(5), torch.tensor(1.0))), "131"),
+        (pickle.dumps((torch.full((131,), np.nan), torch.tensor(1.0))), "finite"),
+    ):
         (tmp_path / "cgvqm-2.pickle").write_bytes(content)
         with pytest.raises(DataFormatError, match=reason):
             cgvqm(1, lambda k: (picture, picture), 1, tmp_path)
         from gof.evaluate import video
+
         video._head.cache_clear()
     assert not (tmp_path / "attacked").exists()
 
@@ -138,7 +156,13 @@ def test_absent_or_wrong_files_and_bad_pictures_are_named(model, tmp_path):
     folder, _ = model
     with pytest.raises(MissingDependencyError, match=TRUNK):
         available(tmp_path)
-    assert available(folder) == ["cgvqm_2", "cgvqm_5"] and trunk_shapes()["layer2.0.downsample.0.weight"] == (128, 64, 1, 1, 1)
+    assert available(folder) == ["cgvqm_2", "cgvqm_5"] and trunk_shapes()["layer2.0.downsample.0.weight"] == (
+        128,
+        64,
+        1,
+        1,
+        1,
+    )
     (tmp_path / "cgvqm-2.pickle").write_bytes((folder / "cgvqm-2.pickle").read_bytes())
     torch.save({"stem.0.weight": torch.zeros(1)}, tmp_path / TRUNK)
     with pytest.raises(DataFormatError, match="r3d_18"):
@@ -157,8 +181,8 @@ def test_in_evaluate_with_the_board_faded_out(model, tmp_path):
 
     import cv2
 
+    from gof.commands.evaluate import Extras, evaluate
     from gof.dataset import Dataset
-    from gof.evaluate.run import Extras, evaluate
     from tests.evaluate.synthetic_flame import flame_dataset
 
     folder, _ = model
@@ -173,7 +197,9 @@ def test_in_evaluate_with_the_board_faded_out(model, tmp_path):
     meta = json.loads((tmp_path / "data/dataset.json").read_text())
     for camera in meta["cameras"]:
         camera["board_mask"] = f"cameras/{camera['name']}/board_mask.png"
-        cv2.imwrite(str(tmp_path / "data" / camera["board_mask"]), np.pad(np.full((20, 48), 255, np.uint8), ((60, 0), (0, 0))))
+        cv2.imwrite(
+            str(tmp_path / "data" / camera["board_mask"]), np.pad(np.full((20, 48), 255, np.uint8), ((60, 0), (0, 0)))
+        )
         for k in range(9):
             path = str(tmp_path / "data" / camera["rgb"].format(frame=k))
             picture = cv2.imread(path)

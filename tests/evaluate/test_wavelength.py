@@ -54,7 +54,9 @@ def test_no_curvature_no_spread(function):
     g = make_gaussians(40)
     assert (phase_spread(Analytic(function, voxel_size=0.02), *parts(g)) == 0).all()
     grid = VelocityField.from_array(np.zeros((40, 40, 40, 3)), (-2, -2, -2), 0.1)
-    filled = VelocityField(function(grid.cell_centers().reshape(-1, 3)).reshape(40, 40, 40, 3).astype(np.float32), grid.index_to_world)
+    filled = VelocityField(
+        function(grid.cell_centers().reshape(-1, 3)).reshape(40, 40, 40, 3).astype(np.float32), grid.index_to_world
+    )
     assert (phase_spread(filled, *parts(g)) == 0).all()  # float32 rounding is no wave
 
 
@@ -72,7 +74,9 @@ def test_share_in_the_score():
     wave = Analytic(lambda p: np.sin(10 * p[:, [0]]) * np.array([0, 0, 1.0]) + 1, voxel_size=0.02)
     for n in (100, 4000):
         scale = np.where(np.arange(n)[:, None] % 2 == 0, [0.3, 0.02, 0.02], [0.03, 0.02, 0.02])
-        g = make_gaussians(n, scale=scale, rotation=np.tile([1.0, 0, 0, 0], (n, 1)), opacity=np.where(np.arange(n) % 2 == 0, 0.05, 0.5))
+        g = make_gaussians(
+            n, scale=scale, rotation=np.tile([1.0, 0, 0, 0], (n, 1)), opacity=np.where(np.arange(n) % 2 == 0, 0.05, 0.5)
+        )
         got = dve(g, wave, 0.0)
         assert got.weight_short_waves == pytest.approx(0.5, abs=0.13)
     assert share_of_short_waves(wave, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0)) == 0

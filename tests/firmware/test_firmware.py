@@ -18,8 +18,11 @@ def test_core_and_esp32_layer_pass_their_tests_under_sanitizers(tmp_path):
     )
     assert run.returncode == 0, run.stdout + run.stderr
     passed = re.findall(r"^ok (\w+)", run.stdout, re.M)
-    written = [name for file in ("test_core.c", "test_esp32.c")
-               for name in re.findall(r"^static void (test_\w+)", (FIRMWARE / "host" / file).read_text(), re.M)]
+    written = [
+        name
+        for file in ("test_core.c", "test_esp32.c")
+        for name in re.findall(r"^static void (test_\w+)", (FIRMWARE / "host" / file).read_text(), re.M)
+    ]
     assert sorted(passed) == sorted(written * 2)  # LEDs that light at a high and at a low level; both chips
 
 

@@ -17,10 +17,18 @@ def logistic(x):
 
 def capture(rng, n, sh_rest=15):
     """Shared raw tensors of a 3DGS descendant, as nn.Parameters."""
+
     def parameter(*shape, scale=1.0, shift=0.0):
         return torch.nn.Parameter(torch.tensor(rng.normal(shift, scale, shape), dtype=torch.float32))
-    return {"xyz": parameter(n, 3), "f_dc": parameter(n, 1, 3), "f_rest": parameter(n, sh_rest, 3, scale=0.1), "scaling": parameter(n, 3, shift=-3.0),
-            "rotation": parameter(n, 4), "opacity": parameter(n, 1)}
+
+    return {
+        "xyz": parameter(n, 3),
+        "f_dc": parameter(n, 1, 3),
+        "f_rest": parameter(n, sh_rest, 3, scale=0.1),
+        "scaling": parameter(n, 3, shift=-3.0),
+        "rotation": parameter(n, 4),
+        "opacity": parameter(n, 1),
+    }
 
 
 def optimizer_state(parameters):
@@ -33,28 +41,75 @@ def optimizer_state(parameters):
 def authors(folder: Path, n=30, iteration=7000, seed=0):
     rng = np.random.default_rng(seed)
     p = capture(rng, n)
-    p["velocity"] = torch.nn.Parameter(torch.tensor(rng.normal(0, 1e-3, (n, 3)), dtype=torch.float32))  # metres per millisecond
+    p["velocity"] = torch.nn.Parameter(
+        torch.tensor(rng.normal(0, 1e-3, (n, 3)), dtype=torch.float32)
+    )  # metres per millisecond
     t_mu = torch.nn.Parameter(torch.tensor(rng.uniform(0, 80, (n, 1)), dtype=torch.float32))
-    t_sigma = torch.nn.Parameter(torch.tensor(rng.uniform(5, 30, (n, 1)) * rng.choice([-1, 1], (n, 1)), dtype=torch.float32))
+    t_sigma = torch.nn.Parameter(
+        torch.tensor(rng.uniform(5, 30, (n, 1)) * rng.choice([-1, 1], (n, 1)), dtype=torch.float32)
+    )
     dynamic = torch.tensor(rng.random(n) < 0.8)
-    state = (3, p["xyz"], p["velocity"], p["f_dc"], p["f_rest"], p["scaling"], p["rotation"], p["opacity"], t_mu, t_sigma, dynamic,
-             torch.zeros(n), torch.zeros(n, 1), torch.zeros(n, 1), optimizer_state(p), np.float64(4.2) * 1.1)
+    state = (
+        3,
+        p["xyz"],
+        p["velocity"],
+        p["f_dc"],
+        p["f_rest"],
+        p["scaling"],
+        p["rotation"],
+        p["opacity"],
+        t_mu,
+        t_sigma,
+        dynamic,
+        torch.zeros(n),
+        torch.zeros(n, 1),
+        torch.zeros(n, 1),
+        optimizer_state(p),
+        np.float64(4.2) * 1.1,
+    )
     path = folder / f"chkpnt{iteration}.pth"
     folder.mkdir(parents=True, exist_ok=True)
     torch.save((state, iteration), path)
     bounds = folder / "point_cloud" / f"iteration_{iteration}" / "scale_bounds.json"
     bounds.parent.mkdir(parents=True)
     bounds.write_text(json.dumps({"dynamic_scale_min": 0.001, "dynamic_scale_max": 0.03}))
-    return path, {k: v.detach().numpy() for k, v in p.items()} | {"t_mu": t_mu.detach().numpy(), "t_sigma": t_sigma.detach().numpy(), "dynamic": dynamic.numpy()}
+    return path, {k: v.detach().numpy() for k, v in p.items()} | {
+        "t_mu": t_mu.detach().numpy(),
+        "t_sigma": t_sigma.detach().numpy(),
+        "dynamic": dynamic.numpy(),
+    }
 
 
 def yang(path: Path, n=30, seed=0, rot_4d=True):
     rng = np.random.default_rng(seed)
     p = capture(rng, n, sh_rest=47)
-    extra = {"t": rng.uniform(0, 1, (n, 1)), "scaling_t": rng.normal(-1, 0.5, (n, 1)), "rotation_r": rng.normal(size=(n, 4))}
+    extra = {
+        "t": rng.uniform(0, 1, (n, 1)),
+        "scaling_t": rng.normal(-1, 0.5, (n, 1)),
+        "rotation_r": rng.normal(size=(n, 4)),
+    }
     extra = {k: torch.nn.Parameter(torch.tensor(v, dtype=torch.float32)) for k, v in extra.items()}
-    state = (3, p["xyz"], p["f_dc"], p["f_rest"], p["scaling"], p["rotation"], p["opacity"], torch.zeros(n), torch.zeros(n, 1), torch.zeros(n, 1),
-             torch.zeros(n, 1), optimizer_state(p), np.float64(3.3), extra["t"], extra["scaling_t"], extra["rotation_r"], rot_4d, torch.empty(0), 2)
+    state = (
+        3,
+        p["xyz"],
+        p["f_dc"],
+        p["f_rest"],
+        p["scaling"],
+        p["rotation"],
+        p["opacity"],
+        torch.zeros(n),
+        torch.zeros(n, 1),
+        torch.zeros(n, 1),
+        torch.zeros(n, 1),
+        optimizer_state(p),
+        np.float64(3.3),
+        extra["t"],
+        extra["scaling_t"],
+        extra["rotation_r"],
+        rot_4d,
+        torch.empty(0),
+        2,
+    )
     torch.save((state, 30000), path)
     return {k: v.detach().numpy() for k, v in (p | extra).items()}
 
@@ -75,12 +130,24 @@ def yang_covariance(raw):
 
 def freetime(path: Path, n=30, seed=0, drop=()):
     rng = np.random.default_rng(seed)
-    raw = {"means": rng.normal(size=(n, 3)), "scales": rng.normal(-4, 0.3, (n, 3)), "quats": rng.normal(size=(n, 4)), "opacities": rng.normal(size=n),
-           "sh0": rng.normal(size=(n, 1, 3)), "shN": rng.normal(0, 0.2, (n, 15, 3)), "times": rng.uniform(0, 1, (n, 1)),
-           "durations": np.log(rng.uniform(0.005, 0.3, (n, 1))), "velocities": rng.normal(size=(n, 3))}
-    splats = torch.nn.ParameterDict({k: torch.nn.Parameter(torch.tensor(v, dtype=torch.float32)) for k, v in raw.items() if k not in drop})
+    raw = {
+        "means": rng.normal(size=(n, 3)),
+        "scales": rng.normal(-4, 0.3, (n, 3)),
+        "quats": rng.normal(size=(n, 4)),
+        "opacities": rng.normal(size=n),
+        "sh0": rng.normal(size=(n, 1, 3)),
+        "shN": rng.normal(0, 0.2, (n, 15, 3)),
+        "times": rng.uniform(0, 1, (n, 1)),
+        "durations": np.log(rng.uniform(0.005, 0.3, (n, 1))),
+        "velocities": rng.normal(size=(n, 3)),
+    }
+    splats = torch.nn.ParameterDict(
+        {k: torch.nn.Parameter(torch.tensor(v, dtype=torch.float32)) for k, v in raw.items() if k not in drop}
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
-    torch.save({"step": 29999, "splats": splats.state_dict(), "optimizers": {}, "n_frames": 61, "use_velocity": True}, path)
+    torch.save(
+        {"step": 29999, "splats": splats.state_dict(), "optimizers": {}, "n_frames": 61, "use_velocity": True}, path
+    )
     return {k: v.detach().numpy() for k, v in splats.items()}
 
 
@@ -90,7 +157,11 @@ def splat_ply(path: Path, raw: dict, extra: dict | None = None, comments=()):
     columns |= {f"f_dc_{c}": raw["f_dc"][:, 0, c] for c in range(3)}
     rest = raw["f_rest"].transpose(0, 2, 1).reshape(n, -1)
     columns |= {f"f_rest_{i}": rest[:, i] for i in range(rest.shape[1])} | {"opacity": raw["opacity"][:, 0]}
-    columns |= {f"scale_{i}": raw["scaling"][:, i] for i in range(3)} | {f"rot_{i}": raw["rotation"][:, i] for i in range(4)} | (extra or {})
+    columns |= (
+        {f"scale_{i}": raw["scaling"][:, i] for i in range(3)}
+        | {f"rot_{i}": raw["rotation"][:, i] for i in range(4)}
+        | (extra or {})
+    )
     vertex = np.empty(n, [(k, "f4") for k in columns])
     for k, v in columns.items():
         vertex[k] = v
@@ -101,26 +172,70 @@ def splat_ply(path: Path, raw: dict, extra: dict | None = None, comments=()):
 def ftgs_ply(path: Path, n=30, seed=0, n_frames=61):
     """FTGS-PLY version 1 with random content; returns the raw values under the checkpoint's names."""
     rng = np.random.default_rng(seed)
-    raw = {"means": rng.normal(size=(n, 3)), "scales": rng.normal(-4, 0.3, (n, 3)), "quats": rng.normal(size=(n, 4)), "opacities": rng.normal(size=n),
-           "sh0": rng.normal(size=(n, 1, 3)), "shN": rng.normal(0, 0.2, (n, 3, 3)), "times": rng.uniform(0, 1, (n, 1)),
-           "durations": np.log(rng.uniform(0.005, 0.3, (n, 1))), "velocities": rng.normal(size=(n, 3))}
+    raw = {
+        "means": rng.normal(size=(n, 3)),
+        "scales": rng.normal(-4, 0.3, (n, 3)),
+        "quats": rng.normal(size=(n, 4)),
+        "opacities": rng.normal(size=n),
+        "sh0": rng.normal(size=(n, 1, 3)),
+        "shN": rng.normal(0, 0.2, (n, 3, 3)),
+        "times": rng.uniform(0, 1, (n, 1)),
+        "durations": np.log(rng.uniform(0.005, 0.3, (n, 1))),
+        "velocities": rng.normal(size=(n, 3)),
+    }
     raw = {k: v.astype(np.float32) for k, v in raw.items()}
-    splat_ply(path, {"xyz": raw["means"], "f_dc": raw["sh0"], "f_rest": raw["shN"], "opacity": raw["opacities"][:, None], "scaling": raw["scales"],
-                     "rotation": raw["quats"]},
-              {"time": raw["times"][:, 0], "log_duration": raw["durations"][:, 0], **{f"velocity_{i}": raw["velocities"][:, i] for i in range(3)}},
-              ["ftgs_version 1", "time_units normalized", "sh_degree 1", "use_velocity 1", "min_duration 0.02", "opacity_floor 0.0001", f"n_frames {n_frames}"])
+    splat_ply(
+        path,
+        {
+            "xyz": raw["means"],
+            "f_dc": raw["sh0"],
+            "f_rest": raw["shN"],
+            "opacity": raw["opacities"][:, None],
+            "scaling": raw["scales"],
+            "rotation": raw["quats"],
+        },
+        {
+            "time": raw["times"][:, 0],
+            "log_duration": raw["durations"][:, 0],
+            **{f"velocity_{i}": raw["velocities"][:, i] for i in range(3)},
+        },
+        [
+            "ftgs_version 1",
+            "time_units normalized",
+            "sh_degree 1",
+            "use_velocity 1",
+            "min_duration 0.02",
+            "opacity_floor 0.0001",
+            f"n_frames {n_frames}",
+        ],
+    )
     return raw
 
 
 def wu(path: Path, n=5):
     p = capture(np.random.default_rng(0), n)
-    state = (3, p["xyz"], {"deformation_net.grid.aabb": torch.zeros(2, 3)}, torch.ones(n, dtype=torch.bool), p["f_dc"], p["f_rest"], p["scaling"],
-             p["rotation"], p["opacity"], torch.zeros(n), torch.zeros(n, 1), torch.zeros(n, 1), optimizer_state(p), np.float64(2.0))
+    state = (
+        3,
+        p["xyz"],
+        {"deformation_net.grid.aabb": torch.zeros(2, 3)},
+        torch.ones(n, dtype=torch.bool),
+        p["f_dc"],
+        p["f_rest"],
+        p["scaling"],
+        p["rotation"],
+        p["opacity"],
+        torch.zeros(n),
+        torch.zeros(n, 1),
+        torch.zeros(n, 1),
+        optimizer_state(p),
+        np.float64(2.0),
+    )
     torch.save((state, 14000), path)
 
 
 def colmap_binary(folder: Path, poses: dict[str, np.ndarray], points: np.ndarray):
     from scipy.spatial.transform import Rotation
+
     folder.mkdir(parents=True, exist_ok=True)
     images, cloud = struct.pack("<Q", len(poses)), struct.pack("<Q", len(points))
     for i, (name, pose) in enumerate(poses.items()):
@@ -135,10 +250,17 @@ def colmap_binary(folder: Path, poses: dict[str, np.ndarray], points: np.ndarray
 
 def colmap_text(folder: Path, poses, points):
     from scipy.spatial.transform import Rotation
+
     folder.mkdir(parents=True, exist_ok=True)
     rows = ["# Image list with two lines of data per image:"]
     for i, (name, pose) in enumerate(poses.items()):
         q = Rotation.from_matrix(pose[:3, :3]).as_quat()[[3, 0, 1, 2]]
-        rows += [" ".join(map(repr, [i + 1, *q.tolist(), *pose[:3, 3].tolist(), 1])) + " " + name, "" if i else "1.0 2.0 -1"]
+        rows += [
+            " ".join(map(repr, [i + 1, *q.tolist(), *pose[:3, 3].tolist(), 1])) + " " + name,
+            "" if i else "1.0 2.0 -1",
+        ]
     (folder / "images.txt").write_text("\n".join(rows) + "\n")
-    (folder / "points3D.txt").write_text("# 3D points\n" + "".join(f"{i} {x[0]!r} {x[1]!r} {x[2]!r} 1 2 3 0.5 1 0\n" for i, x in enumerate(points.tolist())))
+    (folder / "points3D.txt").write_text(
+        "# 3D points\n"
+        + "".join(f"{i} {x[0]!r} {x[1]!r} {x[2]!r} 1 2 3 0.5 1 0\n" for i, x in enumerate(points.tolist()))
+    )

@@ -15,7 +15,11 @@ lookalikes = pytest.importorskip("tests.io.lookalikes", reason="PyTorch writes t
 def test_a_foreign_checkpoint_to_every_format(tmp_path, capsys):
     path, _ = lookalikes.authors(tmp_path / "model")
     original = read_result(path).gaussians
-    for name, extra in (("a.npz", []), ("a.ply", []), ("a.ftgs.ply", ["--start", "0", "--end", "0.08", "--frame-time", "0.01"])):
+    for name, extra in (
+        ("a.npz", []),
+        ("a.ply", []),
+        ("a.ftgs.ply", ["--start", "0", "--end", "0.08", "--frame-time", "0.01"]),
+    ):
         assert main([str(path), str(tmp_path / name), "--json", str(tmp_path / "j.json"), *extra]) == 0
         back = read_result(tmp_path / name, ImportOptions(frame_time_s=0.01)).gaussians
         d = original.dynamic
@@ -31,7 +35,9 @@ def test_a_foreign_checkpoint_to_every_format(tmp_path, capsys):
 
 
 def test_trajectories_stay_trajectories(tmp_path):
-    Trajectory(np.arange(3) * 0.1, np.zeros((3, 2, 3)), np.ones((3, 2)), np.ones((2, 3)), np.ones((2, 4))).save(tmp_path / "t.npz")
+    Trajectory(np.arange(3) * 0.1, np.zeros((3, 2, 3)), np.ones((3, 2)), np.ones((2, 3)), np.ones((2, 4))).save(
+        tmp_path / "t.npz"
+    )
     assert main([str(tmp_path / "t.npz"), str(tmp_path / "u.npz")]) == 0
     assert read_result(tmp_path / "u.npz").method == "trajectory"
     with pytest.raises(DataFormatError, match="closed form"):

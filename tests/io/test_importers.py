@@ -34,7 +34,9 @@ def test_authors_checkpoint(tmp_path):
         dt = t_ms - raw["t_mu"]
         position, opacity = g.at(t_ms / 1000)
         np.testing.assert_allclose(position[d], (raw["xyz"] + dt * raw["velocity"])[d], atol=1e-5)
-        np.testing.assert_allclose(opacity[d], (logistic(raw["opacity"]) * np.exp(-(dt**2) / (2 * raw["t_sigma"] ** 2)))[d, 0], atol=1e-5)
+        np.testing.assert_allclose(
+            opacity[d], (logistic(raw["opacity"]) * np.exp(-(dt**2) / (2 * raw["t_sigma"] ** 2)))[d, 0], atol=1e-5
+        )
     assert read_result(tmp_path / "model").path == path  # the folder finds its newest checkpoint
 
 
@@ -73,12 +75,14 @@ def test_yang_against_the_density_in_space_time(tmp_path):
 
         difference = (likeliest(0.7 + 1e-3) - likeliest(0.7 - 1e-3)) / 2e-3
         np.testing.assert_allclose(g.velocity[i], difference, rtol=1e-4, atol=1e-5)
-        np.testing.assert_allclose(g[i:i + 1].at(0.7)[0][0], likeliest(0.7), atol=1e-4)
+        np.testing.assert_allclose(g[i : i + 1].at(0.7)[0][0], likeliest(0.7), atol=1e-4)
         R = Rotation.from_quat(g.rotation[i, [1, 2, 3, 0]]).as_matrix()
         conditional = R @ np.diag(g.scale[i].astype(float) ** 2) @ R.T
-        np.testing.assert_allclose(conditional, np.linalg.inv(precision[:3, :3]), rtol=1e-3, atol=1e-3 * np.trace(conditional))
+        np.testing.assert_allclose(
+            conditional, np.linalg.inv(precision[:3, :3]), rtol=1e-3, atol=1e-3 * np.trace(conditional)
+        )
         # integrating the density over space leaves exp(-dt^2 / (2 S_tt))
-        ratio = g[i:i + 1].at(0.4)[1][0] / logistic(raw["opacity"][i, 0])
+        ratio = g[i : i + 1].at(0.4)[1][0] / logistic(raw["opacity"][i, 0])
         assert ratio == pytest.approx(np.exp(-((0.4 - raw["t"][i, 0]) ** 2) / (2 * S[i][3, 3])), rel=1e-3, abs=1e-6)
     det = np.exp(raw["scaling"].astype(float).sum(1) + raw["scaling_t"][:, 0]) / np.sqrt(S[:, 3, 3])
     np.testing.assert_allclose(g.scale.astype(float).prod(1), det, rtol=1e-4)  # the DVE weight's volume
@@ -86,7 +90,10 @@ def test_yang_against_the_density_in_space_time(tmp_path):
 
 def test_yang_time_unit_and_the_3d_variant(tmp_path):
     raw = lookalikes.yang(tmp_path / "a.pth")
-    a, b = read_result(tmp_path / "a.pth").gaussians, read_result(tmp_path / "a.pth", ImportOptions(time_unit_s=0.5, time_zero_s=2)).gaussians
+    a, b = (
+        read_result(tmp_path / "a.pth").gaussians,
+        read_result(tmp_path / "a.pth", ImportOptions(time_unit_s=0.5, time_zero_s=2)).gaussians,
+    )
     np.testing.assert_allclose(b.velocity, 2 * a.velocity, rtol=1e-5)
     np.testing.assert_allclose(b.t_mu, 2 + 0.5 * raw["t"][:, 0], rtol=1e-5)
     lookalikes.yang(tmp_path / "b.pth", rot_4d=False)
@@ -128,11 +135,15 @@ def test_ftgs_ply_there_and_back(tmp_path):
         back = read_result(path, ImportOptions(frame_time_s=0.04, time_zero_s=-0.5)).gaussians
         for t in (0.0, 0.3, 1.0):
             for a, b in zip(g.at(t), back.at(t), strict=True):
-                np.testing.assert_allclose(a, b, atol=2e-4 if a.ndim == 2 else 2e-3 if np.abs(a - b).max() < 2e-3 else 0)
+                np.testing.assert_allclose(
+                    a, b, atol=2e-4 if a.ndim == 2 else 2e-3 if np.abs(a - b).max() < 2e-3 else 0
+                )
         np.testing.assert_allclose(back.velocity, np.where(g.dynamic[:, None], g.velocity, 0), atol=1e-5)
         np.testing.assert_allclose(back.scale, g.scale, rtol=1e-4)
     header = (tmp_path / "0.ftgs.ply").read_bytes().split(b"end_header")[0].decode()
-    assert "comment ftgs_version 1\ncomment time_units normalized\ncomment sh_degree 0\ncomment use_velocity 1" in header
+    assert (
+        "comment ftgs_version 1\ncomment time_units normalized\ncomment sh_degree 0\ncomment use_velocity 1" in header
+    )
     assert "property float velocity_2" in header and "format binary_little_endian 1.0" in header
 
 
@@ -147,7 +158,9 @@ def test_ftgs_ply_of_another_version(tmp_path):
 def colmap_scene():
     rng = np.random.default_rng(5)
     poses = {f"cam{i}.png": c.world_to_camera for i, c in enumerate(arc(5, radius=4.0, target=(2.0, -1.0, 3.0)))}
-    return poses, rng.normal(size=(400, 3)) * [3, 1, 0.4] @ Rotation.from_euler("xyz", [20, 50, 10], degrees=True).as_matrix() + [2, -1, 3]
+    return poses, rng.normal(size=(400, 3)) * [3, 1, 0.4] @ Rotation.from_euler(
+        "xyz", [20, 50, 10], degrees=True
+    ).as_matrix() + [2, -1, 3]
 
 
 @pytest.mark.parametrize("write", [lookalikes.colmap_binary, lookalikes.colmap_text])
@@ -199,12 +212,22 @@ def test_freetime_normalisation_is_undone(tmp_path, colmap_scene):
     lookalikes.colmap_binary(tmp_path / "sparse/0", poses, points)
     T = normalisation(poses, points)
     g = random_gaussians(20)
-    g = TransientGaussians(**{n: getattr(g, n) for n in g.__dataclass_fields__} | {"dynamic": np.ones(20, bool), "t_sigma": np.full(20, 0.3)})
+    g = TransientGaussians(
+        **{n: getattr(g, n) for n in g.__dataclass_fields__}
+        | {"dynamic": np.ones(20, bool), "t_sigma": np.full(20, 0.3)}
+    )
     s, R = np.cbrt(np.linalg.det(T[:3, :3])), T[:3, :3] / np.cbrt(np.linalg.det(T[:3, :3]))
     trained = TransientGaussians(
-        position=g.position @ T[:3, :3].T + T[:3, 3], velocity=g.velocity @ T[:3, :3].T, t_mu=g.t_mu, t_sigma=g.t_sigma, scale=s * g.scale,
-        rotation=(Rotation.from_matrix(R) * Rotation.from_quat(g.rotation[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]], opacity=g.opacity,
-        color=g.color, dynamic=g.dynamic)
+        position=g.position @ T[:3, :3].T + T[:3, 3],
+        velocity=g.velocity @ T[:3, :3].T,
+        t_mu=g.t_mu,
+        t_sigma=g.t_sigma,
+        scale=s * g.scale,
+        rotation=(Rotation.from_matrix(R) * Rotation.from_quat(g.rotation[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]],
+        opacity=g.opacity,
+        color=g.color,
+        dynamic=g.dynamic,
+    )
     save_ftgs(trained, tmp_path / "a.ftgs.ply", 0.0, 2.0, 11)
     (tmp_path / "n.json").write_text(json.dumps({"training_to_world": np.linalg.inv(T).tolist()}))
     for world in (tmp_path, tmp_path / "n.json"):
@@ -227,7 +250,9 @@ def swirl(t, start, rate=9.0):
 def make_trajectory(times, n=40, rate=9.0):
     start = np.random.default_rng(2).normal(size=(n, 3))
     position = np.stack([swirl(t, start, rate) for t in times])
-    return Trajectory(times, position, np.full((len(times), n), 0.5), np.full((n, 3), 0.02), np.tile([1.0, 0, 0, 0], (n, 1))), start
+    return Trajectory(
+        times, position, np.full((len(times), n), 0.5), np.full((n, 3), 0.02), np.tile([1.0, 0, 0, 0], (n, 1))
+    ), start
 
 
 def test_half_steps_and_ends_of_a_swirl():
@@ -244,16 +269,22 @@ def test_half_steps_and_ends_of_a_swirl():
     assert errors["half", "inside"] < 0.006 and 0.02 < errors["whole", "inside"] < 0.027
     assert errors["half", "end"] < 0.02 and errors["half", "end"] < errors["whole", "end"] / 3
     # changing by 3x its own error when the step doubles (differences of second order)
-    assert make_trajectory(np.arange(0, 1.001, 0.04), rate=rate)[0].difference_error() == pytest.approx(3 * errors["whole", "inside"], rel=0.3)
+    assert make_trajectory(np.arange(0, 1.001, 0.04), rate=rate)[0].difference_error() == pytest.approx(
+        3 * errors["whole", "inside"], rel=0.3
+    )
 
 
 def test_quadratic_motion_is_exact_on_uneven_times_and_linear_between_samples():
     times = np.array([0.0, 0.1, 0.25, 0.3, 0.7])
     x0 = np.random.default_rng(0).normal(size=(6, 3)) + 1000  # far from the origin
     position = np.stack([x0 + 2 * t + 3 * t**2 * np.array([1, 0, -1]) for t in times])
-    trajectory = Trajectory(times, position, np.ones((5, 6)) * times[:, None], np.full((6, 3), 0.1), np.tile([1.0, 0, 0, 0], (6, 1)))
+    trajectory = Trajectory(
+        times, position, np.ones((5, 6)) * times[:, None], np.full((6, 3), 0.1), np.tile([1.0, 0, 0, 0], (6, 1))
+    )
     for t in times:
-        np.testing.assert_allclose(trajectory.state(t).velocity, np.broadcast_to(2 + 6 * t * np.array([1, 0, -1]), (6, 3)), atol=5e-3)
+        np.testing.assert_allclose(
+            trajectory.state(t).velocity, np.broadcast_to(2 + 6 * t * np.array([1, 0, -1]), (6, 3)), atol=5e-3
+        )
     between = trajectory.state(0.2)
     np.testing.assert_allclose(between.opacity, 0.2, atol=1e-6)
     np.testing.assert_allclose(between.velocity[0], [2 + 3 * 0.35, 2, 2 - 3 * 0.35], atol=5e-3)
@@ -269,8 +300,15 @@ def test_trajectory_file(tmp_path):
     np.savez(tmp_path / "bad.npz", schema="gof-trajectory/1", time_s=np.arange(3))
     with pytest.raises(DataFormatError, match="position"):
         read_result(tmp_path / "bad.npz")
-    np.savez(tmp_path / "worse.npz", schema="gof-trajectory/1", time_s=np.array([0, 0.2, 0.1]), position=np.zeros((3, 2, 3)),
-             opacity=np.zeros((3, 2)), scale=np.ones((2, 3)), rotation=np.ones((2, 4)))
+    np.savez(
+        tmp_path / "worse.npz",
+        schema="gof-trajectory/1",
+        time_s=np.array([0, 0.2, 0.1]),
+        position=np.zeros((3, 2, 3)),
+        opacity=np.zeros((3, 2)),
+        scale=np.ones((2, 3)),
+        rotation=np.ones((2, 4)),
+    )
     with pytest.raises(DataFormatError, match="increasing"):
         read_result(tmp_path / "worse.npz")
 
@@ -304,7 +342,12 @@ def test_methods_without_velocities_are_explained(tmp_path):
     (tmp_path / "grid4d/deform").mkdir(parents=True)
     raw = {k: v.detach().numpy() for k, v in lookalikes.capture(np.random.default_rng(0), 4).items()}
     lookalikes.splat_ply(tmp_path / "static.ply", raw)
-    for name, reason in (("chkpnt_fine_14000.pth", "Wu"), ("deform.pth", "Grid4D"), ("grid4d", "Grid4D"), ("static.ply", "neither time nor velocity")):
+    for name, reason in (
+        ("chkpnt_fine_14000.pth", "Wu"),
+        ("deform.pth", "Grid4D"),
+        ("grid4d", "Grid4D"),
+        ("static.ply", "neither time nor velocity"),
+    ):
         with pytest.raises(DataFormatError, match=reason):
             read_result(tmp_path / name)
 
@@ -330,8 +373,11 @@ def test_no_pickle_is_executed(tmp_path, kind, monkeypatch):
 
 
 def test_wrong_layouts_are_named(tmp_path):
-    cases = {"shape": lambda s: (*s[:1], torch.zeros(30, 4), *s[2:]), "nan": lambda s: (*s[:1], s[1] * np.nan, *s[2:]),
-             "type": lambda s: (*s[:2], [1, 2], *s[3:])}
+    cases = {
+        "shape": lambda s: (*s[:1], torch.zeros(30, 4), *s[2:]),
+        "nan": lambda s: (*s[:1], s[1] * np.nan, *s[2:]),
+        "type": lambda s: (*s[:2], [1, 2], *s[3:]),
+    }
     for name, change in cases.items():
         path, _ = lookalikes.authors(tmp_path / name)
         state, iteration = torch.load(path, weights_only=False)
@@ -376,7 +422,9 @@ def test_cameras_give_the_similarity_back(count):
     got = align_cameras(source, target)
     np.testing.assert_allclose(got.matrix, T, atol=1e-9)
     assert got.position_rms_m < 1e-9 and got.rotation_max_deg < 1e-5 and got.scale == pytest.approx(2.5)
-    noisy = {k: p + np.pad(np.random.default_rng(0).normal(0, 0.02, (3, 1)), ((0, 1), (3, 0))) for k, p in source.items()}
+    noisy = {
+        k: p + np.pad(np.random.default_rng(0).normal(0, 0.02, (3, 1)), ((0, 1), (3, 0))) for k, p in source.items()
+    }
     noisy[next(iter(noisy))] = source[next(iter(source))]
     assert align_cameras(noisy, target).position_rms_m > 1e-3
     with pytest.raises(GofError, match="two cameras"):

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.commands.reconstruct import ReconstructConfig
 from gof.fields import VelocityField
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.run import ReconstructConfig
 from gof.render import render
 from tests.conftest import arc, write_dataset
 
@@ -20,13 +20,29 @@ def column(times, n=500) -> TransientGaussians:
     rng = np.random.default_rng(0)
     position = np.stack([*rng.normal(0, 0.08, (2, n)), rng.uniform(-0.2, 1.8, n)], -1) - RISE * times.mean()
     return TransientGaussians(
-        position=position, velocity=np.tile(RISE, (n, 1)), t_mu=np.full(n, 0.0), t_sigma=np.full(n, np.inf),
-        scale=rng.uniform(0.015, 0.04, (n, 3)), rotation=rng.normal(size=(n, 4)), opacity=rng.uniform(0.05, 0.5, n),
-        color=np.array([1.0, 0.6, 0.15]) * rng.uniform(0.5, 1, (n, 1)), dynamic=np.ones(n, bool))
+        position=position,
+        velocity=np.tile(RISE, (n, 1)),
+        t_mu=np.full(n, 0.0),
+        t_sigma=np.full(n, np.inf),
+        scale=rng.uniform(0.015, 0.04, (n, 3)),
+        rotation=rng.normal(size=(n, 4)),
+        opacity=rng.uniform(0.05, 0.5, n),
+        color=np.array([1.0, 0.6, 0.15]) * rng.uniform(0.5, 1, (n, 1)),
+        dynamic=np.ones(n, bool),
+    )
 
 
-def write_flame(folder: Path, frames=10, dt=DT, cameras=3, focal_px=110.0, late=None, row_time_s=0.0, change=lambda images: images,
-                test_frames=(4,)) -> Path:
+def write_flame(
+    folder: Path,
+    frames=10,
+    dt=DT,
+    cameras=3,
+    focal_px=110.0,
+    late=None,
+    row_time_s=0.0,
+    change=lambda images: images,
+    test_frames=(4,),
+) -> Path:
     """The dataset. late: {camera: seconds by which its clock is behind}; change: (T, C, H, W, 3) pictures -> pictures."""
     times = dt * np.arange(frames)
     views = [replace(camera, row_time_s=row_time_s) for camera in arc(cameras, width=48, height=96, focal_px=focal_px)]
@@ -34,7 +50,10 @@ def write_flame(folder: Path, frames=10, dt=DT, cameras=3, focal_px=110.0, late=
     rng = np.random.default_rng(1)
     plates = np.full((cameras, 96, 48, 3), 0.15) + 0.1 * rng.random((cameras, 96, 48, 1))
     late = late or {}
-    images = [[render(flame, view, t + late.get(c, 0.0), background=plates[c])["color"] for c, view in enumerate(views)] for t in times]
+    images = [
+        [render(flame, view, t + late.get(c, 0.0), background=plates[c])["color"] for c, view in enumerate(views)]
+        for t in times
+    ]
     grid = VelocityField.from_array(np.broadcast_to(RISE, (8, 8, 24, 3)), (-0.6, -0.6, -0.8), 0.15)
     fields = [VelocityField(grid.velocity, grid.index_to_world, t) for t in times]
     write_dataset(folder, views, change(np.array(images)), plates, times, fields, test_frames=list(test_frames))
@@ -53,7 +72,9 @@ def edit(folder: Path, change) -> Path:
 
 
 def config(dataset, out, **changes) -> ReconstructConfig:
-    return ReconstructConfig(dataset, out, **{"gaussians": 1500, "iterations": 200, "voxels": 32, "flow_prior": False} | changes)
+    return ReconstructConfig(
+        dataset, out, **{"gaussians": 1500, "iterations": 200, "voxels": 32, "flow_prior": False} | changes
+    )
 
 
 def held_out(result: Path) -> dict:

@@ -67,7 +67,9 @@ def test_result_scales_with_the_scene(fusion, scale):
 @pytest.mark.parametrize("fusion", ["full", "paper"])
 def test_result_scales_with_the_clock(fusion):
     jacobian, flow, valid, _ = setup()
-    np.testing.assert_allclose(FUSIONS[fusion](jacobian, flow * 1e-3, valid), FUSIONS[fusion](jacobian, flow, valid) * 1e-3, rtol=1e-9)
+    np.testing.assert_allclose(
+        FUSIONS[fusion](jacobian, flow * 1e-3, valid), FUSIONS[fusion](jacobian, flow, valid) * 1e-3, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("fusion", ["full", "paper"])
@@ -78,8 +80,12 @@ def test_bad_points_are_finite_and_zero(fusion):
     assert (fuse(jacobian, flow, valid & False) == 0).all(), "no camera"
     one = valid.copy()
     one[1:] = False
-    for case in (fuse(jacobian, flow, one), fuse(jacobian[:1].repeat(3, 0), flow[:1].repeat(3, 0), valid),  # parallel rays
-                 fuse(jacobian, flow * 1e6, valid), fuse(jacobian, flow * 1e-12, valid)):
+    for case in (
+        fuse(jacobian, flow, one),
+        fuse(jacobian[:1].repeat(3, 0), flow[:1].repeat(3, 0), valid),  # parallel rays
+        fuse(jacobian, flow * 1e6, valid),
+        fuse(jacobian, flow * 1e-12, valid),
+    ):
         assert np.isfinite(case).all()
     assert fuse(jacobian[:, :0], flow[:, :0], valid[:, :0]).shape == (0, 3)
 

@@ -1,4 +1,4 @@
-"""The learned correction of the fused flow: its symmetries, its bad points, its file. What it gains: benchmark/train_flow_prior.py."""
+"""The learned correction of the fused flow: its symmetries, its bad points, its file. What it gains: benchmark/training/flow_prior.py."""
 
 from dataclasses import replace
 

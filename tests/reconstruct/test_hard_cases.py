@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.commands.reconstruct import reconstruct
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.motion import estimate_motion
-from gof.reconstruct.run import reconstruct
 from tests.reconstruct.rising_flame import DT, RISE, config, edit, held_out, mean_velocity, write_flame
 
 SMALL = {"gaussians": 1000, "iterations": 120, "voxels": 24}
@@ -63,7 +63,9 @@ def test_scene_in_other_units_is_the_same_scene(tmp_path, plain, factor):
 
 def test_time_in_milliseconds_is_the_same_flame(tmp_path, plain):
     scaled = shutil.copytree(plain[0], tmp_path / "scaled")
-    scores, gaussians = run(edit(scaled, lambda meta: meta.update(time_s=[1e3 * t for t in meta["time_s"]])), tmp_path / "out")
+    scores, gaussians = run(
+        edit(scaled, lambda meta: meta.update(time_s=[1e3 * t for t in meta["time_s"]])), tmp_path / "out"
+    )
     assert scores["psnr_flame"] == pytest.approx(plain[1]["psnr_flame"], abs=0.3)
     np.testing.assert_allclose(mean_velocity(gaussians) * 1e3, mean_velocity(plain[2]), atol=0.03)
 
@@ -84,6 +86,7 @@ def test_camera_lost_for_some_frames(tmp_path, plain):
 
 def test_frames_without_fire(tmp_path):
     """The flame goes out for the last frames: empty masks, and nothing is seen there."""
+
     def put_out(images):
         images[6:] = np.median(images, axis=0) * 0 + 0.2
         return images
@@ -113,6 +116,7 @@ def test_saturated_frames(tmp_path):
 
 def test_background_brighter_than_the_flame(tmp_path):
     """A window behind the left half of the picture: where light is clipped, nothing of the fire can be seen, elsewhere it can."""
+
     def window(images):
         images[..., :24, :] = np.clip(images[..., :24, :] + 0.7, 0, 1)
         return images
@@ -147,6 +151,7 @@ def test_moving_foliage_is_not_flame(tmp_path, plain):
 
 def test_the_sync_boards_leds_are_no_flame(tmp_path, plain):
     """Blinking orange LEDs beside the flame, in every camera: with the board's mask they are as if they were not there."""
+
     def blink(images):
         images[::2, :, 70:90, 4:12] = [1.0, 0.6, 0.1]
         return images
@@ -158,7 +163,12 @@ def test_the_sync_boards_leds_are_no_flame(tmp_path, plain):
     board[66:94, 2:14] = 255
     for c in range(3):
         cv2.imwrite(str(folder / f"cameras/cam_{c}/board_mask.png"), board)
-    edit(folder, lambda meta: [camera.update(board_mask=f"cameras/{camera['name']}/board_mask.png") for camera in meta["cameras"]])
+    edit(
+        folder,
+        lambda meta: [
+            camera.update(board_mask=f"cameras/{camera['name']}/board_mask.png") for camera in meta["cameras"]
+        ],
+    )
     assert not estimate_motion(Dataset.open(folder)).mask[:, :, 72:88, 5:11].any()
     scores, gaussians = run(folder, tmp_path / "out")
     assert scores["psnr"] > plain[1]["psnr"] - 1.5
@@ -167,6 +177,7 @@ def test_the_sync_boards_leds_are_no_flame(tmp_path, plain):
 
 def test_texture_in_one_camera_only(tmp_path):
     """Two cameras see a featureless glow: there is nothing to follow in them, and nothing breaks."""
+
     def glow(images):
         images[:, 1:] = np.where(images[:, 1:, ..., :1] > 0.45, [1.0, 0.7, 0.2], images[:, 1:])
         return images

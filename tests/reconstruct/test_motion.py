@@ -28,10 +28,16 @@ def moving_texture(n, shift, shape=(64, 36), seed=0):
 def make(tmp_path, frames, plate, test_frames=(), dt=0.01):
     cameras = arc(2)
     images = np.repeat(frames[:, None], 2, 1)
-    return Dataset.open(write_dataset(tmp_path / "d", cameras, images, [plate, plate], dt * np.arange(len(frames)), test_frames=test_frames))
+    return Dataset.open(
+        write_dataset(
+            tmp_path / "d", cameras, images, [plate, plate], dt * np.arange(len(frames)), test_frames=test_frames
+        )
+    )
 
 
-@pytest.mark.parametrize(("method", "off"), [("dis", 0.03), ("tvl1", 0.03), ("deepflow", 0.35)])  # DeepFlow smooths small motion away
+@pytest.mark.parametrize(
+    ("method", "off"), [("dis", 0.03), ("tvl1", 0.03), ("deepflow", 0.35)]
+)  # DeepFlow smooths small motion away
 def test_flow_is_in_pixels_per_second_of_the_dataset_clock(tmp_path, method, off):
     frames, plate = moving_texture(4, (0.5, -2.0))
     motion = estimate_motion(make(tmp_path, frames, plate, dt=0.02), flow=flow_method(method))
@@ -89,4 +95,6 @@ def test_consistency_of_exact_and_wrong_flow():
 
 
 def test_srgb_decoding_end_points():
-    np.testing.assert_allclose(srgb_to_linear(np.array([0, 0.04045, 0.5, 1.0])), [0, 0.0031308, 0.2140411, 1], atol=1e-6)
+    np.testing.assert_allclose(
+        srgb_to_linear(np.array([0, 0.04045, 0.5, 1.0])), [0, 0.0031308, 0.2140411, 1], atol=1e-6
+    )

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.commands.reconstruct import ReconstructConfig, reconstruct
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr
 from gof.gaussians import TransientGaussians
@@ -15,7 +16,6 @@ from gof.reconstruct import ablations, optimize
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.motion import estimate_motion
 from gof.reconstruct.presets import PRESETS
-from gof.reconstruct.run import ReconstructConfig, reconstruct
 from gof.reconstruct.shrink import shrink
 from gof.render import render, render_splats
 from tests.conftest import arc
@@ -60,8 +60,15 @@ def test_rolling_shutter_is_undone(tmp_path):
     ignored = TransientGaussians.load(reconstruct(config(folder, tmp_path / "ignored_out", **small)))
 
     def error(gaussians):  # against snapshots, which no rolling shutter has touched
-        return np.mean([((render(gaussians, cam, truth.times_s[4], background=truth.static(c))["color"] - truth.image(c, 4)) ** 2).mean()
-                        for c, cam in enumerate(truth.cameras)])
+        return np.mean(
+            [
+                (
+                    (render(gaussians, cam, truth.times_s[4], background=truth.static(c))["color"] - truth.image(c, 4))
+                    ** 2
+                ).mean()
+                for c, cam in enumerate(truth.cameras)
+            ]
+        )
 
     assert error(rolling) < 0.8 * error(ignored)
 
@@ -93,12 +100,18 @@ def test_ablations_change_what_they_say(flame):
     assert ablations.change_times("no-sync", times, DT)[:, 0].tolist() == [0, DT / 2, 0]
     seeds = column(DT * np.arange(10))
     shuffled = ablations.change_seeds("rand-flow", seeds, rng)
-    np.testing.assert_allclose(np.linalg.norm(shuffled.velocity, axis=-1), np.linalg.norm(seeds.velocity, axis=-1), rtol=1e-5)
+    np.testing.assert_allclose(
+        np.linalg.norm(shuffled.velocity, axis=-1), np.linalg.norm(seeds.velocity, axis=-1), rtol=1e-5
+    )
     assert np.linalg.norm(shuffled.velocity.mean(0)) < 0.15 * np.linalg.norm(seeds.velocity.mean(0))
     schedule = optimize.Schedule(10, 0.0002, 0.0)
     assert ablations.change_schedule("no-mask", schedule).alpha_loss == 0
     assert ablations.change_schedule("joint-opt", schedule).plate > 0
-    for change, value in ((ablations.change_schedule, (schedule,)), (ablations.change_seeds, (seeds, rng)), (ablations.change_times, (times, DT))):
+    for change, value in (
+        (ablations.change_schedule, (schedule,)),
+        (ablations.change_seeds, (seeds, rng)),
+        (ablations.change_times, (times, DT)),
+    ):
         assert change("none", *value) is value[0]
 
 
@@ -113,7 +126,9 @@ def test_plates_move_as_the_method_says_and_are_kept_beside_the_result(flame, tm
     assert np.abs(scored["paper"] - motion.static[0]).max() < 1e-6, "fixed"
     assert 0.002 < np.abs(scored["ours"] - motion.plate[0]).max() < 0.1, "moves a little"
     mean = motion.image[:, 0].mean(0)
-    assert 0.005 < np.abs(scored["joint"] - mean).max() < 0.2 < np.abs(scored["joint"] - motion.plate[0]).max(), "starts from the mean picture"
+    assert 0.005 < np.abs(scored["joint"] - mean).max() < 0.2 < np.abs(scored["joint"] - motion.plate[0]).max(), (
+        "starts from the mean picture"
+    )
 
 
 def test_held_out_scores_are_those_of_the_pictures(flame, with_novel_view):
@@ -124,8 +139,12 @@ def test_held_out_scores_are_those_of_the_pictures(flame, with_novel_view):
     assert perfect["psnr_flame"] > 45 and perfect["psnr_flame_novel"] > 45, "only 8-bit rounding is between them"
     nothing = held_out_pictures.score(gaussians[:1], plates, near=0.01)
     assert nothing["psnr_flame"] < 20 and nothing["psnr_flame_novel"] < 20
-    expected = np.mean([psnr(render(gaussians[:1], cam, data.times_s[4], background=plates[c])["color"], data.image(c, 4))
-                        for c, cam in enumerate(data.cameras)])  # fmt: skip
+    expected = np.mean(
+        [
+            psnr(render(gaussians[:1], cam, data.times_s[4], background=plates[c])["color"], data.image(c, 4))
+            for c, cam in enumerate(data.cameras)
+        ]
+    )
     assert nothing["psnr"] == pytest.approx(expected, abs=1e-3)
 
 
@@ -152,6 +171,10 @@ def test_shrunk_datasets_see_the_same_scene(flame):
 
 def test_presets_fill_what_is_not_given(tmp_path):
     config = ReconstructConfig(tmp_path, preset="draft", iterations=7)
-    assert (config.iterations, config.gaussians, config.voxels) == (7, PRESETS["draft"].gaussians, PRESETS["draft"].voxels)
+    assert (config.iterations, config.gaussians, config.voxels) == (
+        7,
+        PRESETS["draft"].gaussians,
+        PRESETS["draft"].voxels,
+    )
     work = [(p.iterations, p.gaussians, p.voxels, p.longest_side) for p in PRESETS.values()]
     assert work == sorted(work), "every preset does at least as much as the one before"

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from gof.commands.reconstruct import main, reconstruct
 from gof.dataset import Dataset
 from gof.errors import GofError, NonFiniteError
 from gof.evaluate import dve
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.run import main, reconstruct
 from gof.render import render
 from tests.reconstruct.rising_flame import RISE, config, mean_velocity, write_flame
 
@@ -42,8 +42,18 @@ def test_optimisation_improves_on_its_seeds(rising_flame, result):
     dataset = Dataset.open(rising_flame)
 
     def error(gaussians):
-        return np.mean([((render(gaussians, cam, dataset.times_s[2], background=dataset.static(c))["color"] - dataset.image(c, 2)) ** 2).mean()
-                        for c, cam in enumerate(dataset.cameras)])
+        return np.mean(
+            [
+                (
+                    (
+                        render(gaussians, cam, dataset.times_s[2], background=dataset.static(c))["color"]
+                        - dataset.image(c, 2)
+                    )
+                    ** 2
+                ).mean()
+                for c, cam in enumerate(dataset.cameras)
+            ]
+        )
 
     assert error(TransientGaussians.load(result)) < 0.3 * error(TransientGaussians.load(result.parent / "seeds.npz"))
 
@@ -51,7 +61,16 @@ def test_optimisation_improves_on_its_seeds(rising_flame, result):
 def test_files_pictures_and_costs_are_left(result):
     out = result.parent
     names = {p.name for p in out.rglob("*") if p.is_file()}
-    assert {"result.npz", "result.ply", "costs.json", "1_masks.png", "2_optical_flow.png", "3_flow_field.png", "4_seeds.png", "5_result.png"} <= names
+    assert {
+        "result.npz",
+        "result.ply",
+        "costs.json",
+        "1_masks.png",
+        "2_optical_flow.png",
+        "3_flow_field.png",
+        "4_seeds.png",
+        "5_result.png",
+    } <= names
     assert "checkpoint.npz" not in names
     a, b = TransientGaussians.load(out / "result.ply"), TransientGaussians.load(result)
     np.testing.assert_allclose(a.velocity, b.velocity)

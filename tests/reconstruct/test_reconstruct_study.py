@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from benchmark.reconstruct_study import ABLATIONS
 from gof.cli import main
-from gof.reconstruct.run import ReconstructConfig
+from gof.commands.reconstruct import ReconstructConfig
+from gof_benchmark.studies.reconstruction import ABLATIONS
 from tests.reconstruct.rising_flame import write_flame
 
 SMALL = ["--gaussians", "600", "--longest-side", "96"]
@@ -17,7 +17,9 @@ def test_every_ablation_has_a_name_in_the_table():
 
     for option in ("ablation", "method"):
         known = set(get_args(get_type_hints(ReconstructConfig)[option]))
-        assert known - {"gof"} == {change[option] for change in ABLATIONS.values() if option in change}, "gof is the default"
+        assert known - {"gof"} == {change[option] for change in ABLATIONS.values() if option in change}, (
+            "gof is the default"
+        )
 
 
 @pytest.mark.slow
@@ -37,14 +39,21 @@ def test_ablations_study(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_settings_study(tmp_path, monkeypatch):
-    from benchmark import reconstruct_study
+    from gof_benchmark.studies import reconstruction as reconstruct_study
 
     monkeypatch.setattr(reconstruct_study, "FACTORS", (0.5, 1))
-    monkeypatch.setattr(reconstruct_study, "PRESETS", {"preview": reconstruct_study.PRESETS["preview"].__class__(20, 400, 24, 96)})
+    monkeypatch.setattr(
+        reconstruct_study, "PRESETS", {"preview": reconstruct_study.PRESETS["preview"].__class__(20, 400, 24, 96)}
+    )
     folder = write_flame(tmp_path / "flame")
-    assert main(["study", "reconstruct", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]) == 0
+    assert (
+        main(["study", "reconstruct", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]) == 0
+    )
     rows = json.loads((tmp_path / "out" / "reconstruct.json").read_text())
-    assert [row["group"] for row in rows] == ["presets", *(g for g in ("iterations", "gaussians", "longest_side") for _ in range(2))]
+    assert [row["group"] for row in rows] == [
+        "presets",
+        *(g for g in ("iterations", "gaussians", "longest_side") for _ in range(2)),
+    ]
     few, many = (row["psnr_flame"] for row in rows if row["group"] == "iterations")
     assert few < many
     for name in ("l2", "cos_sim", "psnr_flame"):

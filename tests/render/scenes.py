@@ -12,10 +12,14 @@ def camera(width=50, height=37, **kwargs) -> Camera:
     W = np.eye(4)
     W[:3, :3], W[:3, 3] = R, R @ -np.array([0.1, -2.0, 0.05])
     f = 1.2 * max(width, height)
-    return Camera("test", width, height, [[f, 0, width / 2 + 0.7], [0, 1.05 * f, height / 2 - 0.4], [0, 0, 1]], W, **kwargs)
+    return Camera(
+        "test", width, height, [[f, 0, width / 2 + 0.7], [0, 1.05 * f, height / 2 - 0.4], [0, 0, 1]], W, **kwargs
+    )
 
 
-def gaussians(n: int, seed: int = 0, size: float = 0.05, spread: float = 0.35, channels: int = 3) -> dict[str, np.ndarray]:
+def gaussians(
+    n: int, seed: int = 0, size: float = 0.05, spread: float = 0.35, channels: int = 3
+) -> dict[str, np.ndarray]:
     """float64 parameters in the order of `Splats`, exactly representable in float32."""
     r = np.random.default_rng(seed)
     values = {

@@ -17,14 +17,19 @@ from gof.render.backend import floats  # noqa: E402
 def pair(shape, seed=0):
     r = np.random.default_rng(seed)
     x = r.random(shape)
-    return x.astype(np.float32).astype(float), np.clip(x + 0.2 * r.normal(size=shape), 0, 1).astype(np.float32).astype(float)
+    return x.astype(np.float32).astype(float), np.clip(x + 0.2 * r.normal(size=shape), 0, 1).astype(np.float32).astype(
+        float
+    )
 
 
 def planes(x):
     return [floats(x[..., k]) for k in range(x.shape[2])]
 
 
-@pytest.mark.parametrize("shape, masked", [((20, 23, 3), False), ((16, 32, 3), True), ((1, 1, 1), False), ((13, 5, 8), True), ((70, 9, 2), False)])
+@pytest.mark.parametrize(
+    "shape, masked",
+    [((20, 23, 3), False), ((16, 32, 3), True), ((1, 1, 1), False), ((13, 5, 8), True), ((70, 9, 2), False)],
+)
 def test_value_and_gradient_equal_twin(shape, masked):
     x, y = pair(shape)
     mask = np.random.default_rng(1).random(shape[:2]) if masked else None

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("drjit")
 
-from benchmark import render_agreement, render_speed
+from gof_benchmark.evidence import render_agreement, render_speed
 
 
 def test_training_step_and_phases_run():
@@ -21,7 +21,7 @@ def test_torch_peer_draws_the_same_picture():
     pytest.importorskip("torch")
     ours = np.mean([c.numpy().mean() for c in render_speed.Training(400, 64, 48).draw().color])
     peer = render_speed.torch_peer(400, 64, 48, 1)
-    assert peer["mean"] == pytest.approx(ours, rel=0.01)      # it keeps the tails that a 3 sigma radius leaves
+    assert peer["mean"] == pytest.approx(ours, rel=0.01)  # it keeps the tails that a 3 sigma radius leaves
 
 
 def test_mitsuba_peer_draws_the_same_picture():
@@ -38,9 +38,23 @@ def test_report_prints_every_goal():
     t = (1.0, 2.0)
     row = {"n": 10, "width": 4, "height": 4, "pairs": 1, "wall_ms": 1.0, "cpu_ms": 1.0, "compiled_late": 0}
     kernel = {"ns_per_pair": 1.0, "limit_ns": 0.5, "ops": 26}
-    text = render_speed.report({
-        "scene": [1, 2, 3], "pairs": 4, "machine": {"cpu": "x", "threads": 2}, "phases": {"project": t}, "step": t, "forward": t,
-        "both": t, "one_thread": {"step_ms": 1.0, "both_ms": 1.0, "fma_per_ns": 80.0}, "mean": 0.1, "fma_per_ns": 80.0, "kernels": {"forward": kernel, "backward": kernel},
-        "mitsuba": {"its own settings": {"forward": (80.0, 80.0), "both": (80.0, 80.0), "mean": 0.1}},
-        "torch": {"scene": [1, 2, 3], "peer": {"forward": t, "both": (300.0, 300.0)}, "ours_both": t}, "growth": [row], "exponents": {"cpu ~ N^": 0.5}})
+    text = render_speed.report(
+        {
+            "scene": [1, 2, 3],
+            "pairs": 4,
+            "machine": {"cpu": "x", "threads": 2},
+            "phases": {"project": t},
+            "step": t,
+            "forward": t,
+            "both": t,
+            "one_thread": {"step_ms": 1.0, "both_ms": 1.0, "fma_per_ns": 80.0},
+            "mean": 0.1,
+            "fma_per_ns": 80.0,
+            "kernels": {"forward": kernel, "backward": kernel},
+            "mitsuba": {"its own settings": {"forward": (80.0, 80.0), "both": (80.0, 80.0), "mean": 0.1}},
+            "torch": {"scene": [1, 2, 3], "peer": {"forward": t, "both": (300.0, 300.0)}, "ours_both": t},
+            "growth": [row],
+            "exponents": {"cpu ~ N^": 0.5},
+        }
+    )
     assert "80x" in text and "150x" in text and "50%" in text and "N^0.50" in text

@@ -28,8 +28,17 @@ def matched(distance=2.0, width=64, height=48) -> Camera:
 def flame(n=40, seed=3, size=0.07):
     g = gaussians(n, seed, size, spread=0.25)
     r = np.random.default_rng(seed)
-    return TransientGaussians(g["position"], r.normal(size=(n, 3)) * 0.1, np.zeros(n), np.full(n, 0.2), g["scale"], g["rotation"],
-                              0.3 * g["opacity"], np.clip(g["color"], 0, 1), np.arange(n) % 2 == 0)
+    return TransientGaussians(
+        g["position"],
+        r.normal(size=(n, 3)) * 0.1,
+        np.zeros(n),
+        np.full(n, 0.2),
+        g["scale"],
+        g["rotation"],
+        0.3 * g["opacity"],
+        np.clip(g["color"], 0, 1),
+        np.arange(n) % 2 == 0,
+    )
 
 
 def test_images_agree_on_a_matched_scene():
@@ -50,7 +59,7 @@ def test_principal_point_and_orientation_match():
         g = flame()[:1]
         g.position[:] = [0.05, 0, 0.1]
         ours, theirs = render(g, cam, 0.0)["color"].sum(-1), render_mitsuba(g, cam, 0.0, spp=32).sum(-1)
-        y, x = np.mgrid[:cam.height, :cam.width]
+        y, x = np.mgrid[: cam.height, : cam.width]
         centre = lambda a: np.array([(x * a).sum(), (y * a).sum()]) / a.sum()  # noqa: E731, B023
         np.testing.assert_allclose(centre(ours), centre(theirs), atol=0.15)
 

@@ -62,12 +62,17 @@ def test_a_hundred_thousand_gaussians_in_one_block():
     u = (np.array([4.0, 4.0]) - cam.K[:2, 2]) / np.diag(cam.K)[:2]
     ray = np.array([*u, 1.0]) @ cam.world_to_camera[:3, :3]
     depth = 2 + np.arange(n) * 1e-5
-    g = {"position": cam.position + depth[:, None] * ray, "rotation": np.tile([1.0, 0, 0, 0], (n, 1)), "scale": np.full((n, 3), 10.0),
-         "opacity": np.full(n, 0.005), "color": np.ones((n, 3))}
+    g = {
+        "position": cam.position + depth[:, None] * ray,
+        "rotation": np.tile([1.0, 0, 0, 0], (n, 1)),
+        "scale": np.full((n, 3), 10.0),
+        "opacity": np.full(n, 0.005),
+        "color": np.ones((n, 3)),
+    }
     assert axis @ ray == pytest.approx(1)
     frame, picture, grads = draw(g, cam)
     assert frame.intersections == n * 4
-    assert picture[..., 3].min() == pytest.approx(1 - 1e-4, abs=1e-6)      # stops just above the smallest transmittance
+    assert picture[..., 3].min() == pytest.approx(1 - 1e-4, abs=1e-6)  # stops just above the smallest transmittance
     assert all(np.isfinite(v).all() for v in grads.values())
     drawn = np.flatnonzero(grads["opacity"])
     assert drawn.max() == pytest.approx(np.log(1e-4) / np.log(1 - 0.005), abs=30)
@@ -77,7 +82,7 @@ def test_alpha_and_transmittance_add_up_to_one():
     cam, g = camera(40, 30), gaussians(200, 1, 0.1)
     white = g | {"color": np.ones((200, 3))}
     frame = render_splats(splats(white), cam, [1.0, 1.0, 1.0])
-    np.testing.assert_allclose(image(frame.color, cam), 1, atol=3e-6)       # sum w_i + T = 1
+    np.testing.assert_allclose(image(frame.color, cam), 1, atol=3e-6)  # sum w_i + T = 1
 
 
 def test_the_1_255_threshold_is_the_only_jump():
@@ -91,8 +96,11 @@ def test_the_1_255_threshold_is_the_only_jump():
         values.append(image(render_splats(splats(g | {"opacity": np.array([opacity])}), cam).color, cam).max())
     peak = reference.render(*(g | {"opacity": np.array([1.01 / 255])}).values(), cam)[0].max()
     assert values[0] == 0 and values[1] == pytest.approx(peak, rel=1e-4) and peak <= 1.02 / 255
-    smooth = [reference.render(*(g | {"opacity": np.array([o])}).values(), cam, min_alpha=0)[0] for o in (0.99 / 255, 1.01 / 255)]
-    assert np.abs(smooth[1] - smooth[0]).max() < 1e-4                      # without the threshold there is no jump
+    smooth = [
+        reference.render(*(g | {"opacity": np.array([o])}).values(), cam, min_alpha=0)[0]
+        for o in (0.99 / 255, 1.01 / 255)
+    ]
+    assert np.abs(smooth[1] - smooth[0]).max() < 1e-4  # without the threshold there is no jump
 
 
 def test_stopping_and_clamp_gradients_equal_central_differences():
@@ -133,8 +141,17 @@ def test_random_scenes_stay_within_a_stated_bound_of_float64():
 
 def transient(g, velocity, dynamic=True):
     n = len(g["position"])
-    return TransientGaussians(g["position"], np.broadcast_to(velocity, (n, 3)), np.zeros(n), np.full(n, np.inf), g["scale"],
-                              g["rotation"], g["opacity"], np.abs(g["color"]), np.full(n, dynamic))
+    return TransientGaussians(
+        g["position"],
+        np.broadcast_to(velocity, (n, 3)),
+        np.zeros(n),
+        np.full(n, np.inf),
+        g["scale"],
+        g["rotation"],
+        g["opacity"],
+        np.abs(g["color"]),
+        np.full(n, dynamic),
+    )
 
 
 @pytest.mark.parametrize("readout", ["down", "up", "right", "left"])
@@ -196,7 +213,9 @@ def test_rolling_shutter_shears_a_moving_flame_and_leaves_static_ones():
     np.testing.assert_allclose(render(fixed, rolling, 0.0)["color"], render(fixed, still, 0.0)["color"], atol=1e-6)
     x, o = moving.at(0.0)
     delay = reference.shutter_delay(x, moving.velocity, rolling)
-    want = reference.render(x + delay[:, None] * moving.velocity, moving.rotation, moving.scale, o, moving.color, rolling)[0]
+    want = reference.render(
+        x + delay[:, None] * moving.velocity, moving.rotation, moving.scale, o, moving.color, rolling
+    )[0]
     assert (np.abs(b - want) > 1e-3).mean() < 5e-3
 
 

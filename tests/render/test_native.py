@@ -18,8 +18,13 @@ from gof.render.scene import columns  # noqa: E402
 
 
 def splats(g, grad=False):
-    s = Splats(columns(g["position"], Array3f), columns(g["rotation"], Array4f), columns(g["scale"], Array3f),
-               floats(g["opacity"]), columns(g["color"]))
+    s = Splats(
+        columns(g["position"], Array3f),
+        columns(g["rotation"], Array4f),
+        columns(g["scale"], Array3f),
+        floats(g["opacity"]),
+        columns(g["color"]),
+    )
     if grad:
         dr.enable_grad(s.position, s.rotation, s.scale, s.opacity, s.color)
     return s
@@ -31,13 +36,20 @@ def image(planes, cam):
 
 def gradients(s):
     stack = lambda parts: np.stack([np.broadcast_to(dr.grad(p).numpy(), len(s)) for p in parts], -1)  # noqa: E731
-    return {"position": stack(s.position), "rotation": stack(s.rotation), "scale": stack(s.scale),
-            "opacity": stack([s.opacity])[:, 0], "color": stack(s.color)}
+    return {
+        "position": stack(s.position),
+        "rotation": stack(s.rotation),
+        "scale": stack(s.scale),
+        "opacity": stack([s.opacity])[:, 0],
+        "color": stack(s.color),
+    }
 
 
 def loss_weights(cam, channels, seed=5):
     r = np.random.default_rng(seed)
-    return r.normal(size=(cam.height, cam.width, channels)).astype(np.float32), r.normal(size=(2, cam.height, cam.width)).astype(np.float32)
+    return r.normal(size=(cam.height, cam.width, channels)).astype(np.float32), r.normal(
+        size=(2, cam.height, cam.width)
+    ).astype(np.float32)
 
 
 def weighted_sum(frame, weights, extra):
@@ -45,18 +57,35 @@ def weighted_sum(frame, weights, extra):
     return total + dr.sum(frame.alpha * floats(extra[0])) + dr.sum(frame.depth * floats(extra[1]))
 
 
-@pytest.mark.parametrize("n, size, wh, channels, antialias", [
-    (300, 0.05, (50, 37), 3, False), (60, 0.2, (64, 32), 1, True), (400, 0.004, (33, 64), 8, True), (1, 0.1, (1, 1), 3, False),
-    (150, 0.1, (7, 3), 5, False)])
+@pytest.mark.parametrize(
+    "n, size, wh, channels, antialias",
+    [
+        (300, 0.05, (50, 37), 3, False),
+        (60, 0.2, (64, 32), 1, True),
+        (400, 0.004, (33, 64), 8, True),
+        (1, 0.1, (1, 1), 3, False),
+        (150, 0.1, (7, 3), 5, False),
+    ],
+)
 def test_image_equals_float64_twin(n, size, wh, channels, antialias):
     cam, g = camera(*wh), gaussians(n, 1, size, channels=channels)
     background = np.random.default_rng(0).random((cam.height, cam.width, channels)).astype(np.float32)
-    frame = render_splats(splats(g), cam, [floats(background[..., k]) for k in range(channels)], depth=True,
-                          antialias=antialias, dynamic=Float(1))
+    frame = render_splats(
+        splats(g),
+        cam,
+        [floats(background[..., k]) for k in range(channels)],
+        depth=True,
+        antialias=antialias,
+        dynamic=Float(1),
+    )
     color, alpha, depth = reference.render(*g.values(), cam, background, antialias=antialias)
-    assert alpha.max() > 0.05                                  # the scene is in view
+    assert alpha.max() > 0.05  # the scene is in view
     # A pair within float32 rounding of 1/255 or of the stop may flip: at most a few pixels, by at most 1/255 of a colour.
-    for got, want in ((image(frame.color, cam), color), (image([frame.alpha], cam)[..., 0], alpha), (image([frame.depth], cam)[..., 0], depth)):
+    for got, want in (
+        (image(frame.color, cam), color),
+        (image([frame.alpha], cam)[..., 0], alpha),
+        (image([frame.depth], cam)[..., 0], depth),
+    ):
         error = np.abs(got - want)
         assert error.max() < 1.7 / 255 and (error > 2e-5).mean() < 2e-3
     np.testing.assert_allclose(frame.dynamic_alpha.numpy(), frame.alpha.numpy(), atol=1e-6)
@@ -95,7 +124,13 @@ def test_gradient_equals_central_differences(antialias):
 def test_transient_state_and_its_gradient():
     r = np.random.default_rng(2)
     n, t = 20, 0.7
-    v = {"x": r.normal(size=(n, 3)), "v": r.normal(size=(n, 3)), "mu": r.uniform(0, 1, n), "sigma": r.uniform(0.1, 0.5, n), "o": r.random(n)}
+    v = {
+        "x": r.normal(size=(n, 3)),
+        "v": r.normal(size=(n, 3)),
+        "mu": r.uniform(0, 1, n),
+        "sigma": r.uniform(0.1, 0.5, n),
+        "o": r.random(n),
+    }
     dynamic = r.random(n) < 0.7
     wx, wo = r.normal(size=(n, 3)), r.normal(size=n)
     args = [columns(v["x"], Array3f), columns(v["v"], Array3f), floats(v["mu"]), floats(v["sigma"]), floats(v["o"])]
@@ -178,7 +213,7 @@ def test_centres_around_the_near_plane_and_on_the_axis():
     dr.backward(weighted_sum(frame, *loss_weights(cam, 3)))
     got = gradients(s)
     assert all(np.isfinite(v).all() for v in got.values())
-    assert not got["opacity"][:3].any() and got["opacity"][3:].all()     # at or nearer than `near`: not drawn, gradient 0
+    assert not got["opacity"][:3].any() and got["opacity"][3:].all()  # at or nearer than `near`: not drawn, gradient 0
     assert (frame.radius.numpy()[:3] == 0).all() and (frame.radius.numpy()[3:] > 0).all()
 
 
@@ -234,7 +269,9 @@ def test_no_kernel_is_compiled_after_the_first_steps():
             s = splats(g, grad=True)
             x, o = transient_state(s.position, s.position * 0.1, s.opacity, s.opacity + 0.1, s.opacity, 0.1 * step)
             dr.kernel_history_clear()
-            frame = render_splats(Splats(x, s.rotation, s.scale, o, s.color), dataclasses.replace(cam, K=cam.K + np.diag([step, step, 0])))
+            frame = render_splats(
+                Splats(x, s.rotation, s.scale, o, s.color), dataclasses.replace(cam, K=cam.K + np.diag([step, step, 0]))
+            )
             dr.backward(sum(dr.sum(dr.square(c)) for c in frame.color))
             dr.eval(dr.grad(s.position), dr.grad(s.opacity))
             misses.append(sum(not k["cache_hit"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT))
@@ -245,8 +282,17 @@ def test_render_returns_numpy_and_separates_static_from_dynamic():
     n = 40
     g = gaussians(n)
     dynamic = np.arange(n) % 2 == 0
-    tg = TransientGaussians(g["position"], np.full((n, 3), 0.1), np.zeros(n), np.where(dynamic, 0.1, np.inf), g["scale"],
-                            g["rotation"], g["opacity"], np.abs(g["color"]), dynamic)
+    tg = TransientGaussians(
+        g["position"],
+        np.full((n, 3), 0.1),
+        np.zeros(n),
+        np.where(dynamic, 0.1, np.inf),
+        g["scale"],
+        g["rotation"],
+        g["opacity"],
+        np.abs(g["color"]),
+        dynamic,
+    )
     cam = camera()
     out = render(tg, cam, 0.05, background=(1, 0, 0))
     assert out["color"].shape == (37, 50, 3) and out["alpha"].shape == out["depth"].shape == (37, 50)

@@ -15,8 +15,12 @@ NAMES = ("means", "quats", "scales", "opacities", "colors")
 
 
 def call(g, cams, grad=False, **kwargs):
-    tensors = {n: torch.tensor(v, dtype=torch.float32, requires_grad=grad) for n, v in zip(NAMES, g.values(), strict=True)}
-    tensors["viewmats"] = torch.tensor(np.stack([c.world_to_camera for c in cams]), dtype=torch.float32, requires_grad=grad)
+    tensors = {
+        n: torch.tensor(v, dtype=torch.float32, requires_grad=grad) for n, v in zip(NAMES, g.values(), strict=True)
+    }
+    tensors["viewmats"] = torch.tensor(
+        np.stack([c.world_to_camera for c in cams]), dtype=torch.float32, requires_grad=grad
+    )
     Ks = torch.tensor(np.stack([c.K for c in cams]), dtype=torch.float32)
     return tensors, rasterize(**tensors, Ks=Ks, width=cams[0].width, height=cams[0].height, **kwargs)
 
@@ -37,10 +41,18 @@ def test_batch_of_cameras_equals_twin_in_every_mode(mode):
     for i, cam in enumerate(cams):
         color, alpha, depth = reference.render(*g.values(), cam, background[i])
         mean = np.divide(depth, alpha, out=np.zeros_like(depth), where=alpha > 1e-6)
-        want = {"RGB": color, "D": depth[..., None], "ED": mean[..., None], "RGB+D": np.dstack([color, depth]), "RGB+ED": np.dstack([color, mean])}
+        want = {
+            "RGB": color,
+            "D": depth[..., None],
+            "ED": mean[..., None],
+            "RGB+D": np.dstack([color, depth]),
+            "RGB+ED": np.dstack([color, mean]),
+        }
         np.testing.assert_allclose(colors[i].detach(), want[mode], atol=1.7 / 255 * 3)
         assert (np.abs(colors[i].detach().numpy() - want[mode]) > 1e-4).mean() < 5e-3
-        np.testing.assert_allclose(meta["means2d"][i].detach(), reference.project(*list(g.values())[:4], cam)[0], atol=1e-3)
+        np.testing.assert_allclose(
+            meta["means2d"][i].detach(), reference.project(*list(g.values())[:4], cam)[0], atol=1e-3
+        )
 
 
 @pytest.mark.parametrize("degree", [None, 0, 1, 2, 3])
@@ -60,7 +72,9 @@ def test_autograd_equals_central_differences(degree):
             moved = object.__new__(type(cam))
             moved.__dict__.update(cam.__dict__ | {"world_to_camera": views[i]})
             R, t = views[i][:3, :3], views[i][:3, 3]
-            color = g["color"] if degree is None else reference.harmonics_color(g["color"], g["position"], -R.T @ t, degree)
+            color = (
+                g["color"] if degree is None else reference.harmonics_color(g["color"], g["position"], -R.T @ t, degree)
+            )
             image, alpha, _ = reference.render(g["position"], g["rotation"], g["scale"], g["opacity"], color, moved)
             total += (image * weights[i]).sum() + (alpha**2).sum()
         return total

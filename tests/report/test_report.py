@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gof.commands.evaluate import evaluate
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
-from gof.evaluate.run import evaluate
 from gof.gaussians import TransientGaussians
 from gof.io.files import write_json
 from gof.report import Preview, build_report, main
@@ -45,13 +45,17 @@ def page(out):
 
 def test_page_needs_no_network_and_no_other_file(page):
     assert not re.search(r"https?:|//[\w-]+\.|<script|<link|@import|<iframe", page)
-    references = re.findall(r"""(?:src|srcset|href)=["']?([^"'\s>]{1,30})""", page) + re.findall(r"url\(([^)]{1,30})", page)
+    references = re.findall(r"""(?:src|srcset|href)=["']?([^"'\s>]{1,30})""", page) + re.findall(
+        r"url\(([^)]{1,30})", page
+    )
     assert references and all(r.startswith("data:image/") for r in references)
     assert "default-src 'none'" in page  # and the browser is told to enforce it
 
 
 def test_all_images_decode_and_the_animation_has_every_frame(out, page):
-    images = [Image.open(io.BytesIO(base64.b64decode(data))) for data in re.findall(r"data:image/\w+;base64,([^\"]+)\"", page)]
+    images = [
+        Image.open(io.BytesIO(base64.b64decode(data))) for data in re.findall(r"data:image/\w+;base64,([^\"]+)\"", page)
+    ]
     for image in images:
         image.load()
     # animation, still, legend, truth/reconstruction/difference of 2 cameras, preview pair, one stage picture
@@ -63,8 +67,18 @@ def test_all_images_decode_and_the_animation_has_every_frame(out, page):
 
 def test_scores_controls_costs_and_origin_are_on_the_page(out, page):
     scores = json.loads((out / "scores.json").read_text())
-    for value in (f"{scores['dve']['l2']:.3f}", f"{scores['controls']['constant']['cos_sim']:.3f}", f"{scores['psnr_flame']:.2f}",
-                  f"{scores['psnr_flame_plate']:.2f}", "2 min 2 s", "61.5 s", "1,500 MB", "Motion &lt;masks&gt; &amp; flow", "drjit", "held out"):
+    for value in (
+        f"{scores['dve']['l2']:.3f}",
+        f"{scores['controls']['constant']['cos_sim']:.3f}",
+        f"{scores['psnr_flame']:.2f}",
+        f"{scores['psnr_flame_plate']:.2f}",
+        "2 min 2 s",
+        "61.5 s",
+        "1,500 MB",
+        "Motion &lt;masks&gt; &amp; flow",
+        "drjit",
+        "held out",
+    ):
         assert value in page, value
     assert str(out) not in page  # nothing of this machine's folders
 
@@ -87,8 +101,10 @@ def test_without_truth_masks_scores_and_extras(tmp_path):
 
 def test_frames_in_which_nothing_lives(tmp_path):
     g = flame_dataset(tmp_path / "data", frames=5)
-    short = TransientGaussians(**{n: getattr(g, n) for n in g.__dataclass_fields__} | {"t_sigma": np.full(len(g), 1e-4),
-                                                                                      "t_mu": np.full(len(g), 0.01)})
+    short = TransientGaussians(
+        **{n: getattr(g, n) for n in g.__dataclass_fields__}
+        | {"t_sigma": np.full(len(g), 1e-4), "t_mu": np.full(len(g), 0.01)}
+    )
     result = short.save(tmp_path / "result.npz")
     dataset = Dataset.open(tmp_path / "data")
     scores = evaluate(result, dataset)
@@ -101,18 +117,35 @@ def test_missing_pieces_are_named(out, tmp_path):
         main([str(tmp_path)])
     dataset = Dataset.open(out / "dataset")
     with pytest.raises(DataFormatError, match="preview"):
-        build_report(tmp_path, dataset, out / "reconstruct/result.npz", json.loads((out / "scores.json").read_text()),
-                     preview=Preview(tmp_path / "none.png", 0, 0))
+        build_report(
+            tmp_path,
+            dataset,
+            out / "reconstruct/result.npz",
+            json.loads((out / "scores.json").read_text()),
+            preview=Preview(tmp_path / "none.png", 0, 0),
+        )
 
 
 def test_verdicts_say_when_a_score_is_bad():
     def scores(l2, cos, psnr):
         other = {"zero": (1.0, 0.0), "random": (1.4, 0.0), "constant": (0.5, 0.9), "height_mean": (0.4, 0.9)}
-        return {"dve": {"l2": l2, "cos_sim": cos, "speed_ratio": l2}, "psnr_flame": psnr, "psnr_flame_plate": 20.0,
-                "controls": {k: {"l2": a, "cos_sim": b} for k, (a, b) in other.items()}}
+        return {
+            "dve": {"l2": l2, "cos_sim": cos, "speed_ratio": l2},
+            "psnr_flame": psnr,
+            "psnr_flame_plate": 20.0,
+            "controls": {k: {"l2": a, "cos_sim": b} for k, (a, b) in other.items()},
+        }
 
     good, bad, mixed = verdicts(scores(0.3, 0.95, 25)), verdicts(scores(1.5, -0.2, 18)), verdicts(scores(0.45, 0.8, 25))
-    assert [g for g, _ in good[:4]] == [True] * 4 and "Better than standing still" in good[0][1] and "5.0 dB above" in good[-1][1]
-    assert [g for g, _ in bad] == [False] * 6 and "Not better than standing still" in bad[0][1] and "2.0 dB below" in bad[-1][1]
+    assert (
+        [g for g, _ in good[:4]] == [True] * 4
+        and "Better than standing still" in good[0][1]
+        and "5.0 dB above" in good[-1][1]
+    )
+    assert (
+        [g for g, _ in bad] == [False] * 6
+        and "Not better than standing still" in bad[0][1]
+        and "2.0 dB below" in bad[-1][1]
+    )
     assert mixed[2] == (False, mixed[2][1]) and "Closer in size, not in direction" in mixed[2][1]
     assert verdicts({"dve": None, "controls": {}, "psnr_flame": None}) == []

@@ -9,8 +9,14 @@ from tests.evaluate.analytic import make_gaussians
 
 
 def blob(n=1, **changes):
-    return make_gaussians(n, position=np.tile([0.1, -0.2, 1.1], (n, 1)), scale=np.full((n, 3), 0.15), opacity=np.full(n, 0.8),
-                          t_mu=np.full(n, 0.5), **changes)
+    return make_gaussians(
+        n,
+        position=np.tile([0.1, -0.2, 1.1], (n, 1)),
+        scale=np.full((n, 3), 0.15),
+        opacity=np.full(n, 0.8),
+        t_mu=np.full(n, 0.5),
+        **changes,
+    )
 
 
 def test_screen_velocity_is_the_projected_motion_per_second():
@@ -21,7 +27,9 @@ def test_screen_velocity_is_the_projected_motion_per_second():
     before, after = (camera.project(g.position.astype(float) + s * h * g.velocity.astype(float))[0][0] for s in (-1, 1))
     seen = drawn.alpha > 0.05
     assert seen.sum() > 20
-    np.testing.assert_allclose(drawn.flow[seen], np.tile((after - before) / (2 * h), (seen.sum(), 1)), rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(
+        drawn.flow[seen], np.tile((after - before) / (2 * h), (seen.sum(), 1)), rtol=1e-4, atol=1e-3
+    )
     assert (drawn.flow[drawn.alpha == 0] == 0).all()
 
 
@@ -53,7 +61,13 @@ def test_nothing_to_draw_and_behind_the_camera():
 
 
 def test_living_drops_the_static_and_the_dead():
-    g = make_gaussians(4, dynamic=[True, True, False, True], t_mu=[0, 9.0, 0, 0], t_sigma=np.full(4, 0.1), opacity=[0.5, 0.5, 0.5, 1e-4])
+    g = make_gaussians(
+        4,
+        dynamic=[True, True, False, True],
+        t_mu=[0, 9.0, 0, 0],
+        t_sigma=np.full(4, 0.1),
+        opacity=[0.5, 0.5, 0.5, 1e-4],
+    )
     assert len(living(g, 0.0)) == 1
 
 

@@ -7,7 +7,7 @@ import importlib
 
 import bpy
 
-from ...spec import SceneSpec
+from ...pure.spec import SceneSpec
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:

@@ -13,8 +13,8 @@ from pathlib import Path
 import bpy
 from mathutils import Matrix
 
-from ...records import SpecError
-from ...spec import SceneSpec
+from ...pure.checked_json import SpecError
+from ...pure.spec import SceneSpec
 from .. import place
 
 

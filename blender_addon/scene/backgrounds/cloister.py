@@ -7,7 +7,7 @@ import math
 import bpy
 import numpy as np
 
-from ...spec import SceneSpec
+from ...pure.spec import SceneSpec
 from .. import material, meshes
 from .lighting import light, sky
 
@@ -29,9 +29,11 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     )
     dark, pale = (
         material.tiles(name, colours, (0.05, 0.04, 0.04), (0.5, 0.5), 0.004, stains=0.5)
-        for name, colours in (("Dark Stone", ((0.13, 0.06, 0.045), (0.09, 0.045, 0.035))),
-                              ("Pale Stone", ((0.30, 0.26, 0.20), (0.23, 0.20, 0.155))))
-    )  # fmt: skip
+        for name, colours in (
+            ("Dark Stone", ((0.13, 0.06, 0.045), (0.09, 0.045, 0.035))),
+            ("Pale Stone", ((0.30, 0.26, 0.20), (0.23, 0.20, 0.155))),
+        )
+    )
     meshes.box("Yard", (10, 6.2, 0.1), collection, location=(0, -1.55, -0.05), material=paving)
     meshes.box("Walk", (10, 2.0, 0.1), collection, location=(0, 2.5, 0.1), material=ashlar)
     meshes.box("Step", (10, 0.3, 0.12), collection, location=(0, 1.4, 0.05), material=pale)
@@ -57,7 +59,13 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
 def _column(collection, x: float, dark, pale) -> None:
     base = [(0.17, 0.15), (0.17, 0.22), (0.14, 0.26), (0.15, 0.3), (0.11, 0.34)]
     shaft = [(0.105, 0.34), (0.115, 0.7), (0.095, SPRING - 0.28)]
-    capital = [(0.1, SPRING - 0.28), (0.12, SPRING - 0.25), (0.11, SPRING - 0.22), (0.17, SPRING - 0.08), (0.0, SPRING - 0.08)]
+    capital = [
+        (0.1, SPRING - 0.28),
+        (0.12, SPRING - 0.25),
+        (0.11, SPRING - 0.22),
+        (0.17, SPRING - 0.08),
+        (0.0, SPRING - 0.08),
+    ]
     for name, profile, stone in (("Base", base, pale), ("Shaft", shaft, dark), ("Capital", capital, pale)):
         meshes.lathe(name, profile, collection, 28, location=(x, ARCADE_Y, 0), material=stone, smooth=True)
     meshes.box("Abacus", (0.4, 0.4, 0.08), collection, (x, 0), location=(x, ARCADE_Y, SPRING - 0.04), material=pale)
@@ -72,7 +80,11 @@ def _arch(collection, x: float, dark, pale, ashlar) -> None:
             for radius in (RADIUS, outer):
                 corners += [(radius * math.cos(angle), y, radius * math.sin(angle)) for y in (-half, half)]
         faces = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 4, 5, 1), (2, 3, 7, 6)]
-        uvs = [(c[0] + 0.7 * index + x, c[2] + (c[1] if f in (2, 3) else 0)) for f, face in enumerate(faces) for c in (corners[i] for i in face)]
+        uvs = [
+            (c[0] + 0.7 * index + x, c[2] + (c[1] if f in (2, 3) else 0))
+            for f, face in enumerate(faces)
+            for c in (corners[i] for i in face)
+        ]
         meshes.add("Wedge", corners, faces, collection, uvs, (x, ARCADE_Y, SPRING), material=(dark, pale)[index % 2])
     angles = np.linspace(0, math.pi, 25)
     low = [(outer * math.cos(a), outer * math.sin(a)) for a in angles]
@@ -89,17 +101,43 @@ def _frescoes(rng, collection) -> None:
     palette = ((0.20, 0.15, 0.09), (0.14, 0.055, 0.035), (0.05, 0.075, 0.11), (0.26, 0.20, 0.11), (0.07, 0.085, 0.05))
     for index, x in enumerate(np.arange(-3, 4) * BAY):
         paint = material.landscape(f"Fresco {index}", palette, rng.uniform(5, 9), 0.9)
-        meshes.box("Fresco", (0.75, 0.012, 1.1), collection, rng.uniform(0, 9, 2), location=(x, WALL_Y - 0.006, 1.25), material=paint)
+        meshes.box(
+            "Fresco",
+            (0.75, 0.012, 1.1),
+            collection,
+            rng.uniform(0, 9, 2),
+            location=(x, WALL_Y - 0.006, 1.25),
+            material=paint,
+        )
 
 
 def _things(rng, collection, dark, pale) -> None:
     """Pots with plants, a barrel, benches and loose stones in the yard."""
     leaf = material.blotches("Leaf", ((0.03, 0.075, 0.02), (0.06, 0.12, 0.03), (0.02, 0.05, 0.018)), 30)
-    clay = material.tiles("Clay", ((0.24, 0.10, 0.055), (0.19, 0.08, 0.045)), (0.1, 0.05, 0.03), (0.4, 0.06), 0.008, stains=0.5)
-    wood = material.tiles("Staves", ((0.16, 0.09, 0.045), (0.10, 0.055, 0.03)), (0.02, 0.012, 0.01), (0.08, 1.5), 0.008, stains=0.6)
-    for x, y, size in ((-0.95, 0.85, 1.0), (0.92, 0.95, 1.15), (-1.75, 0.35, 1.2), (1.8, 0.25, 0.9), (0.45, 1.15, 0.75), (-0.42, 1.2, 0.7)):
+    clay = material.tiles(
+        "Clay", ((0.24, 0.10, 0.055), (0.19, 0.08, 0.045)), (0.1, 0.05, 0.03), (0.4, 0.06), 0.008, stains=0.5
+    )
+    wood = material.tiles(
+        "Staves", ((0.16, 0.09, 0.045), (0.10, 0.055, 0.03)), (0.02, 0.012, 0.01), (0.08, 1.5), 0.008, stains=0.6
+    )
+    for x, y, size in (
+        (-0.95, 0.85, 1.0),
+        (0.92, 0.95, 1.15),
+        (-1.75, 0.35, 1.2),
+        (1.8, 0.25, 0.9),
+        (0.45, 1.15, 0.75),
+        (-0.42, 1.2, 0.7),
+    ):
         pot = [(0.0, 0.0), (0.12, 0.0), (0.17, 0.24), (0.19, 0.24), (0.19, 0.28), (0.15, 0.28), (0.0, 0.25)]
-        meshes.lathe("Pot", [(r * size, h * size) for r, h in pot], collection, 28, location=(x, y, 0), material=clay, smooth=True)
+        meshes.lathe(
+            "Pot",
+            [(r * size, h * size) for r, h in pot],
+            collection,
+            28,
+            location=(x, y, 0),
+            material=clay,
+            smooth=True,
+        )
         _foliage(rng, collection, (x, y, 0.27 * size), 0.24 * size, 70, leaf)
     barrel = [(0.0, 0.0), (0.2, 0.0), (0.25, 0.2), (0.26, 0.35), (0.25, 0.5), (0.2, 0.7), (0.18, 0.7), (0.0, 0.66)]
     for x, y in ((-1.35, 1.0), (1.4, 0.8)):
@@ -110,8 +148,15 @@ def _things(rng, collection, dark, pale) -> None:
     for _ in range(26):
         angle, distance = rng.uniform(-0.2 * math.pi, 1.2 * math.pi), rng.uniform(0.6, 1.3)
         size = rng.uniform(0.04, 0.13, 3)
-        meshes.box("Stone", size, collection, rng.uniform(0, 9, 2), material=(dark, pale)[rng.integers(2)],
-                   location=(distance * math.cos(angle), distance * math.sin(angle), size[2] / 2), turn_deg=rng.uniform(0, 90))  # fmt: skip
+        meshes.box(
+            "Stone",
+            size,
+            collection,
+            rng.uniform(0, 9, 2),
+            material=(dark, pale)[rng.integers(2)],
+            location=(distance * math.cos(angle), distance * math.sin(angle), size[2] / 2),
+            turn_deg=rng.uniform(0, 90),
+        )
 
 
 def _foliage(rng, collection, place, radius: float, count: int, leaf) -> None:
@@ -119,15 +164,28 @@ def _foliage(rng, collection, place, radius: float, count: int, leaf) -> None:
     direction = rng.standard_normal((count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     direction[:, 2] = np.abs(direction[:, 2])
-    _leaves(rng, "Foliage", collection, np.array(place) + direction * radius * rng.uniform(0.5, 1.0, (count, 1)), 0.34 * radius, leaf)
+    _leaves(
+        rng,
+        "Foliage",
+        collection,
+        np.array(place) + direction * radius * rng.uniform(0.5, 1.0, (count, 1)),
+        0.34 * radius,
+        leaf,
+    )
 
 
 def _ivy(rng, collection) -> None:
     """Ivy that climbs some columns and hangs over the cornice."""
     leaf = material.blotches("Ivy", ((0.025, 0.06, 0.018), (0.05, 0.095, 0.025), (0.018, 0.04, 0.014)), 40)
-    for x, y, low, high, spread, count in ((-1.5 * BAY, ARCADE_Y - 0.14, 0.2, 2.6, 0.16, 420), (1.5 * BAY, ARCADE_Y - 0.14, 1.0, 2.7, 0.2, 330),
-                                           (0.2, ARCADE_Y - 0.2, 2.2, 2.9, 0.55, 360), (-2.6, ARCADE_Y - 0.2, 2.1, 3.0, 0.5, 300)):  # fmt: skip
-        points = np.stack([rng.normal(x, spread, count), rng.normal(y, 0.03, count), rng.uniform(low, high, count)], axis=1)
+    for x, y, low, high, spread, count in (
+        (-1.5 * BAY, ARCADE_Y - 0.14, 0.2, 2.6, 0.16, 420),
+        (1.5 * BAY, ARCADE_Y - 0.14, 1.0, 2.7, 0.2, 330),
+        (0.2, ARCADE_Y - 0.2, 2.2, 2.9, 0.55, 360),
+        (-2.6, ARCADE_Y - 0.2, 2.1, 3.0, 0.5, 300),
+    ):
+        points = np.stack(
+            [rng.normal(x, spread, count), rng.normal(y, 0.03, count), rng.uniform(low, high, count)], axis=1
+        )
         _leaves(rng, "Ivy", collection, points, 0.05, leaf)
 
 
@@ -139,14 +197,18 @@ def _leaves(rng, name: str, collection, points: np.ndarray, size: float, leaf) -
     b *= size / np.linalg.norm(b, axis=1, keepdims=True)
     vertices = np.stack([points - a, points + 0.6 * b, points + a, points - 0.6 * b], axis=1).reshape(-1, 3)
     faces = np.arange(len(vertices)).reshape(-1, 4)
-    uvs = np.tile([(0, 0), (size, 0), (size, size), (0, size)], (len(points), 1)) + np.repeat(rng.uniform(0, 5, (len(points), 2)), 4, axis=0)
+    uvs = np.tile([(0, 0), (size, 0), (size, size), (0, size)], (len(points), 1)) + np.repeat(
+        rng.uniform(0, 5, (len(points), 2)), 4, axis=0
+    )
     meshes.add(name, vertices.tolist(), faces.tolist(), collection, uvs, material=leaf)
 
 
 def _hearth(spec, rng, collection, rubble) -> None:
     """Charred logs, where the fire has some, in a ring of stones."""
     x, y, z = spec.fire.position
-    bark = material.tiles("Char", ((0.035, 0.024, 0.018), (0.015, 0.012, 0.01)), (0.06, 0.022, 0.01), (0.1, 0.03), 0.006, stains=0.7)
+    bark = material.tiles(
+        "Char", ((0.035, 0.024, 0.018), (0.015, 0.012, 0.01)), (0.06, 0.022, 0.01), (0.1, 0.03), 0.006, stains=0.7
+    )
     logs = meshes.crossed_logs("Logs", spec.fire.radius, collection, location=(x, y, z - 0.02), material=bark)
     logs.scale = (1.05, 1.05, 0.95)
     ring = 1.35 * spec.fire.radius + 0.08
@@ -154,5 +216,12 @@ def _hearth(spec, rng, collection, rubble) -> None:
     for index in range(count):
         angle = 2 * math.pi * (index + rng.uniform(-0.15, 0.15)) / count
         size = rng.uniform((0.1, 0.12, 0.07), (0.14, 0.16, 0.12))
-        meshes.box("Hearth Stone", size, collection, rng.uniform(0, 9, 2), material=rubble, turn_deg=math.degrees(angle),
-                   location=(x + ring * math.cos(angle), y + ring * math.sin(angle), size[2] / 2))  # fmt: skip
+        meshes.box(
+            "Hearth Stone",
+            size,
+            collection,
+            rng.uniform(0, 9, 2),
+            material=rubble,
+            turn_deg=math.degrees(angle),
+            location=(x + ring * math.cos(angle), y + ring * math.sin(angle), size[2] / 2),
+        )

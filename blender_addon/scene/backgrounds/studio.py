@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ...spec import SceneSpec
+from ...pure.spec import SceneSpec
 from .. import material, meshes
 from .lighting import light, sky
 

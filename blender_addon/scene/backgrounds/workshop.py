@@ -7,7 +7,7 @@ import math
 import bpy
 import numpy as np
 
-from ...spec import SceneSpec
+from ...pure.spec import SceneSpec
 from .. import material, meshes
 from .lighting import light, sky
 

@@ -31,10 +31,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...shutter import Timing
+from ...pure.shutter import Timing
 
 if TYPE_CHECKING:
-    from ...spec import SceneSpec
+    from ...pure.spec import SceneSpec
 
 
 def names() -> list[str]:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...records import require
-from ...shutter import Timing
+from ...pure.checked_json import require
+from ...pure.shutter import Timing
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...records import require
+from ...pure.checked_json import require
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...records import require
+from ...pure.checked_json import require
 
 
 @dataclass(frozen=True)

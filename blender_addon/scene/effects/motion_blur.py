@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...records import require
-from ...shutter import Timing
+from ...pure.checked_json import require
+from ...pure.shutter import Timing
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ...records import require
+from ...pure.checked_json import require
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ from functools import cache
 
 import numpy as np
 
-from ... import shutter
-from ...records import require
-from .. import led_board
+from ...pure import led_board, shutter
+from ...pure.checked_json import require
 
 
 @dataclass(frozen=True)
@@ -86,4 +85,6 @@ def _footprint(settings: Settings, spec, camera: int) -> led_board.Footprint:
     scene, seen_by = bpy.context.scene, rig.find(spec)[camera]
     pose = rig.world_to_camera(seen_by)
     to_camera = pose[:3, :3] @ settings.plane() + np.outer(pose[:3, 3], (0, 0, 1))
-    return led_board.footprint(rig.intrinsics(seen_by, scene) @ to_camera, scene.render.resolution_x, scene.render.resolution_y)
+    return led_board.footprint(
+        rig.intrinsics(seen_by, scene) @ to_camera, scene.render.resolution_x, scene.render.resolution_y
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from ...records import require
+from ...pure.checked_json import require
 
 ENCODES = True
 
@@ -18,4 +18,6 @@ class Settings:
     """Frames from one complete picture to the next."""
 
     def __post_init__(self):
-        require(self.key_frame_every >= 1, "effects.video_compression.key_frame_every", "at least 1", self.key_frame_every)
+        require(
+            self.key_frame_every >= 1, "effects.video_compression.key_frame_every", "at least 1", self.key_frame_every
+        )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...records import require
+from ...pure.checked_json import require
 
 GUST_S = 0.2  # simulated seconds from one random strength to the next
 

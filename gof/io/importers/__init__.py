@@ -14,7 +14,14 @@ from gof.io.importers.source import Imported, ImportOptions, Source
 from gof.io.importers.trajectory import Trajectory
 
 # in the order in which they are asked; `unreadable` explains what is recognised and has no velocities
-METHODS = {"gof": own, "authors": authors, "yang": yang, "freetime": freetime, "ply-sequence": ply_sequence, "unreadable": unreadable}
+METHODS = {
+    "gof": own,
+    "authors": authors,
+    "yang": yang,
+    "freetime": freetime,
+    "ply-sequence": ply_sequence,
+    "unreadable": unreadable,
+}
 
 __all__ = ["METHODS", "ImportOptions", "Imported", "Source", "Trajectory", "detect", "read_result"]
 
@@ -30,10 +37,17 @@ def detect(source: Source) -> str:
             return name
     if source.is_checkpoint:
         value = source.checkpoint
-        found = (f"a tuple of {len(value)}" + (f" with a tuple of {len(value[0])} first" if len(value) and isinstance(value[0], (tuple, list)) else "")
-                 if isinstance(value, (tuple, list)) else f"a {type(value).__name__}" + (f" with {sorted(map(str, value))[:6]}" if isinstance(value, dict) else ""))
+        found = (
+            f"a tuple of {len(value)}"
+            + (f" with a tuple of {len(value[0])} first" if len(value) and isinstance(value[0], (tuple, list)) else "")
+            if isinstance(value, (tuple, list))
+            else f"a {type(value).__name__}"
+            + (f" with {sorted(map(str, value))[:6]}" if isinstance(value, dict) else "")
+        )
         raise DataFormatError(f"{source.path}: holds {found}, which is no layout gof knows (docs/importers.md)")
-    raise DataFormatError(f"{source.path}: no format gof knows; it reads {', '.join(k for k in METHODS if k != 'unreadable')} (docs/importers.md)")
+    raise DataFormatError(
+        f"{source.path}: no format gof knows; it reads {', '.join(k for k in METHODS if k != 'unreadable')} (docs/importers.md)"
+    )
 
 
 def read_result(path: str | Path, options: ImportOptions | None = None) -> Imported:
@@ -65,6 +79,10 @@ def life(gaussians: TransientGaussians | Trajectory) -> tuple[float, float]:
 
 
 def _newest_checkpoint(folder: Path) -> Path:
-    found = [(int(m[1]), p) for pattern in ("chkpnt*.pth", "ckpts/ckpt_*.pt", "ckpt_*.pt") for p in folder.glob(pattern)
-             if (m := re.search(r"(\d+)\.pth?$", p.name))]
+    found = [
+        (int(m[1]), p)
+        for pattern in ("chkpnt*.pth", "ckpts/ckpt_*.pt", "ckpt_*.pt")
+        for p in folder.glob(pattern)
+        if (m := re.search(r"(\d+)\.pth?$", p.name))
+    ]
     return max(found)[1] if found else folder

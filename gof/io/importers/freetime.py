@@ -26,7 +26,11 @@ def matches(source: Source) -> bool:
         return isinstance(source.checkpoint, dict) and "splats" in source.checkpoint
     if source.path.suffix == ".npz":
         return "schema" not in source.npz and {"means", "durations", "velocities"} <= set(source.npz)
-    return source.path.is_file() and source.path.suffix == ".ply" and any(c.startswith("ftgs_version") for c in source.ply.comments)
+    return (
+        source.path.is_file()
+        and source.path.suffix == ".ply"
+        and any(c.startswith("ftgs_version") for c in source.ply.comments)
+    )
 
 
 def read(source: Source, options: ImportOptions) -> Imported:
@@ -40,14 +44,24 @@ def read(source: Source, options: ImportOptions) -> Imported:
     if not meta.get("use_velocity", True):
         values["velocity"] = np.zeros_like(values["velocity"])
         notes.append("trained without velocities")
-    notes.append(f"opacities without its floor of 1e-4, which would let every dead Gaussian count; life times at least {MIN_DURATION} of the sequence")
+    notes.append(
+        f"opacities without its floor of 1e-4, which would let every dead Gaussian count; life times at least {MIN_DURATION} of the sequence"
+    )
     gaussians = TransientGaussians(
-        position=values["position"], velocity=values["velocity"].astype(np.float64) / unit,
+        position=values["position"],
+        velocity=values["velocity"].astype(np.float64) / unit,
         t_mu=values["time"].astype(np.float64) * unit + options.time_zero_s,
-        t_sigma=np.maximum(exp(values["log_duration"]), meta.get("min_duration", MIN_DURATION)) * unit, scale=values["scale"],
-        rotation=values["rotation"], opacity=values["opacity"], color=values["color"], dynamic=np.ones(len(values["time"]), bool))
+        t_sigma=np.maximum(exp(values["log_duration"]), meta.get("min_duration", MIN_DURATION)) * unit,
+        scale=values["scale"],
+        rotation=values["rotation"],
+        opacity=values["opacity"],
+        color=values["color"],
+        dynamic=np.ones(len(values["time"]), bool),
+    )
     if options.world is None:
-        notes.append("its world taken as the dataset's; its trainer normalises the scene, so give the COLMAP model (--world) unless that was undone")
+        notes.append(
+            "its world taken as the dataset's; its trainer normalises the scene, so give the COLMAP model (--world) unless that was undone"
+        )
     else:
         gaussians = transformed(gaussians, world_from_training(options.world))
         notes.append(f"scene normalisation undone with {options.world}")
@@ -61,43 +75,64 @@ def _from_splats(source: Source) -> tuple[dict, dict]:
         splats, meta = content["splats"], {k: content[k] for k in ("n_frames", "use_velocity") if k in content}
         if not isinstance(splats, dict) or set(splats) != SPLATS:
             found = sorted(splats) if isinstance(splats, dict) else type(splats).__name__
-            raise DataFormatError(f"{path}: splats hold {found}, not the nine of FreeTimeGS vanilla {sorted(SPLATS)}; variants with gates or "
-                                  "sigmoid durations mean other things by the same names")
+            raise DataFormatError(
+                f"{path}: splats hold {found}, not the nine of FreeTimeGS vanilla {sorted(SPLATS)}; variants with gates or "
+                "sigmoid durations mean other things by the same names"
+            )
         get = lambda name, *shape: array(splats[name], name, shape, path)  # noqa: E731
     else:
         content = source.npz
         missing = SPLATS - set(content)
         if missing:
             raise DataFormatError(f"{path}: fields {sorted(missing)} are missing")
-        meta = {k: content[k].item() for k in ("n_frames", "use_velocity") if k in content and content[k].size == 1 and content[k].dtype.kind in "biuf"}
+        meta = {
+            k: content[k].item()
+            for k in ("n_frames", "use_velocity")
+            if k in content and content[k].size == 1 and content[k].dtype.kind in "biuf"
+        }
 
         def get(name, *shape):
             value = content[name]
             if value.dtype.kind not in "biuf":
                 raise DataFormatError(f"{path}: '{name}' does not hold numbers")
-            if value.ndim != len(shape) or any(b is not None and a != b for a, b in zip(value.shape, shape, strict=True)):
+            if value.ndim != len(shape) or any(
+                b is not None and a != b for a, b in zip(value.shape, shape, strict=True)
+            ):
                 raise DataFormatError(f"{path}: '{name}' has shape {value.shape}, expected {shape}")
             return value.astype(np.float32)
+
     means = get("means", None, 3)
     n = len(means)
-    return {"position": means, "velocity": get("velocities", n, 3), "time": get("times", n, 1)[:, 0], "log_duration": get("durations", n, 1)[:, 0],
-            "scale": exp(get("scales", n, 3)), "rotation": quaternions(get("quats", n, 4), path), "opacity": sigmoid(get("opacities", n)),
-            "color": np.concatenate([get("sh0", n, 1, 3), get("shN", n, None, 3)], 1)}, meta
+    return {
+        "position": means,
+        "velocity": get("velocities", n, 3),
+        "time": get("times", n, 1)[:, 0],
+        "log_duration": get("durations", n, 1)[:, 0],
+        "scale": exp(get("scales", n, 3)),
+        "rotation": quaternions(get("quats", n, 4), path),
+        "opacity": sigmoid(get("opacities", n)),
+        "color": np.concatenate([get("sh0", n, 1, 3), get("shN", n, None, 3)], 1),
+    }, meta
 
 
 def _from_ply(source: Source) -> tuple[dict, dict]:
     ply = source.ply
     words = dict(c.split(maxsplit=1) for c in ply.comments if " " in c)
     if words.get("ftgs_version") != "1" or words.get("time_units") != "normalized":
-        raise DataFormatError(f"{source.path}: ftgs_version {words.get('ftgs_version')}, time_units {words.get('time_units')}; expected 1, normalized")
+        raise DataFormatError(
+            f"{source.path}: ftgs_version {words.get('ftgs_version')}, time_units {words.get('time_units')}; expected 1, normalized"
+        )
     try:
         meta = {"use_velocity": words["use_velocity"] == "1", "min_duration": float(words["min_duration"])}
         if "n_frames" in words:
             meta["n_frames"] = int(words["n_frames"])
     except (KeyError, ValueError) as e:
         raise DataFormatError(f"{source.path}: header comment {e} is missing or not a number") from e
-    return ply.splats() | {"velocity": ply.columns("velocity_0", "velocity_1", "velocity_2"), "time": ply.columns("time")[:, 0],
-                           "log_duration": ply.columns("log_duration")[:, 0]}, meta
+    return ply.splats() | {
+        "velocity": ply.columns("velocity_0", "velocity_1", "velocity_2"),
+        "time": ply.columns("time")[:, 0],
+        "log_duration": ply.columns("log_duration")[:, 0],
+    }, meta
 
 
 def _sequence_seconds(path: Path, meta: dict, options: ImportOptions) -> float:
@@ -106,8 +141,10 @@ def _sequence_seconds(path: Path, meta: dict, options: ImportOptions) -> float:
     frames = meta.get("n_frames")
     if frames and frames > 1 and options.frame_time_s:
         return (frames - 1) * options.frame_time_s
-    raise DataFormatError(f"{path}: its time runs from 0 to 1 and the file does not say how many seconds that is: give --time-unit "
-                          "(seconds of the whole sequence, first to last frame)")
+    raise DataFormatError(
+        f"{path}: its time runs from 0 to 1 and the file does not say how many seconds that is: give --time-unit "
+        "(seconds of the whole sequence, first to last frame)"
+    )
 
 
 def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float, frames: int | None = None) -> Path:
@@ -117,15 +154,26 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
         DataFormatError: start_s >= end_s, no Gaussian, or a path not ending in .ply.
     """
     if not end_s > start_s or len(gaussians) == 0 or path.suffix != ".ply":
-        raise DataFormatError(f"{path}: FTGS-PLY needs a name ending in .ftgs.ply, at least one Gaussian, and a clip longer than 0 s")
+        raise DataFormatError(
+            f"{path}: FTGS-PLY needs a name ending in .ftgs.ply, at least one Gaussian, and a clip longer than 0 s"
+        )
     g, unit = gaussians, end_s - start_s
     forever = ~g.dynamic | np.isinf(g.t_sigma)
     duration = np.where(forever, 1e6, np.clip(g.t_sigma / unit, MIN_DURATION, 1e6))
-    columns = splat_columns(g) | {"time": np.where(g.dynamic, (g.t_mu - start_s) / unit, 0.5), "log_duration": np.log(duration),
-                                  **{f"velocity_{i}": np.where(g.dynamic, g.velocity[:, i] * unit, 0) for i in range(3)}}
+    columns = splat_columns(g) | {
+        "time": np.where(g.dynamic, (g.t_mu - start_s) / unit, 0.5),
+        "log_duration": np.log(duration),
+        **{f"velocity_{i}": np.where(g.dynamic, g.velocity[:, i] * unit, 0) for i in range(3)},
+    }
     coefficients = sum(name.startswith(("f_dc", "f_rest")) for name in columns) // 3
-    comments = ["ftgs_version 1", "time_units normalized", f"sh_degree {int(np.sqrt(coefficients)) - 1}", "use_velocity 1",
-                f"min_duration {MIN_DURATION}", "opacity_floor 0.0001"] + ([f"n_frames {frames}"] if frames else [])
+    comments = [
+        "ftgs_version 1",
+        "time_units normalized",
+        f"sh_degree {int(np.sqrt(coefficients)) - 1}",
+        "use_velocity 1",
+        f"min_duration {MIN_DURATION}",
+        "opacity_floor 0.0001",
+    ] + ([f"n_frames {frames}"] if frames else [])
     with atomic_path(path) as temporary:
         write(temporary, columns, comments)
     return path

@@ -11,7 +11,11 @@ from gof.io.importers.trajectory import SCHEMA, Trajectory
 def matches(source: Source) -> bool:
     if source.path.suffix == ".npz":
         return str(source.npz.get("schema", "")).startswith("gof-")
-    return source.path.is_file() and source.path.suffix == ".ply" and source.ply.has("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")
+    return (
+        source.path.is_file()
+        and source.path.suffix == ".ply"
+        and source.ply.has("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")
+    )
 
 
 def read(source: Source, options: ImportOptions) -> Imported:

@@ -25,25 +25,44 @@ def read(source: Source, options: ImportOptions) -> Imported:
     states = [Ply.read(path).splats() for _, path in files]
     counts = {len(s["position"]) for s in states}
     if len(counts) > 1:
-        raise DataFormatError(f"{source.path}: the PLYs hold {min(counts)} to {max(counts)} Gaussians; differences need the same Gaussians, in the "
-                              "same order, in every file")
+        raise DataFormatError(
+            f"{source.path}: the PLYs hold {min(counts)} to {max(counts)} Gaussians; differences need the same Gaussians, in the "
+            "same order, in every file"
+        )
     time_s = options.time_zero_s + unit * np.array([number for number, _ in files], np.float64)
     try:
-        trajectory = Trajectory(time_s, *(np.stack([s[name] for s in states]) for name in ("position", "opacity", "scale", "rotation")),
-                                color=states[len(states) // 2]["color"])
+        trajectory = Trajectory(
+            time_s,
+            *(np.stack([s[name] for s in states]) for name in ("position", "opacity", "scale", "rotation")),
+            color=states[len(states) // 2]["color"],
+        )
     except DataFormatError as e:
         raise DataFormatError(f"{source.path}: {e}") from e
-    return Imported(trajectory, "ply-sequence", source.path, [
-        *difference_notes(trajectory), f"{len(files)} PLYs {unit:g} s apart; colours of the middle one",
-        "4DGS (Wu et al.) writes opacities without their deformation into such PLYs"])
+    return Imported(
+        trajectory,
+        "ply-sequence",
+        source.path,
+        [
+            *difference_notes(trajectory),
+            f"{len(files)} PLYs {unit:g} s apart; colours of the middle one",
+            "4DGS (Wu et al.) writes opacities without their deformation into such PLYs",
+        ],
+    )
 
 
 def difference_notes(trajectory: Trajectory) -> list[str]:
     if trajectory.velocity is not None:
         return ["velocities as stored"]
     error = trajectory.difference_error()
-    return ["velocities are differences of positions" + ("" if np.isnan(error) else
-            f"; spanning twice the step changes them by {error:.1%}" + (", so export half steps" if error > 0.05 else ""))]
+    return [
+        "velocities are differences of positions"
+        + (
+            ""
+            if np.isnan(error)
+            else f"; spanning twice the step changes them by {error:.1%}"
+            + (", so export half steps" if error > 0.05 else "")
+        )
+    ]
 
 
 def _numbered(source: Source) -> list[tuple[int, object]]:

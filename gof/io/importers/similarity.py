@@ -20,8 +20,14 @@ def apply(matrix: np.ndarray, position: np.ndarray, scale: np.ndarray, rotation:
 def transformed(g: TransientGaussians, matrix: np.ndarray) -> TransientGaussians:
     """The same Gaussians in another world; velocities turn and stretch with it, times stay."""
     position, scale, rotation, color = apply(matrix, g.position, g.scale, g.rotation, g.color)
-    return replace(g, position=position, scale=scale, rotation=rotation, color=color,
-                   velocity=g.velocity @ np.asarray(matrix, np.float64)[:3, :3].T)
+    return replace(
+        g,
+        position=position,
+        scale=scale,
+        rotation=rotation,
+        color=color,
+        velocity=g.velocity @ np.asarray(matrix, np.float64)[:3, :3].T,
+    )
 
 
 def decompose(matrix: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -61,14 +67,21 @@ def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) 
     """
     names = sorted(set(source) & set(target))
     if len(names) < 2:
-        raise GofError(f"alignment needs two cameras with the same name in both; found {names} of {sorted(source)[:5]} and {sorted(target)[:5]}")
+        raise GofError(
+            f"alignment needs two cameras with the same name in both; found {names} of {sorted(source)[:5]} and {sorted(target)[:5]}"
+        )
     pose = [np.stack([np.linalg.inv(np.asarray(p[n], np.float64)) for n in names]) for p in (source, target)]
     centres = [p[:, :3, 3] for p in pose]
     with np.errstate(over="ignore"):
         spread = [np.sqrt(np.mean(np.sum((c - c.mean(0)) ** 2, 1))) for c in centres]
     if not 1e-9 < min(spread) <= max(spread) < 1e30:
-        raise GofError(f"alignment: the camera centres spread {spread[0]:.2g} and {spread[1]:.2g} around their middle; no scale follows from that")
-    points = [np.concatenate([c] + [c + d * p[:, :3, k] for k in range(3)]) for c, p, d in zip(centres, pose, spread, strict=True)]
+        raise GofError(
+            f"alignment: the camera centres spread {spread[0]:.2g} and {spread[1]:.2g} around their middle; no scale follows from that"
+        )
+    points = [
+        np.concatenate([c] + [c + d * p[:, :3, k] for k in range(3)])
+        for c, p, d in zip(centres, pose, spread, strict=True)
+    ]
     mean = [p.mean(0) for p in points]
     a, b = points[0] - mean[0], points[1] - mean[1]
     u, d, vt = np.linalg.svd(b.T @ a / len(a))
@@ -94,7 +107,9 @@ def read_cameras(path: Path) -> dict[str, np.ndarray]:
     if path.is_dir():
         if (path / "dataset.json").is_file():
             return read_cameras(path / "dataset.json")
-        return {Path(n).parent.name or Path(n).stem: pose for n, pose in sorted(read_colmap(path)[0].items(), reverse=True)}
+        return {
+            Path(n).parent.name or Path(n).stem: pose for n, pose in sorted(read_colmap(path)[0].items(), reverse=True)
+        }
     content = read_json(path)
     try:
         if "cameras" in content:
@@ -109,7 +124,12 @@ def read_cameras(path: Path) -> dict[str, np.ndarray]:
 def _check_poses(poses: dict[str, np.ndarray], path: Path) -> None:
     for name, pose in poses.items():
         R = pose[:3, :3]
-        if not np.isfinite(pose).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:
+        if (
+            not np.isfinite(pose).all()
+            or np.abs(R @ R.T - np.eye(3)).max() > 1e-3
+            or np.linalg.det(R) < 0
+            or np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6
+        ):
             raise DataFormatError(f"{path}: world_to_camera of '{name[:40]}' is not a rotation and a shift")
 
 
@@ -216,7 +236,9 @@ def normalisation(poses: dict[str, np.ndarray], points: np.ndarray) -> np.ndarra
         poses: world_to_camera by name, OpenCV.   points: (P, 3), at least 3.
     """
     if len(poses) < 1 or len(points) < 3:
-        raise DataFormatError(f"the COLMAP model has {len(poses)} images and {len(points)} points; the normalisation needs 1 and 3")
+        raise DataFormatError(
+            f"the COLMAP model has {len(poses)} images and {len(points)} points; the normalisation needs 1 and 3"
+        )
     camera = np.stack([np.linalg.inv(poses[n]) for n in sorted(poses)])
     up = -camera[:, :3, 1].mean(0)
     up /= np.linalg.norm(up)
@@ -264,7 +286,11 @@ def world_from_training(path: Path) -> np.ndarray:
     except DataFormatError as e:
         raise e if str(path) in str(e) else DataFormatError(f"{path}: {e}") from e
     except np.linalg.LinAlgError as e:
-        raise DataFormatError(f"{path}: the COLMAP model has no normalisation ({e}); do all cameras or points coincide?") from e
+        raise DataFormatError(
+            f"{path}: the COLMAP model has no normalisation ({e}); do all cameras or points coincide?"
+        ) from e
     if not np.isfinite(found).all():
-        raise DataFormatError(f"{path}: the COLMAP model has no finite normalisation; do all cameras or points coincide?")
+        raise DataFormatError(
+            f"{path}: the COLMAP model has no finite normalisation; do all cameras or points coincide?"
+        )
     return found

@@ -66,19 +66,30 @@ class Source:
         try:
             import torch
         except ImportError as e:
-            raise MissingDependencyError(f"{self.path}: reading a checkpoint needs PyTorch; pip install 'gaussians-on-fire[torch]'") from e
+            raise MissingDependencyError(
+                f"{self.path}: reading a checkpoint needs PyTorch; pip install 'gaussians-on-fire[torch]'"
+            ) from e
         scalar = np.core.multiarray.scalar
         dtypes = [type(np.dtype(kind)) for kind in ("f2", "f4", "f8", "i4", "i8", "bool")]
         # a numpy number (3DGS saves spatial_lr_scale as one) under its names of numpy 1 and 2
-        allowed = [(scalar, "numpy.core.multiarray.scalar"), (scalar, "numpy._core.multiarray.scalar"), np.dtype, *dtypes]
+        allowed = [
+            (scalar, "numpy.core.multiarray.scalar"),
+            (scalar, "numpy._core.multiarray.scalar"),
+            np.dtype,
+            *dtypes,
+        ]
         try:
             with torch.serialization.safe_globals(allowed):
                 return torch.load(self.path, map_location="cpu", weights_only=True)
         except Exception as e:
             if "weights_only" in str(e) or "Unsupported" in str(e) or "GLOBAL" in str(e):
-                raise DataFormatError(f"{self.path}: holds objects besides tensors and numbers, and reading those would execute code from "
-                                      f"the file, which gof never does ({str(e).splitlines()[0][:200]}); export tensors only") from e
-            raise DataFormatError(f"{self.path}: not a readable PyTorch file ({type(e).__name__}: {str(e)[:120]})") from e
+                raise DataFormatError(
+                    f"{self.path}: holds objects besides tensors and numbers, and reading those would execute code from "
+                    f"the file, which gof never does ({str(e).splitlines()[0][:200]}); export tensors only"
+                ) from e
+            raise DataFormatError(
+                f"{self.path}: not a readable PyTorch file ({type(e).__name__}: {str(e)[:120]})"
+            ) from e
 
     @cached_property
     def npz(self) -> dict[str, np.ndarray]:
@@ -92,11 +103,15 @@ class Source:
 def array(value: Any, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
     """A tensor of a checkpoint as numpy, with its shape checked; None matches any length."""
     if not hasattr(value, "detach"):
-        raise DataFormatError(f"{path}: '{name}' is a {type(value).__name__}, expected a tensor; another version of the method?")
+        raise DataFormatError(
+            f"{path}: '{name}' is a {type(value).__name__}, expected a tensor; another version of the method?"
+        )
     value = value.detach().cpu()
     out = value.float().numpy() if value.is_floating_point() else value.numpy()
     if out.ndim != len(shape) or any(b is not None and a != b for a, b in zip(out.shape, shape, strict=True)):
-        raise DataFormatError(f"{path}: '{name}' has shape {out.shape}, expected {tuple('N' if s is None else s for s in shape)}")
+        raise DataFormatError(
+            f"{path}: '{name}' has shape {out.shape}, expected {tuple('N' if s is None else s for s in shape)}"
+        )
     if not np.isfinite(out).all():
         raise DataFormatError(f"{path}: '{name}' holds NaN or Inf; did the training diverge?")
     return out

@@ -48,21 +48,30 @@ class Trajectory:
         steps, count = np.shape(self.position)[:2] if np.ndim(self.position) == 3 else (0, 0)
         self.color = np.full((count, 3), 0.5) if self.color is None else self.color
         self.dynamic = np.ones(count, bool) if self.dynamic is None else np.asarray(self.dynamic, bool)
-        allowed = {"position": [(steps, count, 3)], "opacity": [(steps, count)], "scale": [(count, 3), (steps, count, 3)],
-                   "rotation": [(count, 4), (steps, count, 4)], "velocity": [(steps, count, 3)]}
+        allowed = {
+            "position": [(steps, count, 3)],
+            "opacity": [(steps, count)],
+            "scale": [(count, 3), (steps, count, 3)],
+            "rotation": [(count, 4), (steps, count, 4)],
+            "velocity": [(steps, count, 3)],
+        }
         for name, shapes in allowed.items():
             value = getattr(self, name)
             if value is None and name == "velocity":
                 continue
             value = np.asarray(value, np.float32)
             if value.shape not in shapes:
-                raise DataFormatError(f"trajectory '{name}' has shape {value.shape}, expected {' or '.join(map(str, shapes))}")
+                raise DataFormatError(
+                    f"trajectory '{name}' has shape {value.shape}, expected {' or '.join(map(str, shapes))}"
+                )
             require_finite(name, value, "Trajectory")
             setattr(self, name, value)
         require_finite("time_s", self.time_s, "Trajectory")
         require_finite("color", self.color, "Trajectory")
         if self.time_s.shape != (steps,) or steps < 2 or not (np.diff(self.time_s) > 0).all():
-            raise DataFormatError(f"trajectory time_s has shape {self.time_s.shape}; expected ({steps},) strictly increasing seconds, at least 2")
+            raise DataFormatError(
+                f"trajectory time_s has shape {self.time_s.shape}; expected ({steps},) strictly increasing seconds, at least 2"
+            )
         if self.dynamic.shape != (count,):
             raise DataFormatError(f"trajectory 'dynamic' has shape {self.dynamic.shape}, expected ({count},)")
 
@@ -105,9 +114,16 @@ class Trajectory:
         rotation = self.rotation if self.rotation.ndim == 2 else self.rotation[max(weights, key=weights.get)]
         n = len(self)
         return TransientGaussians(
-            position=mix(self.position), velocity=velocity, t_mu=np.full(n, time_s), t_sigma=np.full(n, np.inf),
-            scale=np.maximum(self.scale if self.scale.ndim == 2 else mix(self.scale), 1e-12), rotation=rotation,
-            opacity=np.clip(mix(self.opacity), 0, 1), color=self.color, dynamic=self.dynamic)
+            position=mix(self.position),
+            velocity=velocity,
+            t_mu=np.full(n, time_s),
+            t_sigma=np.full(n, np.inf),
+            scale=np.maximum(self.scale if self.scale.ndim == 2 else mix(self.scale), 1e-12),
+            rotation=rotation,
+            opacity=np.clip(mix(self.opacity), 0, 1),
+            color=self.color,
+            dynamic=self.dynamic,
+        )
 
     def difference_error(self) -> float:
         """How much the velocities change (relative L2) when differences span twice the step: about 3 times their own error."""
@@ -130,9 +146,15 @@ class Trajectory:
 
         states = {f.name: getattr(self, f.name) for f in fields(self)}
         shape = self.position.shape
-        moved = apply(matrix, self.position.reshape(-1, 3), self.scale.reshape(-1, 3), self.rotation.reshape(-1, 4), self.color)
-        states |= {"position": moved[0].reshape(shape), "scale": moved[1].reshape(self.scale.shape),
-                   "rotation": moved[2].reshape(self.rotation.shape), "color": moved[3]}
+        moved = apply(
+            matrix, self.position.reshape(-1, 3), self.scale.reshape(-1, 3), self.rotation.reshape(-1, 4), self.color
+        )
+        states |= {
+            "position": moved[0].reshape(shape),
+            "scale": moved[1].reshape(self.scale.shape),
+            "rotation": moved[2].reshape(self.rotation.shape),
+            "color": moved[3],
+        }
         if self.velocity is not None:
             states["velocity"] = (self.velocity.reshape(-1, 3) @ np.asarray(matrix)[:3, :3].T).reshape(shape)
         return Trajectory(**states)
@@ -165,4 +187,10 @@ def _derivative_weights(t: np.ndarray, at: float) -> np.ndarray:
     if len(t) == 2:
         return np.array([-1.0, 1.0]) / (t[1] - t[0])
     a, b, c = t
-    return np.array([(2 * at - b - c) / ((a - b) * (a - c)), (2 * at - a - c) / ((b - a) * (b - c)), (2 * at - a - b) / ((c - a) * (c - b))])
+    return np.array(
+        [
+            (2 * at - b - c) / ((a - b) * (a - c)),
+            (2 * at - a - c) / ((b - a) * (b - c)),
+            (2 * at - a - b) / ((c - a) * (c - b)),
+        ]
+    )

@@ -6,8 +6,10 @@ from gof.errors import DataFormatError
 from gof.io.importers.authors import is_capture
 from gof.io.importers.source import Imported, ImportOptions, Source
 
-EXPORT = ("its positions come from a network that only its own code runs; export positions at the frame times and half steps with it, as a "
-          "gof-trajectory npz or a folder of PLYs (docs/importers.md)")
+EXPORT = (
+    "its positions come from a network that only its own code runs; export positions at the frame times and half steps with it, as a "
+    "gof-trajectory npz or a folder of PLYs (docs/importers.md)"
+)
 
 
 def reason(source: Source) -> str | None:
@@ -22,7 +24,9 @@ def reason(source: Source) -> str | None:
         if is_capture(content, 14):
             return f"a checkpoint of 4DGS (Wu et al.): {EXPORT}"
         if is_capture(content, 12):
-            return "a checkpoint of 3D Gaussians (12 entries, as 3DGS or 4DGS with gaussian_dim 3): it has no velocities"
+            return (
+                "a checkpoint of 3D Gaussians (12 entries, as 3DGS or 4DGS with gaussian_dim 3): it has no velocities"
+            )
         if isinstance(content, tuple) and len(content) == 2 and all(isinstance(c, dict) for c in content):
             return f"deform.pth of Grid4D: {EXPORT}"
         if isinstance(content, dict) and any(k.startswith("deformation_net") for k in content):

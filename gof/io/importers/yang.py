@@ -25,8 +25,10 @@ def matches(source: Source) -> bool:
 def read(source: Source, options: ImportOptions) -> Imported:
     (state, iteration), path = source.checkpoint, source.path
     if state[16] is not True:
-        raise DataFormatError(f"{path}: trained with rot_4d={state[16]}, whose Gaussians do not move (space and time are independent); "
-                              "there is no velocity to score")
+        raise DataFormatError(
+            f"{path}: trained with rot_4d={state[16]}, whose Gaussians do not move (space and time are independent); "
+            "there is no velocity to score"
+        )
     xyz = array(state[1], "xyz", (None, 3), path)
     n = len(xyz)
     scale = np.concatenate([array(state[4], "scaling", (n, 3), path), array(state[14], "scaling_t", (n, 1), path)], 1)
@@ -36,14 +38,30 @@ def read(source: Source, options: ImportOptions) -> Imported:
     velocity, spatial, variance_t = condition_on_time(covariance)
     std, rotation = principal_axes(spatial)
     unit = options.time_unit_s or 1.0
-    color, colour_note = _peak_color(np.concatenate([array(state[2], "f_dc", (n, 1, 3), path), array(state[3], "f_rest", (n, None, 3), path)], 1))
+    color, colour_note = _peak_color(
+        np.concatenate([array(state[2], "f_dc", (n, 1, 3), path), array(state[3], "f_rest", (n, None, 3), path)], 1)
+    )
     gaussians = TransientGaussians(
-        position=xyz, velocity=velocity / unit, t_mu=array(state[13], "t", (n, 1), path)[:, 0].astype(np.float64) * unit + options.time_zero_s,
-        t_sigma=np.sqrt(variance_t) * unit, scale=std, rotation=rotation,
-        opacity=sigmoid(array(state[6], "opacity", (n, 1), path)[:, 0]), color=color, dynamic=np.ones(n, bool))
-    return Imported(gaussians, "yang", path, [
-        f"iteration {iteration}; one unit of its time taken as {unit:g} s",
-        f"its renderer drops Gaussians while their window is below {MARGINAL_CUT}; here they keep their (small) weight", *colour_note])
+        position=xyz,
+        velocity=velocity / unit,
+        t_mu=array(state[13], "t", (n, 1), path)[:, 0].astype(np.float64) * unit + options.time_zero_s,
+        t_sigma=np.sqrt(variance_t) * unit,
+        scale=std,
+        rotation=rotation,
+        opacity=sigmoid(array(state[6], "opacity", (n, 1), path)[:, 0]),
+        color=color,
+        dynamic=np.ones(n, bool),
+    )
+    return Imported(
+        gaussians,
+        "yang",
+        path,
+        [
+            f"iteration {iteration}; one unit of its time taken as {unit:g} s",
+            f"its renderer drops Gaussians while their window is below {MARGINAL_CUT}; here they keep their (small) weight",
+            *colour_note,
+        ],
+    )
 
 
 def covariance_4d(scale: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -81,5 +99,9 @@ def _peak_color(sh: np.ndarray) -> tuple[np.ndarray, list[str]]:
     if sh.shape[1] in (1, 4, 9, 16):
         return sh, []
     if sh.shape[1] in (32, 48):
-        return sh.reshape(len(sh), -1, 16, 3).sum(1), ["colours that change over time are those at each Gaussian's peak"]
-    return 0.5 + SH_C0 * sh[:, 0], [f"{sh.shape[1]} colour coefficients are unknown to this importer: plain colours only"]
+        return sh.reshape(len(sh), -1, 16, 3).sum(1), [
+            "colours that change over time are those at each Gaussian's peak"
+        ]
+    return 0.5 + SH_C0 * sh[:, 0], [
+        f"{sh.shape[1]} colour coefficients are unknown to this importer: plain colours only"
+    ]

@@ -1,0 +1,146 @@
+"""`gof demo`: the whole loop on a small real fire, one child process a stage, resumable."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import tyro
+
+from gof.io.files import read_json, write_json
+from gof.stages import StageLog, run_worker
+
+
+@dataclass
+class DemoConfig:
+    """Make a real (small) fire with ground truth, reconstruct it from three videos, score it, bring it into Blender.
+
+    Everything lands in OUT; open OUT/report.html. Stopped at any time, the same command goes on where it was.
+    """
+
+    out: Path = Path("out/demo")
+    """Folder for everything the demo makes."""
+    scene: str = "demo"
+    """Built-in scene or spec file to simulate."""
+    preset: str | None = None
+    """Cost preset of the scene (toy, preview, draft, standard, paper); default: the scene's own settings."""
+    gaussians: int | None = None
+    """Number of Gaussians; default: that of `gof reconstruct`."""
+    iterations: int | None = None
+    """Optimisation steps; default: that of `gof reconstruct`."""
+    json: Path | None = None
+    """Also write the scores to this file."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A step of the demo: finished when all `outputs` exist and no earlier stage has run since."""
+
+    name: str
+    command: list
+    outputs: list[Path]
+    costs: Path | None = None  # costs.json with its own sub-stages, when it keeps one
+
+
+def stages_of(config: DemoConfig) -> list[Stage]:
+    out, dataset = config.out, config.out / "dataset"
+    result, scores = out / "reconstruct" / "result.npz", out / "evaluate" / "evaluation.json"
+    preset = ["--preset", config.preset] if config.preset else []
+    effort = [x for name in ("gaussians", "iterations") if (n := getattr(config, name)) for x in (f"--{name}", n)]
+    return [
+        Stage(
+            "generate",
+            ["generate", config.scene, *preset, "--out", dataset],
+            [dataset / "dataset.json"],
+            dataset / "costs.json",
+        ),
+        Stage(
+            "reconstruct",
+            ["reconstruct", dataset, *effort, "--out", result.parent],
+            [result],
+            result.parent / "costs.json",
+        ),
+        Stage("evaluate", ["evaluate", result, "--truth", dataset, "--json", scores], [scores]),
+        Stage(
+            "import",
+            [
+                "import",
+                result,
+                "--dataset",
+                dataset,
+                "--blend",
+                out / "result.blend",
+                "--preview",
+                out / "preview.png",
+                "--samples",
+                8,
+            ],
+            [out / "result.blend", out / "preview.png"],
+        ),
+        Stage("report", ["report", out, "--dataset", dataset], [out / "report.html"]),
+    ]
+
+
+def main(argv: list[str]) -> int:
+    """`gof demo [--out DIR]`; see --help."""
+    config = tyro.cli(DemoConfig, prog="gof demo", args=argv)
+    config.out.mkdir(parents=True, exist_ok=True)
+    log, start, changed = StageLog(config.out / "costs.json"), time.perf_counter(), False
+    for stage in stages_of(config):
+        if not changed and all(path.exists() for path in stage.outputs):
+            print(f"{stage.name}: finished before")
+            continue
+        changed = True
+        if stage.name == "report":
+            write_json(config.out / "scores.json", collect_scores(config))
+        for path in stage.outputs:  # results of an earlier stage that has changed since
+            if stage.name in ("evaluate", "import", "report"):
+                path.unlink(missing_ok=True)
+        cost = run_worker(
+            [sys.executable, "-m", "gof", *map(str, stage.command)], stage.name, config.out / f"{stage.name}.log"
+        )
+        if not stage.costs:  # the others keep their own, part by part
+            log.record(stage.name, cost.seconds, cost.peak_mb)
+        print(f"{stage.name}: {cost.seconds:.0f} s, {cost.peak_mb:.0f} MB")
+    scores = collect_scores(config)
+    write_json(config.out / "scores.json", scores)
+    if config.json:
+        write_json(config.json, scores)
+    summarise(scores)
+    print(f"total of this run {time.perf_counter() - start:.0f} s; open {config.out / 'report.html'}")
+    return 0
+
+
+def collect_scores(config: DemoConfig) -> dict:
+    """The evaluation's scores, and what every stage cost."""
+    scores = read_json(config.out / "evaluate" / "evaluation.json")
+    logs = [stage.costs for stage in stages_of(config) if stage.costs] + [config.out / "costs.json"]
+    return scores | {"stages": [asdict(cost) for log in logs for cost in StageLog(log).stages()]}
+
+
+def summarise(scores: dict) -> None:
+    """Print the scores next to what they must beat."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="motion: DVE against the simulation's own velocity")
+    for column in ("velocities", "L2 (lower is better)", "CosSim (higher is better)"):
+        table.add_column(column)
+    table.add_row(
+        "[bold]reconstruction[/]", f"[bold]{scores['dve']['l2']:.3f}[/]", f"[bold]{scores['dve']['cos_sim']:.3f}[/]"
+    )
+    for name, control in scores["controls"].items():
+        table.add_row(f"control: {name}", f"{control['l2']:.3f}", f"{control['cos_sim']:.3f}")
+    console = Console()
+    console.print(table)
+    if scores["psnr_flame"] is not None:
+        console.print(
+            f"held-out pictures, flame only: PSNR [bold]{scores['psnr_flame']:.2f} dB[/] (plate alone "
+            f"{scores['psnr_flame_plate']:.2f} dB), SSIM {scores['ssim_flame']:.3f} ({scores['ssim_flame_plate']:.3f})"
+        )
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,82 @@
+"""`gof import`: a reconstruction into a .blend as an animated point cloud, and one rendered preview frame."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from gof.dataset import Dataset
+from gof.gaussians import TransientGaussians
+from gof.io.files import write_json
+from gof.stages import run_worker
+
+
+@dataclass
+class ImportConfig:
+    """Result -> animated point cloud in a .blend that also holds the dataset's scene, and one rendered preview frame."""
+
+    result: tyro.conf.Positional[Path]
+    """result.npz or result.ply of a reconstruction."""
+    dataset: Path
+    """The dataset it was made from: its scene and cameras go into the .blend."""
+    blend: Path = Path("out/result.blend")
+    """The .blend to write."""
+    preview: Path | None = None
+    """Rendered picture of the cloud (PNG); default: beside the .blend."""
+    frame: int | None = None
+    """Frame to render; default: the middle of the clip."""
+    camera: str | None = None
+    """Camera to render from; default: the middle one."""
+    mode: Literal["points", "ellipsoids"] = "points"
+    """How the cloud is drawn: round points (quick), or each Gaussian's own ellipsoid (about three times the render time)."""
+    samples: int = 16
+    """Cycles samples per pixel of the preview."""
+    json: Path | None = None
+    """Also write the files' names and the cost to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """`gof import RESULT --dataset DATASET --blend FILE`; see --help."""
+    config = tyro.cli(ImportConfig, prog="gof import", args=argv)
+    dataset = Dataset.open(config.dataset)
+    TransientGaussians.load(config.result)  # a bad file is named here, before Blender starts
+    preview = config.preview or config.blend.with_suffix(".png")
+    frame = len(dataset.times_s) // 2 if config.frame is None else config.frame
+    camera = config.camera or dataset.cameras[len(dataset.cameras) // 2].name
+    config.blend.parent.mkdir(parents=True, exist_ok=True)
+    worker = [
+        sys.executable,
+        "-m",
+        "gof_blender.worker.import_result",
+        "--result",
+        config.result,
+        "--dataset",
+        config.dataset,
+        "--blend",
+        config.blend,
+        "--preview",
+        preview,
+        "--frame",
+        frame,
+        "--camera",
+        camera,
+        "--mode",
+        config.mode,
+        "--samples",
+        config.samples,
+    ]
+    cost = run_worker([str(part) for part in worker], "import into Blender")
+    names = [c.name for c in dataset.cameras]
+    # Which truth the preview belongs to, for `gof report`.
+    write_json(preview.with_suffix(".json"), {"image": preview.name, "camera": names.index(camera), "frame": frame})
+    if config.json:
+        write_json(
+            config.json,
+            {"blend": str(config.blend), "preview": str(preview), "seconds": cost.seconds, "peak_mb": cost.peak_mb},
+        )
+    print(f"{config.blend} and {preview} ({cost.seconds:.1f} s): open the .blend and press play")
+    return 0

@@ -1,0 +1,357 @@
+"""How exact the times read off the LED board are, and what they cost. Prints tables.
+
+    python -m gof_benchmark.evidence.capture_accuracy [--captures FOLDER] [--parts synthetic real cost] [--json FILE]
+
+synthetic: rendered footage (exact rolling shutter and exposure, gof/capture/synthetic.py) whose times are known.
+real: public clips of the paper's rig, FOLDER/capture_05/scene_0006/cam_0.mp4 ...; without them it says so and goes on.
+cost: what each option of the decoder, and the clip's length, cost and buy.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+
+from gof.capture.decode import CameraTimes, DecodeOptions, decode
+from gof.capture.locate import Summary, locate
+from gof.capture.signals import make_signals, read_signals, sample_frame
+from gof.capture.sync import synchronise
+from gof.capture.synthetic import SyntheticShot, render, write_video
+from gof.capture.template import BoardTemplate
+from gof.errors import GofError
+from gof.io.files import write_json
+
+GOAL_US, GOAL_COMPRESSED_US, GOAL_REAL_US = 5.0, 15.0, 9.0
+
+# What varies, around SyntheticShot's defaults: 720 x 1280, 400 fps, 3 us rows, 1 ms exposure, 60 px marker.
+SWEEPS: dict[str, list[float]] = {
+    "exposure": [100, 300, 600, 1000, 1500, 2200, 3000],
+    "row_time": [1.5, 3.0, 6.0, 10.0],
+    "blur_px": [0.5, 1.5, 3.0, 4.0],
+    "noise": [0, 4, 10, 20],
+    "gain": [0.4, 0.8, 3.0, 12.0],
+    "marker_px": [20, 25, 40, 90],
+    "yaw_deg": [20, 40, 60],
+    "fps": [30, 60, 120, 240],
+}
+CODECS = ("mp4v", "h264 18", "h264 23", "h264 28", "h264 33", "h264 40", "jpeg 30", "jpeg 10")
+CHANGES = ({"exposure": 300}, {"exposure": 2200}, {"marker_px": 40}, {"noise": 10}, {"gain": 0.8}, {"yaw_deg": 40})
+COMPRESSED = [(codec, {}) for codec in CODECS] + [
+    (codec, change) for codec in ("h264 23", "h264 33") for change in CHANGES
+]
+
+# Offsets (us) of the cameras' nearest frames to cam_0's first, measured on the same clips with another decoder (first row of the
+# picture instead of its middle, other row time; 30 us systematic).
+KNOWN_OFFSETS_US: dict[str, dict[str, float]] = {
+    "capture_05/scene_0006": {"cam_1": -646, "cam_2": 635},
+    "capture_04/scene_0010": {"cam_2": 904},
+    "capture_04/scene_0009": {"cam_2": -840},
+}
+
+
+def measure(
+    shot: SyntheticShot,
+    template: BoardTemplate,
+    frames: int = 96,
+    codec: str | None = None,
+    options: DecodeOptions | None = None,
+    samples: int = 96,
+) -> dict[str, float]:
+    """Render, encode, decode, compare.
+
+    Args:
+        codec: None; "mp4v"; "h264 CRF" (with ffmpeg); "jpeg Q" for single pictures of that quality.
+    Returns:
+        see `errors`; the size of the encoded frames, and the seconds spent on reading and on decoding.
+    Raises:
+        GofError: not decodable.
+    """
+    truth, kilobytes = shot.times(frames), float("nan")
+    if codec and not codec.startswith("jpeg"):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "shot.mp4"
+            if codec.startswith("h264"):
+                write_h264(path, render(shot, template, frames), int(codec.split()[1]))
+            else:
+                write_video(path, render(shot, template, frames), codec)
+            kilobytes = path.stat().st_size / 1e3 / frames
+            start = time.perf_counter()
+            signals = read_signals(path, template)
+    else:
+        pictures = list(render(shot, template, frames))
+        if codec:
+            packed = [_jpeg(p, int(codec.split()[1])) for p in pictures]
+            kilobytes = float(np.mean([len(p) for p in packed])) / 1e3
+            pictures = [_unpack(p) for p in packed]
+        start = time.perf_counter()
+        signals = signals_of(pictures, template, samples)
+    read = time.perf_counter()
+    times = decode(signals, template, options or DecodeOptions(shot.period))
+    return errors(times, truth, shot) | {
+        "kb_per_frame": kilobytes,
+        "read_s": read - start,
+        "decode_s": time.perf_counter() - read,
+    }
+
+
+def signals_of(pictures: list[np.ndarray], template: BoardTemplate, samples: int = 96):
+    """`read_signals` of pictures in memory."""
+    summary = Summary()
+    for picture in pictures:
+        summary.add(picture)
+    board = locate(summary, template, samples)
+    strips, leds = zip(*(sample_frame(p, board) for p in pictures), strict=True)
+    height, width = pictures[0].shape[:2]
+    return make_signals(np.stack(strips), np.stack(leds), (width, height), board)
+
+
+def write_h264(path: Path, pictures: Iterator[np.ndarray], crf: int) -> None:
+    """Encode grey pictures with ffmpeg's libx264, 4:2:0, at a constant rate factor.
+
+    Raises:
+        GofError: there is no ffmpeg.
+    """
+    if not shutil.which("ffmpeg"):
+        raise GofError("needs ffmpeg")
+    first = next(pictures)
+    command = [
+        "ffmpeg",
+        "-v",
+        "error",
+        "-y",
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "gray",
+        "-s",
+        f"{first.shape[1]}x{first.shape[0]}",
+        "-r",
+        "30",
+        "-i",
+        "-",
+        "-c:v",
+        "libx264",
+        "-crf",
+        str(crf),
+        "-pix_fmt",
+        "yuv420p",
+        str(path),
+    ]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+        for picture in (first, *pictures):
+            process.stdin.write(picture.tobytes())
+        process.stdin.close()
+    if process.returncode:
+        raise GofError(f"ffmpeg failed ({process.returncode})")
+
+
+def _jpeg(picture: np.ndarray, quality: int) -> np.ndarray:
+    import cv2
+
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+
+
+def _unpack(packed: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
+
+
+def errors(times: CameraTimes, truth: np.ndarray, shot: SyntheticShot) -> dict[str, float]:
+    """Errors of decoded times (us) against the truth, bias included: of the fused times, and of single frames' own
+    measurements (frames that were left out do not count there)."""
+    fused, single = times.time_us - truth, (times.measured_us - truth)[times.used]
+    return {
+        "fused_rms_us": float(np.sqrt(np.mean(fused**2))),
+        "single_rms_us": float(np.sqrt(np.mean(single**2))),
+        "bias_us": float(fused.mean()),
+        "stated_us": float(times.sigma_us.mean()),
+        "left_out": int((~times.used).sum()),
+        "row_time_error_us": times.row_time_us - shot.row_time,
+        "exposure_us": times.exposure_us or float("nan"),
+    }
+
+
+def synthetic(frames: int, repeats: int) -> list[dict[str, Any]]:
+    """All sweeps; every case from `repeats` other starts, rms over them."""
+    template = BoardTemplate.load("gof_board")
+    cases = [({}, None)] + [({name: value}, None) for name, values in SWEEPS.items() for value in values]
+    cases += [(change, codec) for codec, change in COMPRESSED]
+    print(
+        "| varied | codec | kB per frame | fused rms (us) | single frame rms (us) | stated sigma (us) | row time error (us) | frames left out | goal (us) |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    rows = []
+    for n, (change, codec) in enumerate(cases):
+        goal = GOAL_COMPRESSED_US if codec else GOAL_US
+        row: dict[str, Any] = {"change": change, "codec": codec, "goal_us": goal}
+        label = ", ".join(f"{k} {v:g}" for k, v in change.items()) or "default"
+        try:
+            found = [
+                measure(
+                    replace(SyntheticShot(seed=10 * n + k, start=1_000_000.0 + 777.7 * n + 12_345.6 * k), **change),
+                    template,
+                    frames,
+                    codec,
+                )
+                for k in range(repeats)
+            ]
+            row |= {
+                key: float(np.sqrt(np.mean([f[key] ** 2 for f in found])))
+                for key in ("fused_rms_us", "single_rms_us", "row_time_error_us", "stated_us")
+            }
+            row |= {"kb_per_frame": float(np.mean([f["kb_per_frame"] for f in found])) if codec else None}
+            row |= {
+                "left_out": sum(f["left_out"] for f in found),
+                "met": max(f["single_rms_us"] for f in found) <= goal,
+            }
+            cells = (
+                f"{'' if codec is None else format(row['kb_per_frame'], '.2g')} | {row['fused_rms_us']:.2f} | {row['single_rms_us']:.2f} | {row['stated_us']:.2f} | {row['row_time_error_us']:.4f} | "
+                f"{row['left_out']} of {frames * repeats} | {goal:g} {'met' if row['met'] else 'MISSED'}"
+            )
+        except GofError as error:
+            row |= {"error": str(error), "met": False}
+            cells = f" | {error} | | | | | {goal:g} not decoded"
+        rows.append(row)
+        print(f"| {label} | {codec or 'none'} | {cells} |", flush=True)
+    return rows
+
+
+def real(captures: Path, plots: Path | None) -> list[dict[str, Any]]:
+    """Every clip folder of three cameras below `captures`."""
+    scenes = sorted(p.parent for p in captures.glob("*/*/cam_0.mp4"))
+    if not scenes:
+        print(f"skipped: no clips at {captures} (give --captures, or set GOF_CAPTURES)")
+        return []
+    print(
+        "| clip | camera | us per frame | rms (us) | max (us) | outliers | row time (us/px), direction | offset to cam_0 (us) | known (us) | fault |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    rows = []
+    for folder in scenes:
+        scene = f"{folder.parent.name}/{folder.name}"
+        videos = sorted(folder.glob("cam_*.mp4"))
+        target = plots / scene.replace("/", "_") if plots else None
+        result = synchronise(videos, BoardTemplate.load("paper_rig"), [DecodeOptions()] * len(videos), target)
+        for camera in result["cameras"]:
+            row = {"clip": scene, "camera": camera["name"]}
+            if "error" in camera:
+                row["error"] = camera["error"]
+                cells = " | " * 7 + camera["error"].split(":")[0]
+            else:
+                offset = result["nearest_frames"][camera["name"]]["offset_us"]
+                known = KNOWN_OFFSETS_US.get(scene, {}).get(camera["name"])
+                row |= {
+                    k: camera[k]
+                    for k in (
+                        "frame_interval_us",
+                        "rms_us",
+                        "max_residual_us",
+                        "outliers",
+                        "row_time_us",
+                        "readout",
+                        "faults",
+                    )
+                }
+                row |= {
+                    "offset_us": offset,
+                    "known_offset_us": known,
+                    "met": camera["rms_us"] <= GOAL_REAL_US,
+                    "frames_per_second": camera["cost"]["frames_per_second"],
+                }
+                cells = (
+                    f"{camera['frame_interval_us']:.2f} | {camera['rms_us']:.2f} | {camera['max_residual_us']:.1f} | {camera['outliers']} | "
+                    f"{camera['row_time_us']:.3f} {camera['readout']} | {offset:+.0f} | {'' if known is None else f'{known:+.0f}'} | "
+                    f"{'; '.join(camera['faults']) or 'none'}"
+                )
+            rows.append(row)
+            print(f"| {scene} | {camera['name']} | {cells} |", flush=True)
+    return rows
+
+
+def cost(frames: int) -> list[dict[str, Any]]:
+    """Options and clip lengths, on one rendered shot with codec (JPEG 30), mean of three starts."""
+    template = BoardTemplate.load("gof_board")
+    shot = SyntheticShot(noise=4)
+    known = DecodeOptions(fps=400.0, row_time_us=3.0, readout="left")
+    cases: list[tuple[str, int, dict[str, Any]]] = [("default: 6 rounds, 96 points a strip", frames, {})]
+    cases += [(f"{n} rounds", frames, {"options": DecodeOptions(iterations=n)}) for n in (2, 3, 12)]
+    cases += [(f"{n} points a strip", frames, {"samples": n}) for n in (12, 24, 48, 192)]
+    cases += [
+        ("rate, row time and direction given", frames, {"options": known}),
+        ("free clock (phones)", frames, {"options": DecodeOptions(clock="free")}),
+    ]
+    cases += [(f"{n} frames", n, {}) for n in (12, 24, 48, 192, 384)]
+    print(
+        "| option | frames | fused rms (us) | single frame rms (us) | read (ms per frame) | fit (ms per frame) | frames/s |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    rows = []
+    for label, n, how in cases:
+        try:
+            found = [
+                measure(replace(shot, seed=k, start=1_000_000.0 + 12_345.6 * k), template, n, "jpeg 30", **how)
+                for k in range(3)
+            ]
+        except GofError as error:
+            rows.append({"option": label, "frames": n, "error": str(error)})
+            print(f"| {label} | {n} | {error} | | | | |", flush=True)
+            continue
+        row = {
+            key: float(np.mean([f[key] for f in found]))
+            for key in ("fused_rms_us", "single_rms_us", "read_s", "decode_s")
+        }
+        rows.append({"option": label, "frames": n} | row)
+        read, fit = 1e3 * row["read_s"] / n, 1e3 * row["decode_s"] / n
+        print(
+            f"| {label} | {n} | {row['fused_rms_us']:.2f} | {row['single_rms_us']:.2f} | {read:.2f} | {fit:.2f} | {1e3 / (read + fit):.0f} |",
+            flush=True,
+        )
+    return rows
+
+
+@dataclass
+class AccuracyStudy:
+    """Error and cost of the times read off the LED board, on rendered and on real footage."""
+
+    parts: tuple[Literal["synthetic", "real", "cost"], ...] = ("synthetic", "real", "cost")
+    """Which tables to make."""
+    captures: Path = Path(os.environ.get("GOF_CAPTURES", Path(__file__).parents[3] / "shared" / "captures"))
+    """Folder of the public clips; GOF_CAPTURES names it too."""
+    plots: Path | None = None
+    """Write the real clips' residual plots below this folder."""
+    frames: int = 96
+    """Frames per rendered clip."""
+    repeats: int = 3
+    """Starts per case of the synthetic table."""
+    json: Path | None = None
+    """Also write the figures to this file."""
+
+
+def main() -> None:
+    """Print the tables that are asked for."""
+    study = tyro.cli(AccuracyStudy)
+    figures: dict[str, Any] = {}
+    for part in study.parts:
+        print(f"\n{part}\n")
+        figures[part] = {
+            "synthetic": lambda: synthetic(study.frames, study.repeats),
+            "real": lambda: real(study.captures, study.plots),
+            "cost": lambda: cost(study.frames),
+        }[part]()
+    if study.json:
+        write_json(study.json, figures)
+
+
+if __name__ == "__main__":
+    main()

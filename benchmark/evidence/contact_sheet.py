@@ -1,0 +1,56 @@
+"""A scene at a glance: its cameras (rows) at five times (columns), from a dataset or from just the pictures it needs.
+
+python -m gof_benchmark.evidence.contact_sheet cloister --work out/cloister --out benchmark/scenes/cloister/contact_sheet.jpg
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from gof_benchmark.commands.generate import claim, load_scene
+from gof_benchmark.generator.blender_process import Renderer, run_stage
+from gof_blender.pure.layout import Layout
+from gof_blender.pure.spec import SceneSpec
+
+TIMES = 5
+
+
+def make(spec: SceneSpec, layout: Layout, out: Path) -> None:
+    """Simulate and render what is missing in `layout` and write the sheet."""
+    claim(layout, spec)
+    run_stage("bake", layout.root)
+    frames = [round((index + 0.5) * spec.clip.frames / TIMES) for index in range(TIMES)]
+    cameras = range(spec.cameras.count)
+    for frame in frames:
+        for camera in cameras:
+            Renderer.render(layout.root, frame, camera)
+    Renderer.close(layout.root)
+    compose([[layout.frame(spec.cameras.names[camera], frame).rgb for frame in frames] for camera in cameras], out)
+
+
+def compose(rows: list[list[Path]], out: Path, gap: int = 4) -> None:
+    """Put pictures of one size into a table."""
+    from PIL import Image
+
+    pictures = [[Image.open(path).convert("RGB") for path in row] for row in rows]
+    width, height = pictures[0][0].size
+    sheet = Image.new("RGB", (len(rows[0]) * (width + gap) - gap, len(rows) * (height + gap) - gap), "white")
+    for y, row in enumerate(pictures):
+        for x, picture in enumerate(row):
+            sheet.paste(picture, (x * (width + gap), y * (height + gap)))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    sheet.save(out, quality=88)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("scene", help="built-in scene or spec file")
+    parser.add_argument("--work", type=Path, required=True, help="dataset folder to use or to begin")
+    parser.add_argument("--out", type=Path, required=True, help="picture to write")
+    args = parser.parse_args()
+    make(load_scene(args.scene), Layout(args.work.resolve()), args.out)
+
+
+if __name__ == "__main__":
+    main()

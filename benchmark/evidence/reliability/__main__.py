@@ -1,0 +1,71 @@
+"""The command line: `python -m gof_benchmark.evidence.reliability fuzz|kill`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+
+@dataclass
+class Fuzz:
+    """Damaged inputs of every format through its public reader."""
+
+    count: int = 2000
+    """Inputs, over all formats."""
+    seed: int = 0
+    """Input number k of a format is the same at the same seed."""
+    jobs: int = 2
+    """Reader processes at a time."""
+    only: tuple[str, ...] = ()
+    """Names of formats; default: all."""
+    out: Path = Path("out/reliability")
+    """Folder for the inputs that failed."""
+
+    def run(self) -> int:
+        from gof_benchmark.evidence.reliability import fuzz
+
+        begin = time.perf_counter()
+        tallies = fuzz.campaign(self.count, self.seed, self.jobs, self.only)
+        for tally in tallies:
+            fuzz.keep(tally, self.seed, self.out)
+        print(fuzz.table(tallies))
+        failures = sum(len(tally.failures) for tally in tallies)
+        print(f"{time.perf_counter() - begin:.0f} s" + (f"; failed inputs in {self.out}" if failures else ""))
+        return 1 if failures else 0
+
+
+@dataclass
+class Kill:
+    """kill -9 at random moments of `gof generate` and `gof reconstruct`, resumed until they are done."""
+
+    times: int = 50
+    """Kills, half of each command."""
+    seed: int = 0
+    """Of the moments."""
+    only: tuple[str, ...] = ()
+    """generate or reconstruct; default: both. The reconstruction needs the dataset of the first."""
+    out: Path = Path("out/reliability-kill")
+    """New folder for all runs."""
+
+    def run(self) -> int:
+        from gof_benchmark.evidence.reliability import kill
+
+        status = 0
+        print(
+            "| command | uninterrupted | kills | runs to the end | finished files left by kills | rewritten | lost | spoilt | failed | difference |"
+        )
+        print("|" + "---|" * 10)
+        for job in kill.jobs(self.out):
+            if not self.only or job.name in self.only:
+                record, length = kill.campaign(job, self.times if self.only else self.times // 2, self.seed, self.out)
+                print(kill.report(record, length), flush=True)
+                status |= bool(record.rewritten or record.lost or record.spoilt or record.failures)
+        return int(status)
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(Fuzz | Kill, prog="python -m gof_benchmark.evidence.reliability").run())

@@ -1,0 +1,387 @@
+"""Everything this software reads from outside: a small good sample of each format, and the public reader of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gof.errors import GofError
+
+
+@dataclasses.dataclass(frozen=True)
+class Format:
+    """A format to damage.
+
+    Attributes:
+        write: puts a good sample into an empty folder.
+        read: reads that folder as its users would; returns all that it gives.
+        damage: the files that get damaged, as a pattern.
+        refusals: what the reader may raise.
+        named: whether every refusal must name the file; not where two sources are compared, or there is no file.
+        share: relative number of inputs; the fast ones get more.
+    """
+
+    write: Callable[[Path], Any]
+    read: Callable[[Path], Any]
+    damage: str = "*"
+    refusals: tuple[type[Exception], ...] = (GofError,)
+    named: bool = True
+    share: float = 1.0
+
+
+def finite(value: Any, name: str = "") -> bool:
+    """Whether there is no NaN or Inf anywhere inside; an infinite t_sigma means always on."""
+    if dataclasses.is_dataclass(value):
+        return all(finite(getattr(value, f.name), f.name) for f in dataclasses.fields(value))
+    if isinstance(value, dict):
+        return all(finite(v, str(k)) for k, v in value.items())
+    if isinstance(value, (list, tuple)):
+        return all(map(finite, value))
+    if isinstance(value, (float, np.ndarray, np.number)) and np.asarray(value).dtype.kind in "fc":
+        return bool((np.isfinite(value) | (np.isposinf(value) if name == "t_sigma" else False)).all())
+    return True
+
+
+# ---------------------------------------------------------------- samples
+
+
+def _gaussians(n: int = 12, harmonics: int = 0):
+    from gof.gaussians import TransientGaussians
+
+    rng = np.random.default_rng(0)
+    return TransientGaussians(
+        position=rng.normal(size=(n, 3)),
+        velocity=rng.normal(size=(n, 3)),
+        t_mu=rng.random(n),
+        t_sigma=np.where(rng.random(n) < 0.2, np.inf, 0.1),
+        scale=rng.uniform(0.01, 0.1, (n, 3)),
+        rotation=rng.normal(size=(n, 4)),
+        opacity=rng.random(n),
+        color=rng.random((n, harmonics, 3) if harmonics else (n, 3)),
+        dynamic=rng.random(n) < 0.8,
+    )
+
+
+def _free_time_npz(folder: Path) -> None:
+    rng, shapes = (
+        np.random.default_rng(0),
+        {"means": 3, "scales": 3, "quats": 4, "times": 1, "durations": 1, "velocities": 3},
+    )
+    arrays = {name: rng.normal(size=(9, k)).astype("f4") for name, k in shapes.items()}
+    np.savez(
+        folder / "canonical_4d.npz",
+        **arrays,
+        opacities=np.zeros(9, "f4"),
+        sh0=np.zeros((9, 1, 3), "f4"),
+        shN=np.zeros((9, 3, 3), "f4"),
+        n_frames=np.array(9),
+    )
+
+
+def _trajectory(folder: Path) -> None:
+    from gof.io.importers import Trajectory
+
+    rng = np.random.default_rng(0)
+    Trajectory(
+        np.arange(6) * 0.1,
+        rng.normal(size=(6, 5, 3)),
+        rng.random((6, 5)),
+        rng.uniform(0.1, 1, (5, 3)),
+        rng.normal(size=(6, 5, 4)),
+    ).save(folder / "t.npz")
+
+
+def _still_plys(folder: Path) -> None:
+    from gof.io.ply import splat_columns, write
+
+    for number in range(3):
+        write(folder / f"{number:03d}.ply", splat_columns(_gaussians(5)), [])
+
+
+def _checkpoint(folder: Path) -> None:
+    import torch
+
+    n, zeros = 8, torch.zeros
+    state = (
+        1,
+        torch.randn(n, 3),
+        torch.randn(n, 3),
+        zeros(n, 1, 3),
+        zeros(n, 3, 3),
+        zeros(n, 3),
+        torch.randn(n, 4),
+        zeros(n, 1),
+        zeros(n, 1),
+        torch.ones(n, 1),
+        torch.ones(n, dtype=torch.bool),
+        zeros(n),
+        zeros(n, 1),
+        zeros(n, 1),
+        {"state": {}, "param_groups": []},
+        1.0,
+    )
+    torch.save((state, 7), folder / "chkpnt7.pth")
+    (folder / "scale_bounds.json").write_text('{"dynamic_scale_min": 0.001, "dynamic_scale_max": 0.03}')
+
+
+def _camera(index: int) -> dict:
+    turn = np.array([[1.0, 0, 0, 0.1 * index], [0, 0, -1, 1], [0, 1, 0, 3], [0, 0, 0, 1]])
+    name = f"cam_{index}"
+    return {
+        "name": name,
+        "role": "train",
+        "width": 30,
+        "height": 64,
+        "K": [[80.0, 0, 15], [0, 80, 32], [0, 0, 1]],
+        "world_to_camera": turn.tolist(),
+        "row_time_s": 1e-5,
+        "readout": "down",
+        "time_s": [0.001, 0.011],
+        "rgb": f"cameras/{name}/{{frame:06d}}.png",
+        "mask": f"cameras/{name}/mask_{{frame:06d}}.png",
+        "static": f"static/{name}.png",
+        "board_mask": f"static/{name}.png",
+    }
+
+
+def _dataset(folder: Path) -> None:
+    import cv2
+
+    pixels = np.random.default_rng(0).integers(0, 255, (64, 30, 3)) // 64 * 64
+    cameras = [_camera(0), _camera(1)]
+    for camera in cameras:
+        for file in {camera[kind].format(frame=k) for kind in ("rgb", "mask", "static") for k in range(2)}:
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(folder / file), pixels)
+    (folder / "dataset.json").write_text(
+        json.dumps(
+            {
+                "schema": "gof-dataset",
+                "version": 1,
+                "name": "sample",
+                "time_s": [0.0, 0.01],
+                "cameras": cameras,
+                "splits": {"train": [0], "test": [1]},
+                "velocity": "velocity.zarr",
+            }
+        )
+    )
+    _velocity(folder)
+
+
+def _velocity(folder: Path) -> None:
+    from gof_blender.pure.io.velocity_store import VelocityWriter
+
+    _store(
+        VelocityWriter(folder / "velocity.zarr", (5, 6, 7), np.diag([0.1, 0.1, 0.1, 1]), np.array([0.0, 0.01]), 0.1),
+        (5, 6, 7, 3),
+    )
+
+
+def _flame(folder: Path) -> None:
+    from gof_blender.pure.io.velocity_store import VelocityWriter, scalar
+
+    _store(
+        VelocityWriter(
+            folder / "flame.zarr",
+            (5, 6, 7),
+            np.diag([0.1, 0.1, 0.1, 1]),
+            np.array([0.0, 0.01]),
+            0.1,
+            "float16",
+            scalar("flame"),
+        ),
+        (5, 6, 7),
+    )
+
+
+def _store(writer, shape: tuple[int, ...]) -> None:
+    values = np.random.default_rng(0).random(shape).astype(np.float16)
+    for frame in range(2):
+        writer.write_frame(frame, values.__getitem__)
+    writer.finish()
+
+
+def _colmap(folder: Path) -> None:
+    rows = [f"{i} 1 0.1 {0.1 * i} 0 {i} 0 3 1 cam_{i}.png\n1 2 -1\n" for i in (1, 2)]
+    (folder / "images.txt").write_text("# images\n" + "".join(rows))
+    (folder / "points3D.txt").write_text("".join(f"{i} {i} {i * i} {i**3} 1 2 3 0.5\n" for i in range(6)))
+
+
+def _poses(folder: Path) -> None:
+    (folder / "poses.json").write_text(json.dumps({f"cam_{i}": _camera(i)["world_to_camera"] for i in range(2)}))
+
+
+def _exr(folder: Path) -> None:
+    from gof_blender.scene import images
+
+    ramp = np.linspace(0, 1, 24 * 32, dtype=np.float32).reshape(24, 32)
+    images.write_exr(folder / "000000.exr", np.dstack([ramp] * 4), ramp, np.dstack([ramp] * 3))
+
+
+def _spec(folder: Path) -> None:
+    from gof_blender.pure import spec
+    from gof_blender.scene import effects
+
+    scene = spec.SceneSpec("sample", effects=tuple(effects.module(name).Settings() for name in effects.names()))
+    spec.save(scene, folder / "spec.json")
+
+
+def _frames(folder: Path) -> None:
+    from gof.capture import protocol
+
+    status = bytes([1, 7, protocol.Request.STATUS | 0x80, 0]) + bytes([2, 1]) + bytes(32)
+    identity = bytes([1, 8, protocol.Request.IDENTIFY | 0x80, 0, 3, 10, 4, 8]) + b"\x07\0\0\0gof-board 1"
+    (folder / "received.frames").write_bytes(
+        b"noise\0" + protocol.encode_frame(status) + protocol.encode_frame(identity)
+    )
+
+
+# ---------------------------------------------------------------- readers
+
+
+def _read_transient(name: str) -> Callable[[Path], Any]:
+    def read(folder: Path):
+        from gof.gaussians import TransientGaussians
+
+        return TransientGaussians.load(folder / name)
+
+    return read
+
+
+def _read_in_blender(name: str) -> Callable[[Path], Any]:
+    def read(folder: Path):
+        from gof_blender.pure.io import gaussians_file
+
+        gaussians_file.count(folder / name)
+        return gaussians_file.load(folder / name)
+
+    return read
+
+
+def _read_foreign(name: str = "") -> Callable[[Path], Any]:
+    def read(folder: Path):
+        from gof.io.importers import ImportOptions, read_result
+
+        return read_result(folder / name, ImportOptions(time_unit_s=0.5)).gaussians
+
+    return read
+
+
+def _read_dataset(folder: Path):
+    from gof.dataset import Dataset
+
+    d = Dataset.open(folder)
+    pictures = [
+        (d.image(c, k), d.mask(c, k), d.static(c), d.board_weight(c))
+        for c in range(len(d.cameras))
+        for k in d.train_frames[:2] + d.test_frames[:2]
+    ]
+    times = [d.camera_times_s(c) for c in range(len(d.cameras))]
+    return d.cameras, d.times_s, d.frame_time_s, pictures, times, d.velocity.times_s if d.meta.get("velocity") else None
+
+
+def _read_velocity(folder: Path):
+    from gof.fields import VelocitySequence
+
+    v = VelocitySequence.open(folder / "velocity.zarr")
+    middle = (v.times_s[0] + v.times_s[-1]) / 2
+    return v.times_s, v.frame(0), v.chunk(len(v) - 1, (0, 0, 0)), v.at(middle), v.frame(0).sample(np.full((2, 3), 0.3))
+
+
+def _read_velocity_in_blender(folder: Path):
+    from gof_blender.pure.io.velocity_reader import TrueVelocity
+
+    return TrueVelocity(folder / "velocity.zarr").sample(np.full((3, 3), 0.3), np.array([0.0, 0.004, 0.01]))
+
+
+def _read_flame(folder: Path):
+    from gof.evaluate.emission import FlameGrid
+
+    grid = FlameGrid(folder / "flame.zarr")
+    return grid.places(0.01, 20, np.random.default_rng(0))
+
+
+def _read_colmap(folder: Path):
+    from gof.io.importers.similarity import decompose, read_cameras, world_from_training
+
+    return read_cameras(folder), decompose(world_from_training(folder))
+
+
+def _read_poses(folder: Path):
+    from gof.io.importers.similarity import align_cameras, read_cameras
+
+    found = read_cameras(folder / "poses.json")
+    return found, align_cameras(
+        found, {name: np.array(_camera(i)["world_to_camera"]) for i, name in enumerate(("cam_0", "cam_1"))}
+    )
+
+
+def _read_exr(folder: Path):
+    from gof_blender.scene import images
+
+    if not images.opens(folder / "000000.exr"):  # what the generator asks before it makes a picture again
+        raise OSError(f"{folder}: would be made again")
+    return images.read_exr(folder / "000000.exr")
+
+
+def _read_spec(folder: Path):
+    from gof_blender.pure import spec
+
+    return spec.load(folder / "spec.json").to_dict()
+
+
+def _read_frames(folder: Path):
+    from gof.capture import protocol
+
+    reader, found = protocol.FrameReader(), []
+    for payload in reader.push((folder / "received.frames").read_bytes()):
+        reply = protocol.decode_reply(payload)
+        if reply and reply.request == protocol.Request.STATUS:
+            found.append(protocol.Status.decode(reply.body))
+        elif reply and reply.request == protocol.Request.IDENTIFY:
+            found.append(protocol.Identity.decode(reply.body))
+    return found
+
+
+def formats() -> dict[str, Format]:
+    """All of them by name."""
+    from gof.io.importers import freetime
+    from gof_blender.pure.checked_json import SpecError
+    from gof_blender.pure.io import FileFormatError
+
+    own = (FileFormatError,)
+    return {
+        "result .ply": Format(
+            lambda f: _gaussians(harmonics=4).save(f / "result.ply"), _read_transient("result.ply"), share=2
+        ),
+        "result .npz": Format(lambda f: _gaussians().save(f / "result.npz"), _read_transient("result.npz"), share=2),
+        "result .ply, add-on": Format(
+            lambda f: _gaussians().save(f / "result.ply"), _read_in_blender("result.ply"), refusals=own, share=2
+        ),
+        "result .npz, add-on": Format(
+            lambda f: _gaussians().save(f / "result.npz"), _read_in_blender("result.npz"), refusals=own, share=2
+        ),
+        "FTGS .ply": Format(
+            lambda f: freetime.save(_gaussians(), f / "r.ftgs.ply", 0, 1), _read_foreign("r.ftgs.ply"), share=2
+        ),
+        "FreeTimeGS .npz": Format(_free_time_npz, _read_foreign("canonical_4d.npz"), share=2),
+        "trajectory .npz": Format(_trajectory, _read_foreign("t.npz"), share=2),
+        "sequence of .ply": Format(_still_plys, _read_foreign()),
+        "checkpoint .pth": Format(_checkpoint, _read_foreign("chkpnt7.pth"), share=2),
+        "dataset.json": Format(_dataset, _read_dataset, "dataset.json", share=2),
+        "pictures .png": Format(_dataset, _read_dataset, "*/cam_0*/**/*.png"),
+        "pictures .exr": Format(_exr, _read_exr, refusals=(OSError,), share=2),
+        "velocity.zarr": Format(_velocity, _read_velocity, "velocity.zarr/**/*"),
+        "velocity.zarr, add-on": Format(_velocity, _read_velocity_in_blender, "velocity.zarr/**/*", refusals=own),
+        "flame.zarr": Format(_flame, _read_flame, "flame.zarr/**/*"),
+        "cameras, COLMAP": Format(_colmap, _read_colmap, named=False, share=2),
+        "cameras .json": Format(_poses, _read_poses, named=False, share=2),
+        "scene spec": Format(_spec, _read_spec, refusals=(SpecError,), share=4),
+        "serial frames": Format(_frames, _read_frames, named=False, share=16),
+    }

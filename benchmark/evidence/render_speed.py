@@ -1,0 +1,464 @@
+"""How fast the renderer is, phase by phase, against its peers and against the instruction count, in one run.
+
+    python -m gof_benchmark.evidence.render_speed [--quick] [--json FILE]
+
+Every figure is the minimum of several repetitions, as wall time and as CPU time over all threads (on a shared machine wall
+time is what the neighbours leave; ratios of CPU time within one run are the comparable figure). Mitsuba runs in processes of
+its own, once with its own settings of the LLVM backend and once with ours, and the faster of the two counts. The torch peer
+is a plain 16x16 tile loop under autograd, a weak baseline that is easy to check.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from gof_benchmark.evidence.render_scenes import camera, flame
+
+
+def best(function: Callable[[], object], repeats: int) -> tuple[float, float]:
+    """(wall ms, CPU ms): the smallest of each."""
+    wall, cpu = math.inf, math.inf
+    for _ in range(repeats):
+        w, c = time.perf_counter(), time.process_time()
+        function()
+        wall, cpu = min(wall, time.perf_counter() - w), min(cpu, time.process_time() - c)
+    return 1e3 * wall, 1e3 * cpu
+
+
+class Training:
+    """A training step on the random flame, whole or in phases."""
+
+    def __init__(self, n: int, width: int, height: int):
+        import drjit as dr
+        from drjit.opt import Adam
+
+        from gof.render import Target
+        from gof.render.backend import Array3f, Array4f, Float, floats
+        from gof.render.scene import columns
+
+        self.dr, self.Float, self.n, self.camera = dr, Float, n, camera(width, height)
+        g = flame(n)
+        logit = np.log(g.opacity / (1 - g.opacity))
+        self.raw = {
+            "position": columns(g.position, Array3f),
+            "rotation": columns(g.rotation, Array4f),
+            "scale": columns(np.log(g.scale), Array3f),
+            "opacity": floats(logit),
+            "color": columns(g.color, Array3f),
+        }
+        self.optimizer = Adam(lr=1e-4, params=self.raw)
+        self.target = Target(np.random.default_rng(1).random((height, width, 3)))
+
+    def splats(self):
+        from gof.render import Splats
+
+        p, dr = self.optimizer, self.dr
+        return Splats(
+            p["position"], p["rotation"], dr.exp(p["scale"]), 1 / (1 + dr.exp(-p["opacity"])), list(p["color"])
+        )
+
+    def step(self) -> None:
+        from gof.render import l1_ssim, render_splats
+
+        self.frame = render_splats(self.splats(), self.camera)
+        self.dr.backward(l1_ssim(self.frame.color, self.target))
+        self.optimizer.step()
+        self.dr.sync_thread()
+
+    def draw(self):
+        from gof.render import render_splats
+
+        frame = render_splats(self.splats(), self.camera)
+        self.dr.eval(frame.color)
+        self.dr.sync_thread()
+        return frame
+
+    def draw_and_differentiate(self) -> None:
+        frame = self.draw()
+        self.dr.backward(sum(self.dr.sum(c * c) for c in frame.color))
+        self.dr.eval([self.dr.grad(self.optimizer[k]) for k in self.raw])
+        self.dr.sync_thread()
+
+    def phases(self, repeats: int) -> dict[str, tuple[float, float]]:
+        """(wall, CPU) ms of each phase on its own, with a synchronisation after it."""
+        from gof.render import bins, blend, l1_ssim, project
+        from gof.render.backend import pack
+
+        dr, Float = self.dr, self.Float
+        s = self.splats()
+        parameters = dr.detach([s.position, s.rotation, s.scale, s.opacity])
+        dr.eval(parameters)
+
+        def projected():
+            p = project.project(*parameters, self.camera, project.Lens())
+            dr.eval(p)
+            dr.sync_thread()
+            return p
+
+        p = projected()
+        shapes = bins.footprints(p, self.camera.width, self.camera.height)
+        band = bins.bin_band(shapes, 0, shapes.rows)
+        records = pack([p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity, *dr.detach(list(s.color))], blend.stride(9))
+        planes = [dr.empty(Float, shapes.rows * shapes.columns * 16) for _ in range(4)]
+        size = blend._capacity(self.n) * blend.stride(9)
+        image = [dr.opaque(Float, 0.5, self.camera.width * self.camera.height) for _ in range(3)]
+        grads = [dr.opaque(Float, 1e-3, len(planes[0])) for _ in range(4)]
+
+        def run(function):
+            def timed():
+                dr.eval(function())
+                dr.sync_thread()
+
+            timed()
+            return best(timed, repeats)
+
+        def loss():
+            dr.enable_grad(image)
+            dr.backward(l1_ssim(image, self.target))
+            return dr.grad(image)
+
+        return {
+            "project": best(projected, repeats),
+            "sort by depth, ellipses": run(lambda: bins.footprints(p, self.camera.width, self.camera.height)),
+            "pairs, sort by block": run(lambda: bins.bin_band(shapes, 0, shapes.rows).lists),
+            "blend forward": run(lambda: blend._forward(records, band.lists, planes, 3, shapes.columns)),
+            "L1 + SSIM, both ways": run(loss),
+            "blend backward": run(lambda: blend._gradient(records, band.lists, planes, grads, 3, shapes.columns, size)),
+        }
+
+
+# Vector instructions per (pixel, Gaussian) of the blend kernels with C channels, counted in gof/render/blend.py, without
+# what a 4x4 block shares (fetching the Gaussian, the gradient scatter) and without register spills.
+FORWARD_OPS = lambda c: 23 + c  # noqa: E731
+BACKWARD_OPS = lambda c: 38 + 2 * c  # noqa: E731
+
+
+def vector_rate(repeats: int) -> float:
+    """Fused multiply-adds per nanosecond and thread, per lane, that a register-only Dr.Jit kernel reaches here."""
+    import drjit as dr
+
+    from gof.render.backend import Float, UInt
+
+    lanes, rounds = 4096, 200
+
+    def run():
+        def body(i, a):
+            for _ in range(16):
+                a = [dr.fma(v, 0.999, 0.001) for v in a]
+            return i + 1, a
+
+        start = [dr.arange(Float, lanes) * 1e-3 + k for k in range(12)]
+        _, a = dr.while_loop((UInt(0), start), lambda i, a: i < rounds, body)
+        dr.eval(a)
+        dr.sync_thread()
+
+    run()
+    return lanes * rounds * 16 * 12 / (best(run, repeats)[1] * 1e6)
+
+
+def one_thread(training: Training, repeats: int) -> dict:
+    """CPU time without idle threads waiting in it, and what the core gave meanwhile."""
+    import drjit as dr
+
+    threads = dr.thread_count()
+    dr.set_thread_count(1)
+    try:
+        rate, step, both = 0.0, math.inf, math.inf
+        for _ in range(repeats):
+            step, both = min(step, best(training.step, 1)[1]), min(both, best(training.draw_and_differentiate, 1)[1])
+            rate = max(rate, vector_rate(1))
+        return {"step_ms": step, "both_ms": both, "fma_per_ns": rate}
+    finally:
+        dr.set_thread_count(threads)
+
+
+def mitsuba_peer(n: int, width: int, height: int, ours: bool) -> dict:
+    """Times of `volprim_rf_basic` on the same scene, in this process."""
+    import drjit as dr
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    if ours:
+        import gof.render.backend  # noqa: F401  its settings of the LLVM backend
+    from gof.render.mitsuba_scene import scene
+
+    loaded = scene(flame(n), camera(width, height), 0.0, spp=1, filter_sigma=0)
+    params = mi.traverse(loaded)
+    keys = [k for k in params.keys() if k.endswith(("opacities", "sh_coeffs"))]
+
+    def forward():
+        dr.eval(mi.render(loaded, spp=1))
+        dr.sync_thread()
+
+    def both():
+        for k in keys:
+            dr.enable_grad(params[k])
+        params.update()
+        dr.backward(dr.sum(dr.square(mi.render(loaded, params, spp=1)), axis=None))
+        dr.eval([dr.grad(params[k]) for k in keys])
+        dr.sync_thread()
+
+    forward()
+    both()
+    return {
+        "forward": best(forward, 3),
+        "both": best(both, 3),
+        "mean": float(np.array(mi.render(loaded, spp=4)).mean()),
+    }
+
+
+def torch_peer(n: int, width: int, height: int, repeats: int) -> dict:
+    """A straightforward rasteriser: project, sort, loop over 16x16 tiles, blend with cumprod, autograd."""
+    import torch
+
+    cam, g = camera(width, height), flame(n)
+    W, K = torch.tensor(cam.world_to_camera).float(), torch.tensor(cam.K).float()
+    leaves = [torch.tensor(v, requires_grad=True) for v in (g.position, g.rotation, g.scale, g.opacity, g.color)]
+
+    def draw():
+        x, q, s, o, c = leaves
+        p = x @ W[:3, :3].T + W[:3, 3]
+        z = p[:, 2]
+        mean = p[:, :2] / z[:, None] * torch.stack([K[0, 0], K[1, 1]]) + K[:2, 2]
+        w, i, j, k = torch.nn.functional.normalize(q, dim=-1).unbind(-1)
+        R = torch.stack(
+            [
+                1 - 2 * (j * j + k * k),
+                2 * (i * j - w * k),
+                2 * (i * k + w * j),
+                2 * (i * j + w * k),
+                1 - 2 * (i * i + k * k),
+                2 * (j * k - w * i),
+                2 * (i * k - w * j),
+                2 * (j * k + w * i),
+                1 - 2 * (i * i + j * j),
+            ],
+            -1,
+        ).reshape(-1, 3, 3)
+        J = torch.zeros(n, 2, 3)
+        J[:, 0, 0], J[:, 1, 1] = K[0, 0] / z, K[1, 1] / z
+        J[:, 0, 2], J[:, 1, 2] = -K[0, 0] * p[:, 0] / z**2, -K[1, 1] * p[:, 1] / z**2
+        M = J @ W[:3, :3] @ (R * s[:, None, :])
+        cov = M @ M.transpose(1, 2) + 0.3 * torch.eye(2)
+        conic, order = torch.linalg.inv(cov), torch.argsort(z.detach())
+        radius = 3 * cov.detach().diagonal(dim1=1, dim2=2).amax(-1).sqrt()
+        image = []
+        for y0 in range(0, height, 16):
+            row = []
+            for x0 in range(0, width, 16):
+                m = mean.detach()
+                near = (
+                    (m[:, 0] + radius > x0)
+                    & (m[:, 0] - radius < x0 + 16)
+                    & (m[:, 1] + radius > y0)
+                    & (m[:, 1] - radius < y0 + 16)
+                )
+                ids = order[near[order]]
+                h, v = min(16, height - y0), min(16, width - x0)
+                yy, xx = torch.meshgrid(torch.arange(h) + y0 + 0.5, torch.arange(v) + x0 + 0.5, indexing="ij")
+                d = torch.stack([xx, yy], -1).reshape(-1, 1, 2) - mean[ids]
+                alpha = (o[ids] * torch.exp(-0.5 * torch.einsum("pni,nij,pnj->pn", d, conic[ids], d))).clamp(max=0.99)
+                alpha = torch.where(alpha >= 1 / 255, alpha, 0.0)
+                T = torch.cumprod(torch.cat([torch.ones(len(d), 1), 1 - alpha], 1), 1)[:, :-1]
+                row.append(((T * alpha) @ c[ids]).reshape(h, v, 3))
+            image.append(torch.cat(row, 1))
+        return torch.cat(image, 0)
+
+    def both():
+        for t in leaves:
+            t.grad = None
+        (draw() ** 2).sum().backward()
+
+    with torch.no_grad():
+        mean = float(draw().mean())
+        forward = best(draw, repeats)
+    return {"forward": forward, "both": best(both, repeats), "mean": mean}
+
+
+def growth(quick: bool, repeats: int) -> tuple[list[dict], dict]:
+    """Step time over N and over image size, with the number of kernels compiled after the first two steps."""
+    import drjit as dr
+
+    counts = (10_000, 30_000, 100_000) if quick else (10_000, 30_000, 100_000, 300_000, 1_000_000)
+    cases = [(n, 640, 360) for n in counts] + [(100_000, 320, 180), (100_000, 1280, 720)]
+    rows = []
+    for n, w, h in cases:
+        training = Training(n, w, h)
+        training.step()
+        training.step()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            training.step()
+            late = sum(not k["cache_hit"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT)
+        wall, cpu = best(training.step, repeats)
+        rows.append(
+            {
+                "n": n,
+                "width": w,
+                "height": h,
+                "pairs": training.frame.intersections,
+                "wall_ms": wall,
+                "cpu_ms": cpu,
+                "compiled_late": late,
+            }
+        )
+    exponent = lambda xs, ys: float(np.polyfit(np.log(xs), np.log(ys), 1)[0])  # noqa: E731
+    by_n, by_size = rows[: len(counts)], [rows[-2], rows[counts.index(100_000)], rows[-1]]
+    return rows, {
+        "cpu ~ N^": exponent([r["n"] for r in by_n], [r["cpu_ms"] for r in by_n]),
+        "cpu ~ pixels^": exponent([r["width"] * r["height"] for r in by_size], [r["cpu_ms"] for r in by_size]),
+    }
+
+
+def measure(quick: bool) -> dict:
+    import drjit as dr
+
+    repeats = 5 if quick else 25
+    n, w, h = (20_000, 320, 180) if quick else (100_000, 640, 360)
+    result = {
+        "machine": {"cpu": _cpu_name(), "threads": dr.thread_count(), "drjit": dr.__version__},
+        "scene": [n, w, h],
+    }
+    training = Training(n, w, h)
+    for _ in range(3):
+        training.step()
+        training.draw_and_differentiate()
+    result["step"] = best(training.step, repeats)
+    result["forward"], result["both"] = best(training.draw, repeats), best(training.draw_and_differentiate, repeats)
+    result["one_thread"] = one_thread(training, repeats)
+    result["mean"] = float(np.mean([c.numpy().mean() for c in training.draw().color]))
+    result["pairs"] = training.frame.intersections
+    result["phases"] = training.phases(repeats)
+    evaluated, rate = 16 * result["pairs"], vector_rate(repeats)
+    result["fma_per_ns"] = rate
+    result["kernels"] = {
+        name: {
+            "ns_per_pair": 1e6 * result["phases"][f"blend {name}"][1] / evaluated,
+            "limit_ns": ops(3) / rate,
+            "ops": ops(3),
+        }
+        for name, ops in (("forward", FORWARD_OPS), ("backward", BACKWARD_OPS))
+    }
+    peers = {}
+    for ours in (False, True):
+        command = [
+            sys.executable,
+            "-m",
+            "gof_benchmark.evidence.render_speed",
+            "--mitsuba",
+            str(n),
+            str(w),
+            str(h),
+            str(int(ours)),
+        ]
+        answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip().splitlines()[-1]
+        peers["our LLVM settings" if ours else "its own settings"] = json.loads(answer)
+    result["mitsuba"] = peers
+    tn, tw, th = (2_000, 160, 90) if quick else (20_000, 320, 180)
+    small = Training(tn, tw, th)
+    for _ in range(3):
+        small.draw_and_differentiate()
+    result["torch"] = {
+        "scene": [tn, tw, th],
+        "peer": torch_peer(tn, tw, th, 2),
+        "ours_forward": best(small.draw, repeats),
+        "ours_both": best(small.draw_and_differentiate, repeats),
+    }
+    result["growth"], result["exponents"] = growth(quick, max(3, repeats // 4))
+    return result
+
+
+def report(r: dict) -> str:
+    """The table as text."""
+    lines = [
+        f"scene {r['scene'][0]} Gaussians, {r['scene'][1]}x{r['scene'][2]}, {r['pairs']} (block, Gaussian) pairs; "
+        f"{r['machine']['cpu']}, {r['machine']['threads']} threads",
+        "",
+        f"{'what':44s}{'wall ms':>10s}{'CPU ms':>10s}",
+    ]
+    row = lambda name, t: lines.append(f"{name:44s}{t[0]:10.2f}{t[1]:10.2f}")  # noqa: E731
+    for name, t in r["phases"].items():
+        row(f"  {name}", t)
+    row("full training step with Adam", r["step"])
+    row("forward", r["forward"])
+    row("forward + backward", r["both"])
+    one = r["one_thread"]
+    lines.append(
+        f"one thread: step {one['step_ms']:.1f} CPU ms, forward + backward {one['both_ms']:.1f} CPU ms, while the core gave "
+        f"{one['fma_per_ns']:.0f} fused multiply-adds per ns"
+    )
+    for name, peer in r["mitsuba"].items():
+        row(f"Mitsuba volprim_rf_basic forward ({name})", peer["forward"])
+        row(f"Mitsuba forward + backward ({name})", peer["both"])
+    row("torch tile loop forward " + "x".join(map(str, r["torch"]["scene"])), r["torch"]["peer"]["forward"])
+    row("torch tile loop forward + backward", r["torch"]["peer"]["both"])
+    row("  ours, same scene, forward + backward", r["torch"]["ours_both"])
+    fastest = {k: [min(p[k][i] for p in r["mitsuba"].values()) for i in (0, 1)] for k in ("forward", "both")}
+    lines += ["", f"{'ratio':44s}{'wall':>10s}{'CPU':>10s}{'goal':>10s}"]
+    for name, peer, ours, goal in (
+        ("forward vs Mitsuba", fastest["forward"], r["forward"], 40),
+        ("both vs Mitsuba", fastest["both"], r["both"], 80),
+        ("both vs torch tile loop", r["torch"]["peer"]["both"], r["torch"]["ours_both"], 150),
+    ):
+        lines.append(f"{name:44s}{peer[0] / ours[0]:9.0f}x{peer[1] / ours[1]:9.0f}x{goal:9d}x")
+    lines += [
+        "",
+        f"{'kernel':20s}{'CPU ns/pair':>12s}{'goal':>8s}{'instructions':>14s}{'limit ns':>10s}{'of limit':>10s}",
+    ]
+    for (name, k), goal in zip(r["kernels"].items(), (0.8, 1.6), strict=True):
+        lines.append(
+            f"blend {name:14s}{k['ns_per_pair']:12.2f}{goal:8.1f}{k['ops']:14d}{k['limit_ns']:10.2f}{k['limit_ns'] / k['ns_per_pair']:10.0%}"
+        )
+    lines += [
+        f"(limit: those instructions at the {r['fma_per_ns']:.1f} fused multiply-adds per ns and thread measured here)",
+        "",
+        f"{'N':>9s}{'image':>12s}{'pairs':>10s}{'wall ms':>10s}{'CPU ms':>10s}{'compiled late':>15s}",
+    ]
+    for g in r["growth"]:
+        lines.append(
+            f"{g['n']:9d}{g['width']:7d}x{g['height']:<4d}{g['pairs']:10d}{g['wall_ms']:10.1f}{g['cpu_ms']:10.1f}{g['compiled_late']:15d}"
+        )
+    lines.append("  ".join(f"{k}{v:.2f}" for k, v in r["exponents"].items()))
+    lines.append(f"mean of the image: ours {r['mean']:.4f}, Mitsuba {next(iter(r['mitsuba'].values()))['mean']:.4f}")
+    return "\n".join(lines)
+
+
+def _cpu_name() -> str:
+    try:
+        with open("/proc/cpuinfo") as f:
+            return next(line.split(":")[1].strip() for line in f if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="small scene, few repetitions: does the script run")
+    parser.add_argument("--json", help="also write every figure to this file")
+    parser.add_argument("--mitsuba", nargs=4, type=int, metavar=("N", "W", "H", "OURS"), help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.mitsuba:
+        n, w, h, ours = args.mitsuba
+        print(json.dumps(mitsuba_peer(n, w, h, bool(ours))))
+        return
+    result = measure(args.quick)
+    print(report(result))
+    if args.json:
+        from gof.io.files import atomic_path
+
+        with atomic_path(Path(args.json)) as path:
+            path.write_text(json.dumps(result, indent=1))
+
+
+if __name__ == "__main__":
+    main()

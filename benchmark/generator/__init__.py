@@ -1,0 +1,1 @@
+"""The generator's task graph and the Blender processes it drives."""

@@ -1,0 +1,142 @@
+"""Blender processes of the generator: one-shot stages, and renderers that stay open between frames."""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from pathlib import Path
+
+from gof.errors import GofError
+from gof.stages import die_with_parent
+from gof_blender.pure.layout import Layout
+
+
+class BlenderLost(GofError):
+    """A Blender process died or failed; the same work may succeed in another one."""
+
+
+def command(stage: str, root: Path) -> list[str]:
+    layout = Layout(root)
+    return [
+        sys.executable,
+        "-m",
+        "gof_blender.worker.generate",
+        "--spec",
+        str(layout.spec),
+        "--out",
+        str(root),
+        "--stage",
+        stage,
+    ]
+
+
+def run_stage(stage: str, root: Path) -> dict:
+    """Run a stage of the dataset in `root` to its end. Returns {"seconds", "cpu_s", "peak_mb"}.
+
+    Raises:
+        BlenderLost: it failed; the message holds its last lines.
+    """
+    start = time.perf_counter()
+    process, log = _start(stage, root)
+    with _ending(process):
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise BlenderLost(f"stage '{stage}' of {root} ended with status {process.returncode}:\n{_last_lines(log)}")
+    seconds = time.perf_counter() - start
+    return {"seconds": seconds, "cpu_s": usage.ru_utime + usage.ru_stime, "peak_mb": usage.ru_maxrss / 1024}
+
+
+class Renderer:
+    """A Blender process with the scene of `root` open, which renders pictures on demand."""
+
+    _idle: dict[Path, deque[Renderer]] = {}
+    _lock = threading.Lock()
+
+    def __init__(self, root: Path):
+        self._root = root
+        self._process, self._log = _start("serve", root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._start, self._overhead = time.perf_counter(), 0.0
+        self._answer()  # ready
+        self._overhead = time.perf_counter() - self._start
+
+    @classmethod
+    def render(cls, root: Path, frame: int, camera: int) -> dict:
+        """Render with an idle renderer of this process, or a new one. Returns {"seconds", "cpu_s", "peak_mb"}.
+
+        Raises:
+            BlenderLost: the Blender process died; the picture is not there.
+        """
+        with cls._lock:
+            idle = cls._idle.setdefault(root, deque())
+            renderer = idle.pop() if idle else None
+        renderer = renderer or cls(root)
+        cost = renderer._ask(frame, camera)
+        with cls._lock:
+            idle.append(renderer)
+        return cost
+
+    @classmethod
+    def close(cls, root: Path | None = None) -> None:
+        """End the idle renderers of one dataset, or all."""
+        with cls._lock:
+            for key in [root] if root else list(cls._idle):
+                for renderer in cls._idle.pop(key, ()):
+                    renderer._process.stdin.close()
+                    renderer._process.wait()
+
+    def _ask(self, frame: int, camera: int) -> dict:
+        try:
+            print(json.dumps({"frame": frame, "camera": camera}), file=self._process.stdin, flush=True)
+            cost = self._answer()["rendered"]
+        except BrokenPipeError as error:
+            raise self._lost() from error
+        seconds, self._overhead = cost["seconds"] + self._overhead, 0.0  # the start-up counts with the first picture
+        return {"seconds": seconds, "cpu_s": cost["cpu_s"], "peak_mb": cost["peak_mb"]}
+
+    def _answer(self) -> dict:
+        line = self._process.stdout.readline()
+        if not line:
+            raise self._lost()
+        return json.loads(line)
+
+    def _lost(self) -> BlenderLost:
+        self._process.kill()
+        status = self._process.wait()
+        return BlenderLost(f"the renderer of {self._root} ended with status {status}:\n{_last_lines(self._log)}")
+
+
+atexit.register(Renderer.close)
+
+
+def _start(stage: str, root: Path, **pipes) -> tuple[subprocess.Popen, Path]:
+    log = Layout(root).log(stage).with_suffix(".err")
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with open(log, "ab") as file:
+        # A killed worker must not leave a Blender behind that goes on writing.
+        hook = die_with_parent if sys.platform == "linux" else None
+        return subprocess.Popen(command(stage, root), stderr=file, preexec_fn=hook, **({"stdout": file} | pipes)), log
+
+
+class _ending:
+    """Kill a process if the block is left by an exception."""
+
+    def __init__(self, process: subprocess.Popen):
+        self._process = process
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind, *_) -> None:
+        if kind:
+            self._process.kill()
+
+
+def _last_lines(log: Path) -> str:
+    return "\n".join(log.read_text(errors="replace").splitlines()[-15:])

@@ -1,0 +1,168 @@
+"""The generator's task graph on dask.distributed: bake -> pictures -> codec, ground truth -> description -> views.
+
+A task is a call into a Blender process (`gof_benchmark.generator.blender_process`) and leaves files; a shared file system carries the
+data, dask only the order, the retries and the costs. Pictures of a frame are asked for as soon as the solver has passed
+what their shutter sees, so that rendering does not wait for the bake. Everything resumes from the files.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gof.errors import GofError
+from gof.stages import StageLog, progress_bar
+from gof_benchmark.generator.blender_process import Renderer, run_stage
+from gof_blender.pure import shutter
+from gof_blender.pure.cost_model import stage_settings
+from gof_blender.pure.layout import Layout
+from gof_blender.pure.spec import SceneSpec
+
+RETRIES = 3
+POLL_S = 0.3
+
+
+@contextmanager
+def cluster(scheduler: str | None, workers: int) -> Iterator:
+    """A dask client: of a running scheduler, or of workers in this process, whose Blenders are the real processes.
+
+    Raises:
+        GofError: the scheduler does not answer.
+    """
+    import dask
+    from distributed import Client, LocalCluster
+
+    if scheduler:
+        try:
+            with Client(scheduler, timeout=20) as client:
+                yield client
+        except (OSError, TimeoutError) as error:
+            raise GofError(
+                f"no dask scheduler answers at {scheduler} ({error}); start one with 'dask scheduler'"
+            ) from error
+        return
+    with (
+        dask.config.set(
+            {
+                "distributed.admin.tick.limit": "1h",
+                "distributed.worker.memory.terminate": False,
+                "distributed.worker.memory.pause": False,
+                "distributed.worker.memory.spill": False,
+            }
+        ),
+        LocalCluster(n_workers=workers, threads_per_worker=1, processes=False, dashboard_address=None) as local,
+        Client(local) as client,
+    ):
+        yield client
+
+
+class Generation:
+    """One dataset on its way through the graph."""
+
+    def __init__(self, spec: SceneSpec, layout: Layout, client, log: StageLog):
+        self._spec, self._layout, self._client, self._log = spec, layout, client, log
+        self._root = layout.root.resolve()
+        self._running: dict = {}  # future -> stage
+        self._rendered = 0
+        self._steps = 0
+        self._wall_before = {cost.name: cost.settings.get("wall_s", 0.0) for cost in log.stages()}
+        self._begun: dict[str, float] = {}  # stage -> clock when its first task began
+
+    def run(self) -> None:
+        """Make what is missing, and record what each stage cost.
+
+        Raises:
+            GofError: a stage failed; what was finished is kept.
+        """
+        try:
+            # A bake that was cut off starts over, so that pictures may follow only a bake of this very run.
+            self._simulate_and_render(fresh_bake=not self._layout.bake.exists())
+            stages = ["video"] if any(map(_encodes, self._spec.effects)) else []
+            stages += ["flow"] if "flow" in self._spec.ground_truth else []
+            for stage in [*stages, "finish"]:
+                self._submit(stage, run_stage, stage)
+                self._wait_for(lambda: not self._running)
+        finally:
+            self._client.cancel(list(self._running))
+            self._client.run(Renderer.close, self._root)
+
+    def _simulate_and_render(self, fresh_bake: bool) -> None:
+        spec, baked = self._spec, self._layout.bake_marker.is_file()
+        if not baked:
+            self._submit("bake", run_stage, "bake")
+        waiting = [(frame, camera) for frame in range(spec.clip.frames) for camera in range(len(spec.cameras.names))]
+        truth_pending = True
+        with progress_bar("generate") as update:
+            while waiting or truth_pending or self._running:
+                baked = self._layout.bake_marker.is_file()
+                while waiting and (baked or (fresh_bake and self._is_ready(waiting[0][0]))):
+                    if not self._has_plates() and "render" in self._running.values():
+                        break  # the renderer of the first picture makes the plates; a second one would make them too
+                    frame, camera = waiting.pop(0)
+                    self._submit("render", _render, frame, camera, priority=-frame)
+                if truth_pending and baked and "bake" not in self._running.values():
+                    truth_pending = False
+                    self._submit("ground-truth", run_stage, "ground-truth", priority=1)
+                self._collect()
+                update(*self._progress())
+                time.sleep(POLL_S)
+
+    def _has_plates(self) -> bool:
+        return all(self._layout.static_exr(name).is_file() for name in self._spec.cameras.names)
+
+    def _is_ready(self, frame: int) -> bool:
+        """Whether the solver has passed every step that a picture of this frame sees."""
+        spec, last = self._spec, 0
+        for camera in range(len(spec.cameras.names)):
+            first, weights = shutter.step_weights(spec, camera, frame)
+            last = max(last, first + len(weights) - 1)
+        return self._layout.blend.is_file() and self._layout.is_baked(spec.blender_frame(frame) + last)
+
+    def _submit(self, stage: str, function, *args, priority: int = 0) -> None:
+        future = self._client.submit(
+            function, *args, root=self._root, pure=False, retries=RETRIES, priority=priority, key=None
+        )
+        self._running[future] = stage
+
+    def _collect(self) -> None:
+        for future in [f for f in self._running if f.done()]:
+            stage = self._running.pop(future)
+            if future.status != "finished":
+                raise GofError(f"{stage} failed {RETRIES + 1} times; the last time: {future.exception()}")
+            cost = future.result()
+            self._rendered += stage == "render"
+            settings = stage_settings(stage, self._spec) | {"wall_s": self._wall_s(stage, cost["seconds"])}
+            self._log.record(stage, cost["seconds"], cost["peak_mb"], settings, resumed=True)
+
+    def _wall_s(self, stage: str, seconds: float) -> float:
+        """Wall seconds of a stage until now, in all runs; its tasks overlap, so their seconds add up to more."""
+        now = time.perf_counter()
+        self._begun[stage] = min(self._begun.get(stage, now), now - seconds)
+        return round(self._wall_before.get(stage, 0.0) + now - self._begun[stage], 3)
+
+    def _wait_for(self, condition: Callable[[], bool]) -> None:
+        while not condition():
+            self._collect()
+            time.sleep(POLL_S)
+
+    def _progress(self) -> tuple[int, int]:
+        """Solver steps, pictures and ground truth done, of all: rough units of one total."""
+        spec = self._spec
+        pictures = spec.clip.frames * len(spec.cameras.names)
+        if self._layout.bake_marker.is_file():
+            self._steps = spec.last_frame
+        while self._steps < spec.last_frame and self._layout.cached_velocity(self._steps + 1).is_file():
+            self._steps += 1
+        return self._steps + self._rendered, spec.last_frame + pictures
+
+
+def _render(frame: int, camera: int, root: Path) -> dict:
+    return Renderer.render(root, frame, camera)
+
+
+def _encodes(settings) -> bool:
+    from gof_blender.scene import effects
+
+    return effects.encodes(settings)

@@ -1,0 +1,233 @@
+"""What a dataset will cost on this machine, before it is made: a small linear model with measured coefficients.
+
+    bake     start + steps * a * cells^p
+    picture  b + pixels * (c + samples * (d + e * resolution))        the flame is marched in steps of a cell
+    velocity start + frames * f * cells
+
+`gof generate --estimate` measures the coefficients and keeps them for this user; without that they are those of another
+machine. Never imports bpy. docs/costs.md compares predictions with runs.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from . import shutter
+from .checked_json import SpecError
+from .spec import SceneSpec
+
+# Measured on Blender 4.5, see docs/costs.md.
+BAKE_MB, BAKE_BYTES_PER_CELL = 260.0, 270.0
+RENDER_MB, RENDER_BYTES_PER_CELL, RENDER_BYTES_PER_PIXEL = 330.0, 60.0, 700.0
+CACHE_BYTES_PER_CELL_STEP, VELOCITY_BYTES_PER_CELL_FRAME = 14.0, 6.0
+PICTURE_BYTES_PER_PIXEL = 10.0
+NOISE_BAKE, NOISE_MEMORY = 0.22, 0.3  # of the coarse bake, per fine cell that a coarse cell is divided into
+CORES = os.cpu_count() or 1
+SMOKE_SAMPLE = (
+    20  # times a sample without smoke: all lamps, through the soot; 6 where it has just begun, 24 in a full domain
+)
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Coefficients of the model, processor seconds over cores; `error` is the relative prediction error measured with them."""
+
+    start: float
+    bake_scale: float
+    bake_power: float
+    picture: float
+    pixel: float
+    sample: float
+    sample_per_cell: float
+    velocity: float
+    error: float
+    measured_on: str
+
+
+REFERENCE = Machine(0.8, 4.5e-7, 1.13, 0.05, 1.5e-6, 1.8e-6, 0.0, 1.2e-7, 1.0, "another machine")
+"""Two cores of a cloud server; for machines that have not been measured."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Processor seconds per stage divided by the cores; their sum is the wall time where all cores are busy, as they
+    are but for the start and the end: pictures are rendered during the bake. A machine with other work takes longer."""
+
+    bake_s: float
+    render_s: float
+    ground_truth_s: float
+    memory_mb: float
+    disk_mb: float
+    error: float
+    measured_on: str
+
+    @property
+    def total_s(self) -> float:
+        return self.bake_s + self.render_s + self.ground_truth_s
+
+    def __str__(self) -> str:
+        return (
+            f"predicted: {duration(self.total_s)} +- {100 * self.error:.0f} % (bake {duration(self.bake_s)}, pictures "
+            f"{duration(self.render_s)}, ground truth {duration(self.ground_truth_s)}), {self.memory_mb / 1000:.1f} GB of "
+            f"memory, {self.disk_mb / 1000:.2f} GB of disk; measured on {self.measured_on}"
+        )
+
+
+def cells(spec: SceneSpec) -> int:
+    cell = max(spec.domain.size) / spec.domain.resolution
+    return int(np.prod([max(round(side / cell), 1) for side in spec.domain.size]))
+
+
+def predict(spec: SceneSpec, machine: Machine) -> Prediction:
+    """Cost of a dataset made from nothing."""
+    count, cameras, frames = cells(spec), len(spec.cameras.names), spec.clip.frames
+    noise = next((e for e, name in zip(spec.effects, spec.effect_names, strict=True) if name == "fine_noise"), None)
+    fine = noise.scale**3 if noise else 0
+    step = machine.bake_scale * count**machine.bake_power * (1 + NOISE_BAKE * fine)
+    plates = cameras * _picture_s(spec, machine, 1.0, spec.render.plate_samples)
+    width, height = (side * spec.render.percentage // 100 for side in spec.cameras.sensor_px)
+    grids = 1 + len(spec.ground_truth)
+    images = width * height * cameras * frames * PICTURE_BYTES_PER_PIXEL
+    stored = count * (
+        (1 + fine / 4) * spec.last_frame * CACHE_BYTES_PER_CELL_STEP + frames * grids * VELOCITY_BYTES_PER_CELL_FRAME
+    )
+    bake_mb = BAKE_MB + count * BAKE_BYTES_PER_CELL * (1 + NOISE_MEMORY * fine) / 2**20
+    render_mb = (
+        RENDER_MB + (count * RENDER_BYTES_PER_CELL * (1 + fine / 4) + width * height * RENDER_BYTES_PER_PIXEL) / 2**20
+    )
+    return Prediction(
+        bake_s=machine.start + spec.last_frame * step,
+        render_s=machine.start + plates + cameras * frames * _frame_s(spec, machine),
+        ground_truth_s=machine.start + frames * count * machine.velocity * grids,
+        memory_mb=bake_mb + render_mb,  # both run at the same time
+        disk_mb=(images + stored) / 2**20,
+        error=machine.error,
+        measured_on=machine.measured_on,
+    )
+
+
+def known_machine() -> Machine | None:
+    """Coefficients measured on this machine before, if any."""
+    return Machine(**json.loads(machine_file().read_text(encoding="utf-8"))) if machine_file().is_file() else None
+
+
+def machine_file() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "gof" / "machine.json"
+
+
+def require_room(spec: SceneSpec, root: Path) -> Prediction:
+    """The prediction for a dataset in the folder `root`, which need not exist yet.
+
+    Raises:
+        SpecError: memory or disk of this machine do not suffice; says what would fit.
+    """
+    prediction = predict(spec, known_machine() or REFERENCE)
+    memory, disk = (
+        memory_mb(),
+        shutil.disk_usage(next(path for path in (root, *root.parents) if path.exists())).free / 2**20,
+    )
+    if prediction.memory_mb > 0.9 * memory:
+        smaller = spec.domain.resolution
+        while smaller > 8 and predict(with_resolution(spec, smaller), REFERENCE).memory_mb > 0.8 * memory:
+            smaller -= 8
+        raise SpecError(
+            f"{spec.name}: needs about {prediction.memory_mb / 1000:.0f} GB of memory, this machine has "
+            f"{memory / 1000:.0f} GB; lower domain.resolution from {spec.domain.resolution} to {smaller}, or make "
+            "domain.size tighter around the flame"
+        )
+    if prediction.disk_mb > disk:
+        raise SpecError(
+            f"{spec.name}: needs about {prediction.disk_mb / 1000:.1f} GB of disk, {root} has {disk / 1000:.1f} GB free; "
+            "choose another output folder, or lower domain.resolution or clip.frames"
+        )
+    return prediction
+
+
+def memory_mb() -> float:
+    """Memory of this machine, used or not."""
+    if sys.platform == "win32":
+        import ctypes
+
+        status = (ctypes.c_uint64 * 8)(64)  # MEMORYSTATUSEX: its own size, then load; total physical memory is next
+        ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status))
+        return status[1] / 2**20
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**20
+
+
+def stage_settings(stage: str, spec: SceneSpec) -> dict:
+    """The settings that explain a stage's cost, for costs.json."""
+    frames, cameras = spec.clip.frames, len(spec.cameras.names)
+    return {
+        "bake": {"resolution": spec.domain.resolution, "steps": spec.last_frame, "effects": spec.effect_names},
+        "render": {
+            "images": frames * cameras,
+            "percentage": spec.render.percentage,
+            "samples": spec.render.samples,
+            "effects": spec.effect_names,
+        },
+        "ground-truth": {"frames": frames, "resolution": spec.domain.resolution},
+        "video": {"cameras": cameras},
+        "flow": {"images": frames * cameras},
+        "finish": {},
+    }[stage]
+
+
+def record(path: Path, stage: str, seconds: float, peak_mb: float, settings: dict) -> None:
+    """Add what a stage has cost to a costs.json; a stage that was resumed adds up."""
+    stages = json.loads(path.read_text(encoding="utf-8"))["stages"] if path.is_file() else []
+    before = next(
+        (entry for entry in stages if entry["name"] == stage), {"seconds": 0.0, "peak_mb": 0.0, "settings": {}}
+    )
+    settings = settings | {"wall_s": round(before["settings"].get("wall_s", 0.0) + seconds, 3)}
+    entry = {
+        "name": stage,
+        "seconds": round(before["seconds"] + seconds, 3),
+        "peak_mb": round(max(before["peak_mb"], peak_mb), 1),
+        "settings": settings,
+    }
+    stages = [entry if old["name"] == stage else old for old in stages] + ([] if before in stages else [entry])
+    wall_s = round(sum(entry["settings"]["wall_s"] for entry in stages), 3)
+    draft = path.with_name(f".tmp-{path.name}")
+    draft.write_text(
+        json.dumps({"schema": "gof-costs", "version": 1, "stages": stages, "wall_s": wall_s}, indent=1) + "\n",
+        encoding="utf-8",
+    )
+    os.replace(draft, path)
+
+
+def picture_s(machine: Machine, pixels: float, samples: int, resolution: int) -> float:
+    return machine.picture + pixels * (
+        machine.pixel + samples * (machine.sample + machine.sample_per_cell * resolution)
+    )
+
+
+def with_resolution(spec: SceneSpec, resolution: int) -> SceneSpec:
+    return replace(spec, domain=replace(spec.domain, resolution=resolution))
+
+
+def duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _frame_s(spec: SceneSpec, machine: Machine) -> float:
+    """Seconds of one picture, with all the solver steps that its shutter sees."""
+    _, weights = shutter.step_weights(spec, 0, 0)
+    samples = max(1, round(spec.render.samples * float(weights.max())))
+    samples *= SMOKE_SAMPLE if "smoke" in spec.effect_names else 1
+    margin = 0 if len(weights) == 1 else 16
+    parts = [min((np.count_nonzero(weight) + margin) / len(weight), 1.0) for weight in weights]
+    return sum(_picture_s(spec, machine, part, samples) for part in parts)
+
+
+def _picture_s(spec: SceneSpec, machine: Machine, part: float, samples: int) -> float:
+    width, height = (side * spec.render.percentage // 100 for side in spec.cameras.sensor_px)
+    return picture_s(machine, part * width * height, samples, spec.domain.resolution)

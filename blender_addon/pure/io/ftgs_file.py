@@ -1,0 +1,57 @@
+"""FTGS-PLY version 1 (FreeTimeGS): a splat PLY with time, log_duration and velocity_*, time from 0 to 1 over the clip."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import FileFormatError
+from .cloud import splats
+from .ply_file import PlyVertices, columns
+
+PROPERTIES = ("time", "log_duration", "velocity_0", "velocity_1", "velocity_2")
+
+
+def matches(ply: PlyVertices) -> bool:
+    return any(comment.startswith("ftgs_version") for comment in ply.comments) or ply.has(*PROPERTIES)
+
+
+def read(ply: PlyVertices, clip_s: float | None, fps: float, step: int) -> dict[str, np.ndarray]:
+    """Fields of a GaussianCloud, in seconds and metres per second; its world is taken as it is.
+
+    Args:
+        clip_s: seconds from the first to the last frame; None = the file's number of frames at fps.
+
+    Raises:
+        FileFormatError: another version or time unit, missing comments or properties, or no way to know the seconds.
+    """
+    words = dict(comment.split(maxsplit=1) for comment in ply.comments if " " in comment)
+    version = words.get("ftgs_version"), words.get("time_units")
+    if version != ("1", "normalized"):
+        raise FileFormatError(f"{ply.path}: ftgs_version {version[0]}, time_units {version[1]}; expected 1, normalized")
+    try:
+        shortest, moving = float(words["min_duration"]), words["use_velocity"] == "1"
+        frames = int(words.get("n_frames", 0))
+    except (KeyError, ValueError) as error:
+        raise FileFormatError(f"{ply.path}: header comment {error} is missing or not a number") from None
+    seconds = clip_s or (frames - 1) / fps
+    if not seconds > 0:
+        raise FileFormatError(
+            f"{ply.path}: its time runs from 0 to 1 and the file does not say how many seconds that is; set "
+            "Clip Length (first to last frame)"
+        )
+    rows = ply.rows(step)
+    try:
+        velocity = columns(rows, "velocity_0", "velocity_1", "velocity_2").astype(np.float64) / seconds
+        time, log_duration = columns(rows, "time", "log_duration").astype(np.float64).T
+    except KeyError as error:
+        raise FileFormatError(
+            f"{ply.path}: properties {error.args[0]} are missing; export the FTGS-PLY again"
+        ) from None
+    with np.errstate(over="ignore"):  # an endless duration is "always on"
+        t_sigma = np.maximum(np.exp(log_duration), shortest) * seconds
+    return splats(rows, ply.path) | {
+        "velocity": velocity * moving,
+        "t_mu": time * seconds,
+        "t_sigma": t_sigma,
+        "dynamic": np.ones(len(rows), bool),
+    }

@@ -1,0 +1,150 @@
+"""Reader of reconstructions, with numpy only.
+
+- `result.npz` (schema gof-linear/1) and `result.ply` of this project;
+- FTGS-PLY version 1 (FreeTimeGS): time runs from 0 to 1 over the clip;
+- a 3DGS PLY (a still), or numbered ones (one per frame; what deformation methods export).
+
+PLY files hold 3DGS attributes raw (scale_* natural logs, opacity a logit, f_dc spherical-harmonics coefficients, rot
+wxyz); a cloud holds activated values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from . import FileFormatError, ftgs_file, npz_file, ply_sequence
+from .cloud import SH_C0, GaussianCloud, checked, splats
+from .ply_file import PlyVertices, columns
+
+NPZ_SCHEMA = "gof-linear/1"
+NPZ_NAMES = {
+    "position": "x0",
+    "velocity": "v",
+    "t_mu": "t_mu_s",
+    "t_sigma": "t_sigma_s",
+    "scale": "scale",
+    "rotation": "rotation",
+    "opacity": "alpha",
+    "dynamic": "dynamic",
+}
+OWN_PROPERTIES = ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What the files of other methods do not say about time.
+
+    Attributes:
+        fps: numbers per second of a PLY sequence, frames per second of an FTGS-PLY's clip.
+        clip_s: seconds from the first to the last frame of an FTGS-PLY; None = from its number of frames and fps.
+    """
+
+    fps: float = 24.0
+    clip_s: float | None = None
+
+
+def load(source: str | Path | Sequence[Path], clock: Clock | None = None, step: int = 1) -> GaussianCloud:
+    """Read a result; what it is follows from its content.
+
+    Args:
+        source: a file, a folder of numbered PLYs, or a list of numbered PLYs.
+        clock: see Clock.
+        step: read every step-th Gaussian only.
+
+    Raises:
+        FileFormatError: no such file, wrong suffix, schema or layout, missing field, truncated, no points, NaN or Inf,
+            a value outside its range, or a time without a unit.
+    """
+    clock = clock or Clock()
+    paths = files_of(source)
+    if len(paths) > 1:
+        return ply_sequence.read(paths, clock.fps, step)
+    if paths[0].suffix.lower() == ".npz":
+        return checked(_read_npz(paths[0], step), paths[0])
+    return checked(_read_ply(paths[0], clock, step), paths[0])
+
+
+def count(source: str | Path | Sequence[Path]) -> int:
+    """Number of Gaussians that `load` would make, from the files' headers alone. Raises: as `load`."""
+    return sum(
+        _count_npz(path) if path.suffix.lower() == ".npz" else PlyVertices(path).count for path in files_of(source)
+    )
+
+
+def files_of(source: str | Path | Sequence[Path]) -> list[Path]:
+    """The files that a source stands for, numbered ones in order. Raises: FileFormatError."""
+    if not isinstance(source, (str, Path)):
+        return ply_sequence.numbered([Path(path) for path in source]) if len(source) > 1 else files_of(source[0])
+    path = Path(source)
+    if path.is_dir():
+        found = ply_sequence.numbered(sorted(path.glob("*.ply")))
+        if not found:
+            raise FileFormatError(f"{path}: no numbered .ply files in this folder; choose result.npz or result.ply")
+        return found
+    if path.suffix.lower() not in (".npz", ".ply"):
+        raise FileFormatError(
+            f"{path}: unknown suffix '{path.suffix}'; a result is .npz or .ply. Checkpoints of other "
+            "methods: `gof convert` makes a result of them"
+        )
+    if not path.is_file():
+        raise FileFormatError(f"{path}: no such file")
+    return [path]
+
+
+def _read_npz(path: Path, step: int) -> dict[str, np.ndarray]:
+    found = npz_file.arrays(path)
+    schema = str(found.get("schema", "none"))
+    if schema != NPZ_SCHEMA:
+        raise FileFormatError(f"{path}: schema is '{schema}', expected '{NPZ_SCHEMA}'; write it with `gof convert`")
+    missing = [key for key in NPZ_NAMES.values() if key not in found]
+    if not {"rgb", "sh"} & set(found):
+        missing.append("rgb or sh")
+    if missing:
+        raise FileFormatError(f"{path}: fields {missing} are missing")
+    if "rgb" in found:
+        color = found["rgb"]
+    elif found["sh"].ndim == 3 and found["sh"].shape[1]:
+        color = 0.5 + SH_C0 * found["sh"][:, 0]
+    else:
+        raise FileFormatError(f"{path}: 'sh' has shape {found['sh'].shape}, expected (N, K, 3)")
+    values = {field: found[key] for field, key in NPZ_NAMES.items()} | {"color": color}
+    return {field: array[::step] if array.ndim else array for field, array in values.items()}
+
+
+def _count_npz(path: Path) -> int:
+    try:
+        return next(iter(npz_file.shapes(path)["x0"]), 0)
+    except npz_file.DAMAGE:
+        return 0  # `load` says what is wrong
+
+
+def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:
+    ply = PlyVertices(path)
+    if ftgs_file.matches(ply):
+        return ftgs_file.read(ply, clock.clip_s, clock.fps, step)
+    rows = ply.rows(step)
+    values = splats(rows, path)
+    if not any(ply.has(name) for name in OWN_PROPERTIES):  # a plain 3DGS PLY is a still
+        n = len(rows)
+        return values | {
+            "velocity": np.zeros((n, 3)),
+            "t_mu": np.zeros(n),
+            "t_sigma": np.full(n, np.inf),
+            "dynamic": np.zeros(n, bool),
+        }
+    try:
+        return values | {
+            "velocity": columns(rows, "vx", "vy", "vz"),
+            "t_mu": columns(rows, "t_mu")[:, 0],
+            "t_sigma": columns(rows, "t_sigma")[:, 0],
+            "dynamic": columns(rows, "is_dynamic")[:, 0] != 0,
+        }
+    except KeyError as error:
+        raise FileFormatError(
+            f"{path}: properties {error.args[0]} are missing; the other properties of a transient "
+            "reconstruction are there, so write the file again"
+        ) from None

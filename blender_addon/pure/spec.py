@@ -1,0 +1,417 @@
+"""The scene spec: everything that defines a generated dataset, as dataclasses with a JSON form.
+
+Never imports bpy, so that a spec can be read, checked and edited anywhere. World axes: right-handed, Z up, metres,
+seconds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from ..scene import effects as effect_modules
+from . import checked_json as records
+from . import shutter
+from .checked_json import SpecError, require
+from .fuels import FUELS, Fuel
+from .layout import Layout
+from .presets import PRESETS
+
+SCHEMA = "gof-scene"
+VERSION = 1
+MOST_PICTURES = 100_000
+LAST_FRAME = 1_048_574  # Blender counts no further
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Clip:
+    """When the frames are taken: dataset frame k is at k / fps seconds."""
+
+    frames: int = 36
+    """Number of rendered instants."""
+    fps: float = 100.0
+    """Frames per second of the dataset clock."""
+    warm_up_frames: int = 90
+    """Frames simulated before the first rendered one, so that the flame is developed."""
+    time_scale: float = 1.0
+    """Simulated seconds per second of the dataset clock, below 1 for slow motion; velocities follow the clock."""
+    steps_per_frame: int = 1
+    """Solver steps from one frame to the next. An effect that looks between the frames may ask for more."""
+
+    def __post_init__(self):
+        require(self.frames >= 1, "clip.frames", "at least 1", self.frames)
+        require(1.0 <= self.fps <= 32767.0, "clip.fps", "between 1 and 32767", self.fps)
+        require(1 <= self.steps_per_frame <= 64, "clip.steps_per_frame", "between 1 and 64", self.steps_per_frame)
+        require(self.warm_up_frames >= 0, "clip.warm_up_frames", "0 or more", self.warm_up_frames)
+        require(0.0 < self.time_scale <= 100.0, "clip.time_scale", "in (0, 100]", self.time_scale)
+
+
+@dataclass(frozen=True)
+class Domain:
+    """The simulated box. Its cells are cubes with sides of (longest side) / resolution."""
+
+    min: Vector = (-0.4, -0.4, 0.0)
+    """Lowest corner, world metres."""
+    size: Vector = (0.8, 0.8, 1.6)
+    """Side lengths, metres."""
+    resolution: int = 64
+    """Cells along the longest side."""
+
+    def __post_init__(self):
+        require(all(side > 0 for side in self.size), "domain.size", "positive on every side", self.size)
+        require(8 <= self.resolution <= 2048, "domain.resolution", "between 8 and 2048", self.resolution)
+
+    @property
+    def max(self) -> Vector:
+        return tuple(low + side for low, side in zip(self.min, self.size, strict=True))
+
+
+@dataclass(frozen=True)
+class Fire:
+    """The emitter of fuel and what it burns."""
+
+    fuel: str = "propane_high"
+    """Name of a preset in FUELS."""
+    shape: Literal["disc", "sphere", "logs"] = "disc"
+    """disc: a flat round burner of 1/3 radius height; sphere: a ball; logs: three crossed logs."""
+    position: Vector = (0.0, 0.0, 0.12)
+    """Centre of the emitter, world metres."""
+    radius: float = 0.13
+    """Metres."""
+    jet_speed: float = 0.0
+    """Upward speed at which the fuel leaves the burner, m/s."""
+
+    def __post_init__(self):
+        require(self.fuel in FUELS, "fire.fuel", f"one of {sorted(FUELS)}", self.fuel)
+        require(self.radius > 0, "fire.radius", "positive", self.radius)
+
+    @property
+    def half_size(self) -> Vector:
+        """Half extents of the emitter's bounding box, metres."""
+        thickness = {"disc": self.radius / 6, "sphere": self.radius, "logs": self.radius / 2}
+        return (self.radius, self.radius, thickness[self.shape])
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a camera stands and how it is turned, instead of its place on the arc."""
+
+    position: Vector
+    """World metres."""
+    rotation: tuple[float, float, float, float]
+    """Quaternion (w, x, y, z) from Blender's camera axes (x right, y up, looking along -z) to the world."""
+
+    def __post_init__(self):
+        length = math.hypot(*self.rotation)
+        require(abs(length - 1) < 1e-3, "cameras.placed.rotation", "a unit quaternion", self.rotation)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras on a horizontal arc around the point they look at, or each where it was placed."""
+
+    count: int = 3
+    """Number of cameras, evenly spaced on the arc."""
+    eval_count: int = 0
+    """Additional cameras that no method may train on (role "eval"), between and above the others."""
+    arc_deg: float = 70.0
+    """Angle between the first and the last camera."""
+    azimuth_deg: float = -90.0
+    """Direction from the look-at point to the middle of the arc, counter-clockwise from +X."""
+    radius: float = 2.8
+    """Horizontal distance from the look-at point, metres."""
+    height: float = 0.9
+    """Z of the camera centres, metres."""
+    look_at: Vector = (0.0, 0.0, 0.75)
+    """Point on every optical axis, world metres."""
+    focal_mm: float = 50.0
+    """Focal length for a sensor whose long side is 36 mm."""
+    sensor_px: tuple[int, int] = (1280, 720)
+    """Pixels of the sensor: (along its rows, number of rows)."""
+    roll_deg: Literal[0, 90, 180, -90] = 90
+    """Rotation of the camera body about its viewing direction, clockwise seen from behind. Images are stored
+    upright, so 90 and -90 give portrait images whose columns are the sensor's rows."""
+    placed: tuple[Pose, ...] = ()
+    """Poses of all cameras, those for evaluation last, when they do not stand on the arc. Poses are of the upright
+    images: they do not contain the roll."""
+
+    def __post_init__(self):
+        require(self.count >= 1, "cameras.count", "at least 1", self.count)
+        require(self.eval_count >= 0, "cameras.eval_count", "0 or more", self.eval_count)
+        require(0.0 <= self.arc_deg < 360.0, "cameras.arc_deg", "in [0, 360)", self.arc_deg)
+        require(self.radius > 0, "cameras.radius", "positive", self.radius)
+        require(self.focal_mm > 0, "cameras.focal_mm", "positive", self.focal_mm)
+        total = self.count + self.eval_count
+        require(len(self.placed) in (0, total), "cameras.placed", f"empty, or {total} poses", len(self.placed))
+        require(min(self.sensor_px) >= 16, "cameras.sensor_px", "at least 16 pixels each way", self.sensor_px)
+
+    @property
+    def portrait(self) -> bool:
+        return self.roll_deg in (90, -90)
+
+    @property
+    def names(self) -> list[str]:
+        """All cameras, those for evaluation last."""
+        return [f"cam_{index}" for index in range(self.count)] + [f"eval_{index}" for index in range(self.eval_count)]
+
+
+@dataclass(frozen=True)
+class Render:
+    """Cycles settings, shared by all frames."""
+
+    percentage: int = 25
+    """Rendered size in percent of the sensor, rounded down to whole pixels (Blender needs at least 4)."""
+    samples: int = 6
+    """Paths per pixel of a frame. Without smoke a frame traces the fire's light only, so few are enough."""
+    plate_samples: int = 32
+    """Paths per pixel of the fire-free plate, which is rendered once per camera."""
+    max_bounces: int = 1
+    """Light bounces after the first hit."""
+    volume_step_rate: float = 2.0
+    """Ray-march step through the flame, in Cycles' automatic step lengths; larger is faster and coarser."""
+    denoise: bool = True
+    """Open Image Denoise on the beauty pass (never on depth and flame)."""
+
+    def __post_init__(self):
+        require(1 <= self.percentage <= 100, "render.percentage", "between 1 and 100", self.percentage)
+        require(self.samples >= 1, "render.samples", "at least 1", self.samples)
+        require(self.plate_samples >= 1, "render.plate_samples", "at least 1", self.plate_samples)
+        require(self.max_bounces >= 0, "render.max_bounces", "0 or more", self.max_bounces)
+        require(
+            0.01 <= self.volume_step_rate <= 100, "render.volume_step_rate", "in [0.01, 100]", self.volume_step_rate
+        )
+
+
+@dataclass(frozen=True)
+class Display:
+    """How linear light becomes the PNG: Blender's colour management."""
+
+    view_transform: Literal["Standard", "Filmic", "AgX"] = "Filmic"
+    look: str = "None"
+    exposure: float = 0.0
+    gamma: float = 1.0
+
+
+@dataclass(frozen=True)
+class BlendFile:
+    """A .blend as the surroundings. Its scene is moved so that an empty of it becomes the origin of our world."""
+
+    path: str
+    """The file; relative to the folder of the spec, or absolute."""
+    empty: str = "Fire"
+    """Name of the empty that marks where the fire burns: its place and its turn about Z; its scale is ignored."""
+
+
+@dataclass(frozen=True)
+class SceneSpec:
+    """Everything that defines a dataset. Only the effects listed here are simulated, rendered and paid for."""
+
+    name: str
+    seed: int = 0
+    clip: Clip = field(default_factory=Clip)
+    domain: Domain = field(default_factory=Domain)
+    fire: Fire = field(default_factory=Fire)
+    cameras: Rig = field(default_factory=Rig)
+    render: Render = field(default_factory=Render)
+    background: Literal["studio", "workshop", "classroom", "cloister", "blend_file"] = "workshop"
+    blend_file: BlendFile | None = None
+    """The user's scene, for the background "blend_file"."""
+    effects: tuple[Any, ...] = ()
+    """Settings objects of modules in ``scene/effects``; in JSON ``{"name": "wind", ...its settings}``."""
+    ground_truth: tuple[Literal["grids", "flow", "vdb"], ...] = ()
+    """What to write beside the velocity: grids (flame, heat, density), flow (optical flow), vdb (OpenVDB per frame)."""
+    display: Display = field(default_factory=Display)
+
+    def __post_init__(self):
+        require(
+            (self.background == "blend_file") == (self.blend_file is not None),
+            "blend_file",
+            'given exactly when background is "blend_file"',
+            self.blend_file,
+        )
+        repeated = len(set(self.ground_truth)) != len(self.ground_truth)
+        require(not repeated, "ground_truth", "listed once each", self.ground_truth)
+        require(bool(self.name) and not set(self.name) & set('/\\:*?"<>|'), "name", "a plain file name", self.name)
+        require(0 <= self.seed < 2**31, "seed", "in [0, 2^31)", self.seed)
+        small = min(self.cameras.sensor_px) * self.render.percentage // 100
+        require(
+            small >= 4,
+            "render.percentage",
+            f"at least {-(-400 // min(self.cameras.sensor_px))} for this sensor",
+            self.render.percentage,
+        )
+        pictures = self.clip.frames * (self.cameras.count + self.cameras.eval_count)
+        require(
+            pictures <= MOST_PICTURES,
+            "clip.frames",
+            f"such that all cameras make at most {MOST_PICTURES} pictures",
+            pictures,
+        )
+        names = self.effect_names
+        require(len(set(names)) == len(names), "effects", "listed once each", names)
+        require(
+            self.first_frame + shutter.first_step(self) >= 1,
+            "clip.warm_up_frames",
+            "long enough for the shutter to open before frame 0",
+            self.clip.warm_up_frames,
+        )
+        require(
+            self.last_frame <= LAST_FRAME,
+            "clip.warm_up_frames",
+            f"such that the solver ends by step {LAST_FRAME}, Blender's last",
+            self.last_frame,
+        )
+        for axis, low, high in zip("xyz", self.domain.min, self.domain.max, strict=True):
+            i = "xyz".index(axis)
+            inside = (
+                low <= self.fire.position[i] - self.fire.half_size[i]
+                and self.fire.position[i] + self.fire.half_size[i] <= high
+            )
+            require(
+                inside,
+                "fire.position",
+                f"such that the emitter lies inside the domain along {axis}",
+                self.fire.position,
+            )
+
+    @property
+    def effect_names(self) -> list[str]:
+        return [effect_modules.name_of(effect) for effect in self.effects]
+
+    @property
+    def fuel(self) -> Fuel:
+        return FUELS[self.fire.fuel]
+
+    @cached_property
+    def steps_per_frame(self) -> int:
+        """Solver steps, which are Blender frames, from one dataset frame to the next: what clip and effects need."""
+        return math.lcm(self.clip.steps_per_frame, *map(effect_modules.steps_per_frame, self.effects))
+
+    @property
+    def steps_per_second(self) -> float:
+        """Blender frames per second of the dataset clock."""
+        return self.clip.fps * self.steps_per_frame
+
+    @property
+    def solver_step_s(self) -> float:
+        """Simulated seconds per solver step."""
+        return self.clip.time_scale / self.steps_per_second
+
+    def blender_frame(self, frame: int) -> int:
+        """Blender frame number of a dataset frame."""
+        return 1 + (self.clip.warm_up_frames + frame) * self.steps_per_frame
+
+    @property
+    def first_frame(self) -> int:
+        """Blender frame number of dataset frame 0."""
+        return self.blender_frame(0)
+
+    @cached_property
+    def last_frame(self) -> int:
+        """Last Blender frame that is simulated: that of the last dataset frame, or what its shutter still sees."""
+        return self.first_frame + max(shutter.last_step(self), (self.clip.frames - 1) * self.steps_per_frame)
+
+    def resolved(self, folder: Path) -> SceneSpec:
+        """This spec with the path of its .blend absolute; a relative one counts from the folder of the spec's file."""
+        return self._with_blend_file((folder / self.blend_file.path).resolve()) if self.blend_file else self
+
+    def relative_to(self, folder: Path) -> SceneSpec:
+        """This spec with the path of its .blend relative if it lies in the folder, so that both can be moved together."""
+        if self.blend_file and (path := Path(self.blend_file.path)).is_relative_to(folder.resolve()):
+            return self._with_blend_file(path.relative_to(folder.resolve()))
+        return self
+
+    def _with_blend_file(self, path: Path) -> SceneSpec:
+        return dataclasses.replace(self, blend_file=dataclasses.replace(self.blend_file, path=path.as_posix()))
+
+    def to_dict(self) -> dict:
+        """The JSON form; ``from_dict(to_dict())`` gives an equal spec."""
+        data = {"schema": SCHEMA, "version": VERSION, **dataclasses.asdict(self)}
+        data["effects"] = [
+            {"name": name, **dataclasses.asdict(effect)}
+            for name, effect in zip(self.effect_names, self.effects, strict=True)
+        ]
+        return json.loads(json.dumps(data))  # tuples become lists, as in a file
+
+    @classmethod
+    def from_dict(cls, data: dict) -> SceneSpec:
+        """Build and check a spec. Raises SpecError for a wrong schema, version, type, name or range."""
+        if not isinstance(data, dict):
+            raise SpecError(f"a scene spec is a JSON object, got {type(data).__name__}")
+        data = dict(data)
+        schema, version = data.pop("schema", None), data.pop("version", None)
+        if schema != SCHEMA or version != VERSION:
+            raise SpecError(f'expected "schema": "{SCHEMA}", "version": {VERSION}, got {schema!r}, version {version!r}')
+        effects = data.pop("effects", [])
+        require(isinstance(effects, list), "effects", "a list", effects)
+        data["effects"] = tuple(_effect_from_dict(item) for item in effects)
+        return records.from_dict(cls, data, "")
+
+    def differences(self, other: SceneSpec) -> list[str]:
+        """Names of the sections in which two specs differ."""
+        mine, theirs = self.to_dict(), other.to_dict()
+        return sorted(name for name in mine if mine[name] != theirs[name])
+
+    def with_preset(self, preset: str) -> SceneSpec:
+        """This spec with the cost-related fields of a preset in PRESETS. Raises SpecError for an unknown name."""
+        require(preset in PRESETS, "preset", f"one of {sorted(PRESETS)}", preset)
+        sections = {
+            name: dataclasses.replace(getattr(self, name), **values) for name, values in PRESETS[preset].items()
+        }
+        return dataclasses.replace(self, **sections)
+
+
+def load(path: str | os.PathLike) -> SceneSpec:
+    """Read a spec from a JSON file; the path of its .blend becomes absolute. Raises SpecError that names the file."""
+    path = Path(path)
+    try:
+        return SceneSpec.from_dict(json.loads(path.read_text(encoding="utf-8"))).resolved(path.parent)
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, SpecError) as error:
+        raise SpecError(f"{path}: {error}") from error
+
+
+def save(spec: SceneSpec, path: str | os.PathLike) -> None:
+    """Write a spec as JSON, atomically; the path of a .blend beside it becomes relative."""
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.tmp")
+    text = json.dumps(spec.relative_to(path.parent).to_dict(), indent=2)
+    temporary.write_text(text + "\n", encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def claim(layout: Layout, spec: SceneSpec) -> None:
+    """Make a folder this spec's, or check that it is.
+
+    Raises SpecError if the folder was made from another spec, or holds other things.
+    """
+    if layout.spec.exists():
+        try:
+            before = load(layout.spec)
+        except SpecError as error:
+            raise SpecError(f"{error}; choose another output folder, or delete {layout.root}") from error
+        if before != spec:
+            raise SpecError(
+                f"{layout.root} was made from another spec ({', '.join(before.differences(spec))} differ); "
+                "choose another output folder, or delete that one"
+            )
+    elif layout.root.is_dir() and any(layout.root.iterdir()):
+        raise SpecError(f"{layout.root} is not empty and holds no spec.json; choose a new output folder")
+    else:
+        layout.root.mkdir(parents=True, exist_ok=True)
+        save(spec, layout.spec)
+
+
+def _effect_from_dict(item: Any) -> Any:
+    require(isinstance(item, dict) and "name" in item, "effects", 'objects like {"name": "wind"}', item)
+    settings = dict(item)
+    name = settings.pop("name")
+    require(name in effect_modules.names(), "effects", f"one of {effect_modules.names()}", name)
+    return records.from_dict(effect_modules.module(name).Settings, settings, f"effects.{name}.")

@@ -1,0 +1,1 @@
+"""Blender processes: one generates a dataset stage by stage, one imports a result."""

@@ -1,0 +1,153 @@
+"""Bring a reconstruction back into the scene it was made from: an animated cloud in a .blend, and one preview frame.
+
+    python -m gof_blender.worker.import_result --result result.npz --dataset DATASET --blend out.blend \\
+        --preview preview.png --frame 5 --camera cam_0
+
+The scene (background, cameras, colour management, clock) is built again from the spec in DATASET/dataset.json, without
+the simulated fire; the Gaussians take its place. The preview is the view that cameras/<camera>/rgb/<frame>.png shows.
+
+Progress goes to standard output as lines ``{"progress": {"stage": "import", "done": 1, "total": 3}}``; what Blender
+prints goes to a log beside the .blend.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import traceback
+from pathlib import Path
+
+from ..pure.io import FileFormatError, gaussians_file
+from ..pure.spec import SceneSpec, SpecError
+
+
+def read_spec(dataset: Path) -> SceneSpec:
+    """The scene spec of a generated dataset.
+
+    Raises:
+        FileFormatError: no dataset there, one without a scene spec, such as a capture, or a broken spec.
+    """
+    file = dataset / "dataset.json"
+    try:
+        description = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FileFormatError(f"{file}: no such file; finish the dataset first (`gof generate`)") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise FileFormatError(f"{file}: not readable as JSON ({error}); generate the dataset again") from None
+    if not isinstance(description, dict) or description.get("schema") != "gof-dataset":
+        raise FileFormatError(f"{file}: not a 'gof-dataset'; point --dataset at a generated dataset")
+    if "spec" not in description:
+        raise FileFormatError(f"{file}: holds no scene spec, so there is no scene to build; use a generated dataset")
+    try:
+        return SceneSpec.from_dict(description["spec"])
+    except SpecError as error:
+        raise FileFormatError(f"{file}: spec: {error}") from None
+
+
+def import_into_scene(cloud: gaussians_file.GaussianCloud, spec: SceneSpec, mode: str):
+    """Replace the open scene by the spec's, with the cloud in place of the fire. Returns the cloud's object."""
+    import bpy
+
+    from ..scene import build, point_cloud
+
+    build.scene(spec)
+    for thing in list(bpy.data.collections["Fire"].objects):
+        bpy.data.objects.remove(thing)
+    return point_cloud.add_point_cloud(cloud, spec.first_frame, mode)
+
+
+def save_blend(path: Path) -> None:
+    """Save the open scene to `path`, atomically."""
+    import bpy
+
+    draft = path.with_name(f".tmp-{path.name}")
+    bpy.ops.wm.save_as_mainfile(filepath=str(draft), copy=True, compress=True, check_existing=False)
+    os.replace(draft, path)
+
+
+def render_preview(path: Path, camera: str, samples: int) -> None:
+    """Render the current frame from a rig camera with Cycles and save it as 8-bit display sRGB, atomically."""
+    import bpy
+
+    scene = bpy.context.scene
+    scene.camera = bpy.data.objects[camera]
+    scene.cycles.samples = samples
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGB", "8"
+    draft = path.with_name(f".tmp-{path.name}")
+    scene.render.filepath = str(draft)
+    bpy.ops.render.render(write_still=True)
+    os.replace(draft, path)
+
+
+def run(args: argparse.Namespace) -> None:
+    outputs = [path for path in (args.blend, args.preview) if path is not None]
+    existing = [path for path in outputs if path.exists()]
+    if existing and not args.overwrite:
+        raise FileFormatError(f"{existing[0]}: exists already; delete it or pass --overwrite")
+    cloud = gaussians_file.load(args.result)
+    spec = read_spec(args.dataset)
+    if not 0 <= args.frame < spec.clip.frames:
+        raise FileFormatError(
+            f"--frame {args.frame}: the dataset {args.dataset} has frames 0 to {spec.clip.frames - 1}"
+        )
+    if args.camera not in spec.cameras.names:
+        raise FileFormatError(f"--camera {args.camera}: the dataset {args.dataset} has {', '.join(spec.cameras.names)}")
+    for path in outputs:
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+    from .generate import Reporter
+
+    progress = Reporter("import", args.blend.with_suffix(".log"))
+    total = 1 + len(outputs)
+    import bpy
+
+    thing = import_into_scene(cloud, spec, args.mode)
+    bpy.context.scene.frame_set(spec.blender_frame(args.frame))
+    progress(1, total)
+    save_blend(args.blend)
+    progress(2, total)
+    if args.preview is not None:
+        render_preview(args.preview, args.camera, args.samples or spec.render.samples)
+        progress(3, total)
+    print(f"{thing.name}: {len(cloud)} Gaussians, {args.mode}")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the import; returns the exit status. A bpy-wheel process must then end through ``mantaflow.leave``."""
+    parser = argparse.ArgumentParser(
+        prog="python -m gof_blender.worker.import_result", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--result", type=Path, required=True, help="result.npz or result.ply")
+    parser.add_argument("--dataset", type=Path, required=True, help="the generated dataset it was reconstructed from")
+    parser.add_argument("--blend", type=Path, required=True, help="file to save the scene with the cloud to")
+    parser.add_argument("--preview", type=Path, help="PNG to render one frame to")
+    parser.add_argument("--frame", type=int, default=0, help="dataset frame of the preview and of the saved scene")
+    parser.add_argument("--camera", default="cam_0", help="rig camera of the preview")
+    parser.add_argument("--mode", choices=("ellipsoids", "points"), default="ellipsoids", help="points render faster")
+    parser.add_argument("--samples", type=int, help="Cycles samples of the preview; default: the dataset's own")
+    parser.add_argument("--overwrite", action="store_true", help="replace existing output files")
+    args = parser.parse_args(argv)
+    for name in ("result", "dataset", "blend", "preview"):
+        if getattr(args, name) is not None:
+            setattr(args, name, getattr(args, name).resolve())
+    try:
+        run(args)
+    except FileFormatError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except Exception:
+        traceback.print_exc()
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    status = main()
+    if "bpy" in sys.modules:
+        from ..scene.mantaflow import leave
+
+        leave(status)
+    sys.exit(status)

@@ -1,0 +1,46 @@
+"""The commands: what each is asked and what it prints. The work is done by the rooms they call.
+
+A package adds commands of its own by an entry point of the group `gof.commands` that names a table like `COMMANDS`.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Command:
+    """One `gof NAME`: where its `main(argv) -> exit status` is, what `gof --help` says, and where it says it."""
+
+    module: str
+    help: str
+    place: int
+    """Commands are listed in this order, which is that of the work."""
+
+
+COMMANDS = {
+    "ingest": Command(
+        "gof.commands.ingest", "videos of a fire -> dataset: fire-free plates, camera poses, frame times", 30
+    ),
+    "background": Command(
+        "gof.reconstruct.background", "the scene without fire as static Gaussians, for views no camera took", 40
+    ),
+    "reconstruct": Command("gof.commands.reconstruct", "three videos -> transient flame Gaussians with velocities", 50),
+    "evaluate": Command(
+        "gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with", 60
+    ),
+    "convert": Command(
+        "gof.io.convert", "any method's result -> .npz, .ply or .ftgs.ply in metres, seconds and m/s", 70
+    ),
+    "leaderboard": Command(
+        "gof.evaluate.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time", 80
+    ),
+    "view": Command(
+        "gof.view", "result in the browser, in 3D with a time slider; also while it is being optimised", 110
+    ),
+    "capture": Command(
+        "gof.commands.capture", "the camera rig: LED board, frame times from footage, calibration, board masks", 120
+    ),
+    "report": Command("gof.report", "pictures, animation, scores and costs on one self-contained HTML page", 130),
+    "doctor": Command(
+        "gof.commands.doctor", "check this machine: Blender, Mantaflow, Dr.Jit, CUDA, OpenEXR, disk, weights", 140
+    ),
+}

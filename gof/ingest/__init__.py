@@ -1,0 +1,1 @@
+"""From videos to a dataset: frame times, fire-free plates, camera poses, depth."""

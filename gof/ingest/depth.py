@@ -1,0 +1,139 @@
+"""From partial stereo to whole depth maps: a monocular estimate or an edge-aware fill, aligned in disparity; the fused point cloud."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gof.cameras import Camera
+from gof.errors import DataFormatError, GofError, MissingDependencyError
+from gof.io.files import atomic_path
+
+
+def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
+    """Relative disparity (H, W) float32, larger = nearer, of an (H, W, 3) uint8 RGB picture by Depth-Anything-V2.
+
+    Args:
+        weights: folder of a Hugging Face checkpoint (config.json, model.safetensors, preprocessor_config.json); nothing is downloaded.
+    Raises:
+        DataFormatError: no checkpoint in the folder.   MissingDependencyError: transformers or torch is not installed.
+    """
+    if not (Path(weights) / "config.json").is_file():
+        raise DataFormatError(
+            f"{weights}: no config.json; give the folder of a Depth-Anything-V2 checkpoint in Hugging Face form, or leave it "
+            "away: the stereo depth is then completed along the picture's edges"
+        )
+    try:
+        import torch
+        from transformers import AutoImageProcessor, AutoModelForDepthEstimation
+    except ImportError as e:
+        raise MissingDependencyError(
+            "monocular depth needs torch and transformers: pip install torch transformers"
+        ) from e
+    processor = AutoImageProcessor.from_pretrained(weights, local_files_only=True)
+    model = AutoModelForDepthEstimation.from_pretrained(weights, local_files_only=True).eval()
+    with torch.no_grad():
+        out = model(**processor(images=picture, return_tensors="pt")).predicted_depth
+    size = picture.shape[:2]
+    return torch.nn.functional.interpolate(out[None], size, mode="bicubic", align_corners=False)[0, 0].numpy()
+
+
+def align(disparity: np.ndarray, depth: np.ndarray, iterations: int = 20) -> tuple[float, float]:
+    """a, b of 1 / depth = a * disparity + b over pixels that have both, by iteratively reweighted (Huber) least squares.
+
+    In disparity, not depth: the monocular network is trained on disparity up to scale and shift, so only there is the relation
+    linear; stereo errors have one size there as well, while in depth far pixels would outweigh all others.
+
+    Args:
+        disparity: (H, W) relative.   depth: (H, W) m, NaN where unknown.
+    Raises:
+        GofError: fewer than 16 pixels have both, the disparity is constant there, or it falls with nearness.
+    """
+    use = np.isfinite(depth) & (depth > 0) & np.isfinite(disparity)
+    if use.sum() < 16:
+        raise GofError(f"only {int(use.sum())} pixels have stereo depth; the monocular depth cannot be aligned to them")
+    x, y = disparity[use].astype(np.float64), 1 / depth[use].astype(np.float64)
+    center, spread = x.mean(), x.std()
+    if spread < 1e-9 * max(abs(center), 1e-300):
+        raise GofError("the monocular depth is constant where stereo depth is known; it cannot be aligned")
+    A = np.column_stack([(x - center) / spread, np.ones_like(x)])
+    weight = np.ones_like(y)
+    for _ in range(iterations):
+        root = np.sqrt(weight)[:, None]
+        solution = np.linalg.lstsq(A * root, y * root[:, 0], rcond=None)[0]
+        error = np.abs(A @ solution - y)
+        scale = 1.4826 * np.median(error)
+        if scale < 1e-9 * np.abs(y).max():
+            break
+        weight = np.minimum(1, 1.345 * scale / np.maximum(error, 1e-300))
+    a = solution[0] / spread
+    if a <= 0:
+        raise GofError("the monocular estimate falls where stereo says nearer; it does not fit this picture")
+    return float(a), float(solution[1] - a * center)
+
+
+def complete(depth: np.ndarray, picture: np.ndarray, smoothness: float = 100.0, edge: float = 12.0) -> np.ndarray:
+    """Depth everywhere: known inverse depths spread over the picture, stopping at its edges; known pixels stay as they are.
+
+    Normalised fast global smoothing (Min et al. 2014), repeated wider until every pixel is reached.
+
+    Args:
+        depth: (H, W) m, NaN where unknown.   picture: (H, W, 3) uint8, the guide.
+        edge: grey levels at which the picture stops the spreading.
+    Raises:
+        GofError: nothing is known.
+    """
+    import cv2
+
+    known = np.isfinite(depth) & (depth > 0)
+    if not known.any():
+        raise GofError("no pixel has stereo depth: do the cameras see the same still things, and are the poses right?")
+    unit = float(np.median(depth[known]))
+    filled = np.where(known, unit / np.where(known, depth, unit), 0).astype(np.float32)
+    weight = known.astype(np.float32)
+    for _ in range(8):
+        smoother = cv2.ximgproc.createFastGlobalSmootherFilter(np.ascontiguousarray(picture), smoothness, edge)
+        total, mass = smoother.filter(filled * weight), smoother.filter(weight)
+        reached = mass > 1e-4
+        result = np.where(reached, total / np.maximum(mass, 1e-4), 0)
+        if reached.all():
+            break
+        smoothness, edge = smoothness * 8, edge * 1.5
+    result = np.where(reached, result, float(np.median(filled[known])))
+    low, high = filled[known].min(), filled[known].max()
+    return np.where(known, depth, unit / np.clip(result, low, high)).astype(np.float32)
+
+
+def whole_depth(stereo: np.ndarray, picture: np.ndarray, weights: Path | None) -> np.ndarray:
+    """Stereo depth where it is known (NaN elsewhere), filled by aligned monocular depth (with `weights`) or by `complete`; (H, W) m."""
+    if weights is None:
+        return complete(stereo, picture)
+    relative = monocular(picture, weights)
+    a, b = align(relative, stereo)
+    known = np.isfinite(stereo)
+    farthest = 2 * float(np.nanmax(stereo))
+    return np.where(known, stereo, 1 / np.maximum(a * relative + b, 1 / farthest)).astype(np.float32)
+
+
+def back_project(depth: np.ndarray, picture: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """World points (N, 3) m and colours (N, 3) uint8 of the pixels with known depth."""
+    rows, columns = np.nonzero(np.isfinite(depth))
+    pixels = np.column_stack([columns + 0.5, rows + 0.5, np.ones(len(rows))])
+    local = pixels @ np.linalg.inv(camera.K).T * depth[rows, columns, None]
+    return (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3], picture[rows, columns]
+
+
+def write_points(path: Path, points: np.ndarray, colors: np.ndarray) -> None:
+    """Binary PLY of points (N, 3) m and colours (N, 3) uint8."""
+    rows = np.empty(
+        len(points),
+        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
+    )
+    for i, name in enumerate(rows.dtype.names):
+        rows[name] = points[:, i] if i < 3 else colors[:, i - 3]
+    kinds = {"<f4": "float", "|u1": "uchar"}
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    header += [f"property {kinds[rows.dtype[n].str]} {n}" for n in rows.dtype.names]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes("\n".join([*header, "end_header\n"]).encode() + rows.tobytes())

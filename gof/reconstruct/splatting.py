@@ -1,0 +1,166 @@
+"""3D Gaussian Splatting of a few fire-free plates, held to their depth maps (paper, "Static Scene").
+
+Loss: 0.8 L1 + 0.2 (1 - SSIM) + w mean |1/D - 1/D_render| z, w falling exponentially from 1 to 0.01: 3DGS' own final weight, 100
+times as much at the start. The depth term is in disparity times the scene's median depth z, which has no unit and is what
+stereo measures evenly. Gaussians are cloned and split where the pictures pull hardest, and none is pruned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import numpy as np
+from drjit.opt import Adam
+from scipy.spatial.transform import Rotation
+
+from gof.cameras import Camera
+from gof.errors import NonFiniteError
+from gof.gaussians import TransientGaussians
+from gof.render import Splats, Target, l1_ssim, render_splats
+from gof.render.backend import Array3f, Array4f, Float
+
+SSIM_WEIGHT = 0.2
+DEPTH_WEIGHT = (1.0, 0.01)  # first and last step; 3DGS' 0.01 at the end, 100 times as much at the start (paper)
+DENSIFY_EVERY, DENSIFY_UNTIL = 100, 0.5  # steps; share of the steps
+PULL = 2e-4  # mean gradient of the centre, in half picture widths, above which a Gaussian is cloned or split (3DGS)
+LARGE = 0.01  # of the scene's size, larger ones are split, smaller ones cloned (3DGS)
+SPLIT_SHRINK = 1.6  # (3DGS)
+RATES = {
+    "position": 1.6e-4,
+    "log_scale": 5e-3,
+    "rotation": 1e-3,
+    "opacity": 0.05,
+    "color": 2.5e-3,
+}  # 3DGS; position times the size
+POSITION_DECAY = 0.01
+
+
+def optimize_background(
+    seeds: TransientGaussians,
+    cameras: list[Camera],
+    plates: list[np.ndarray],
+    depths: list[np.ndarray] | None,
+    steps: int,
+    budget: int,
+    rng: np.random.Generator,
+    progress=lambda done, total, **_: None,
+) -> TransientGaussians:
+    """3D Gaussian Splatting of the plates.
+
+    Args:
+        plates: C x (H, W, 3) display values.   depths: C x (H, W) m, or None for no depth term.
+        budget: densification ends at so many Gaussians.
+    Raises:
+        NonFiniteError: the loss became NaN or Inf.
+    """
+    # 3DGS takes the cameras' spread as the scene's size; three cameras side by side say little, their distance says more.
+    size = float(np.median(np.concatenate([c.to_camera(seeds.position)[:, 2] for c in cameras])))
+    raw = _to_raw(seeds)
+    optimizer = _adam(raw, size)
+    targets = [Target(plate) for plate in plates]
+    disparity = None if depths is None else [Float(np.ascontiguousarray(size / d.ravel(), np.float32)) for d in depths]
+    pull, seen, order = np.zeros(len(seeds)), np.zeros(len(seeds)), []
+    for step in range(steps):
+        if not order:
+            order = rng.permutation(len(plates)).tolist()
+        c, done = order.pop(), step / max(steps - 1, 1)
+        optimizer.set_learning_rate({"position": RATES["position"] * size * POSITION_DECAY**done})
+        frame = render_splats(_splats(optimizer), cameras[c], depth=depths is not None, near=0.01 * size)
+        loss = l1_ssim(frame.color, targets[c], ssim_weight=SSIM_WEIGHT)
+        if disparity is not None:
+            weight = DEPTH_WEIGHT[0] * (DEPTH_WEIGHT[1] / DEPTH_WEIGHT[0]) ** done
+            covered = dr.detach(frame.alpha) > 0.5  # elsewhere the expected depth is of almost nothing
+            rendered = dr.select(covered, size / dr.maximum(frame.expected_depth, 1e-3 * size), disparity[c])
+            loss += weight * dr.mean(dr.abs(rendered - disparity[c]))
+        dr.backward(loss)
+        grows = step < DENSIFY_UNTIL * steps
+        if grows:
+            moved = np.hypot(*np.array(frame.mean2d_grad)) * cameras[c].width / 2
+            drawn = frame.radius.numpy() > 0
+            pull[drawn] += moved[drawn]
+            seen[drawn] += 1
+        optimizer.step()
+        dr.eval(list(optimizer.values()))
+        if (step + 1) % DENSIFY_EVERY == 0:
+            value = float(loss.array[0])
+            if not np.isfinite(value):
+                raise NonFiniteError(
+                    f"step {step}: the loss of the background is {value}; report this dataset as a bug"
+                )
+            if grows and len(pull) < budget:
+                optimizer = _densify(optimizer, pull / np.maximum(seen, 1), size, budget, rng)
+                pull, seen = np.zeros(dr.width(optimizer["opacity"])), np.zeros(dr.width(optimizer["opacity"]))
+            progress(step + 1, steps, note=f"loss {value:.4f}, {len(pull)} Gaussians")
+    return _from_raw(optimizer)
+
+
+def _densify(optimizer: Adam, pull: np.ndarray, size: float, budget: int, rng: np.random.Generator) -> Adam:
+    """Clone small and split large Gaussians that the pictures pull hardest, at most up to the budget; Adam starts anew for them."""
+    g = _from_raw(optimizer)
+    wanted = np.flatnonzero(pull > PULL)
+    wanted = wanted[np.argsort(-pull[wanted], kind="stable")][: budget - len(g)]
+    if not len(wanted):
+        return optimizer
+    child = g[wanted]
+    split = child.scale.max(1) > LARGE * size
+    scale = np.where(split[:, None], child.scale / SPLIT_SHRINK, child.scale)
+    child = replace(child, scale=scale, position=child.position + split[:, None] * _within(child, rng))
+    g.scale[wanted] = scale  # the parent of a split shrinks as its child does, and moves the other way
+    g.position[wanted] += split[:, None] * _within(g[wanted], rng)
+    grown = _adam(_to_raw(TransientGaussians.concatenate([g, child])), size)
+    for name in grown.keys():  # those that were there keep their moments
+        value, promoted, rate, (t, *_, extra) = grown.state[name]
+        _, _, _, (t, m, v, _) = optimizer.state[name]
+        kind, new = type(dr.detach(value)), len(wanted)
+        moments = [kind(np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, new)])) for x in (np.array(m), np.array(v))]
+        grown.state[name] = (value, promoted, rate, (t, *moments, extra))
+    return grown
+
+
+def _within(g: TransientGaussians, rng: np.random.Generator) -> np.ndarray:
+    """(N, 3) a random offset drawn from each Gaussian, m."""
+    return Rotation.from_quat(np.roll(g.rotation, -1, axis=1)).apply(rng.normal(size=(len(g), 3)) * g.scale)
+
+
+def _adam(raw: dict, size: float) -> Adam:
+    optimizer = Adam(lr=1.0, params=raw, epsilon=1e-15)
+    optimizer.set_learning_rate(RATES | {"position": RATES["position"] * size})
+    return optimizer
+
+
+def _splats(raw) -> Splats:
+    color = raw["color"]
+    opacity = 1 / (1 + dr.exp(-raw["opacity"]))
+    return Splats(raw["position"], raw["rotation"], dr.exp(raw["log_scale"]), opacity, [color.x, color.y, color.z])
+
+
+def _to_raw(g: TransientGaussians) -> dict:
+    opacity = np.clip(g.opacity.astype(np.float64), 1e-4, 1 - 1e-4)
+
+    def columns(x: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(x.T, np.float32)
+
+    return {
+        "position": Array3f(columns(g.position)),
+        "log_scale": Array3f(columns(np.log(g.scale))),
+        "rotation": Array4f(columns(g.rotation)),
+        "opacity": Float((np.log(opacity) - np.log1p(-opacity)).astype(np.float32)),
+        "color": Array3f(columns(g.color)),
+    }
+
+
+def _from_raw(raw) -> TransientGaussians:
+    values = {name: np.array(dr.detach(raw[name])) for name in RATES}
+    n = values["opacity"].shape[-1]
+    return TransientGaussians(
+        position=values["position"].T,
+        velocity=np.zeros((n, 3)),
+        t_mu=np.zeros(n),
+        t_sigma=np.full(n, np.inf),
+        scale=np.exp(values["log_scale"].T.astype(np.float64)),
+        rotation=values["rotation"].T,
+        opacity=1 / (1 + np.exp(-values["opacity"].astype(np.float64))),
+        color=values["color"].T,
+        dynamic=np.zeros(n, bool),
+    )

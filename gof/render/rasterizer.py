@@ -1,0 +1,203 @@
+"""Draw Gaussians: projection, binning, blending, in one differentiable call on Dr.Jit arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+
+from gof.cameras import Camera
+from gof.errors import DataFormatError
+from gof.gaussians import TransientGaussians
+from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, opaque
+from gof.render.bins import BLOCK, PAIR_BUDGET, footprints
+from gof.render.blend import Trace, blend
+from gof.render.harmonics import harmonics_color
+from gof.render.project import Lens, project
+from gof.render.scene import Splats, columns, require_finite_splats, transient_state
+from gof.render.shutter import shutter_delay
+
+
+@dataclass
+class Frame:
+    """A drawn image. Planes are row-major (H * W,) and carry gradients to everything in `Splats`."""
+
+    width: int
+    height: int
+    color: list[Float]  # sum w_i c_i + (1 - alpha) background
+    alpha: Float  # sum w_i in [0, 1); alpha + transmittance = 1
+    depth: Float | None  # sum w_i z_i, m, not normalised
+    dynamic_alpha: Float | None  # sum w_i dynamic_i
+    mean2d: Array2f  # (N,) px, detached
+    radius: Float  # (N,) px, 3 sigma along the longer axis; 0 = not drawn
+    trace: Trace
+
+    @property
+    def expected_depth(self) -> Float:
+        """(H * W,) m: depth / alpha, 0 where alpha is below 1e-6."""
+        if self.depth is None:
+            raise DataFormatError("this frame was drawn without depth; call render_splats(..., depth=True)")
+        seen = self.alpha > 1e-6
+        return dr.select(seen, self.depth / dr.select(seen, self.alpha, 1.0), 0.0)
+
+    @property
+    def intersections(self) -> int:
+        """(4x4 block, Gaussian) pairs that were evaluated."""
+        return self.trace.pairs
+
+    @property
+    def mean2d_grad(self) -> Array2f | None:
+        """(N,) dL/d(mean2d) per pixel after `dr.backward`; None before."""
+        t = self.trace
+        return None if t.mean_x_grad is None else Array2f(t.mean_x_grad, t.mean_y_grad)
+
+
+def render_splats(
+    splats: Splats,
+    camera: Camera,
+    background: list | None = None,
+    *,
+    dynamic: Bool | Float | None = None,
+    depth: bool = False,
+    pose: list[Float] | None = None,
+    deterministic: bool = False,
+    pair_budget: int = PAIR_BUDGET,
+    **lens,
+) -> Frame:
+    """Draw Gaussians front to back (3D Gaussian Splatting's image formation), differentiable.
+
+    Args:
+        splats: N Gaussians; gradients flow to every array that has `dr.enable_grad`.
+        camera: pinhole camera; its shutter is not looked at, see `shutter_delay`.
+        background: one float or Float (H * W) per channel; None = black.
+        dynamic: (N,) weight of each Gaussian in `Frame.dynamic_alpha`; drawn in the same pass as the colour.
+        depth: also accumulate camera depth.
+        pose: 12 differentiable values (rows of the 3x4 world-to-camera matrix) that replace the camera's own.
+        deterministic: gradients are summed in a fixed order, so that a run repeats bit for bit (the image always does).
+        pair_budget: above this many (block, Gaussian) pairs the image is drawn in bands, one after another, and its lists
+            are built again for the backward pass; bounds memory, at least one row of blocks is held.
+        lens: near, far, dilation, antialias of `gof.render.project.Lens`.
+    """
+    width, height = camera.width, camera.height
+    if background is not None and len(background) != len(splats.color):
+        raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
+    n_planes = len(splats.color) + int(depth) + int(dynamic is not None) + 1
+    trace = Trace()
+    if len(splats) == 0:
+        planes = [dr.zeros(Float, width * height) for _ in range(n_planes)]
+        dr.enable_grad(planes)  # an empty set has nothing to differentiate, but a training loop may still call backward
+        return _frame(
+            planes, splats, background, width, height, dynamic, depth, Array2f(Float(), Float()), Float(), trace
+        )
+    p = project(splats.position, splats.rotation, splats.scale, splats.opacity, camera, Lens(**lens), pose)
+    channels = list(splats.color)
+    if depth:
+        channels.append(p.depth)
+    if dynamic is not None:
+        channels.append(dr.select(dynamic, Float(1), Float(0)) if isinstance(dynamic, Bool) else dynamic)
+    geometry = [p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity]
+    detached = dr.detach(p)
+    radius = detached.radius
+    dr.eval(geometry, channels, detached, radius)
+    with dr.suspend_grad():
+        shapes = footprints(detached, width, height)
+    planes, alpha = blend(geometry, channels, shapes, trace, deterministic=deterministic, pair_budget=pair_budget)
+    planes = [_crop(v, width, height, shapes.columns) for v in [*planes, alpha]]
+    return _frame(
+        planes,
+        splats,
+        background,
+        width,
+        height,
+        dynamic,
+        depth,
+        Array2f(detached.mean_x, detached.mean_y),
+        radius,
+        trace,
+    )
+
+
+def _frame(planes, splats, background, width, height, dynamic, depth, mean2d, radius, trace) -> Frame:
+    n, alpha = len(splats.color), planes[-1]
+    color = planes[:n]
+    if background is not None:
+        through = 1 - alpha
+        color = [dr.fma(through, b, c) for c, b in zip(color, background, strict=True)]
+    return Frame(
+        width,
+        height,
+        color,
+        alpha,
+        planes[n] if depth else None,
+        planes[n + int(depth)] if dynamic is not None else None,
+        mean2d,
+        radius,
+        trace,
+    )
+
+
+def _crop(plane: Float, width: int, height: int, columns: int) -> Float:
+    """Padded plane (whole blocks) to the image."""
+    if width == columns * BLOCK and len(plane) == width * height:
+        return plane
+    i = dr.arange(UInt, width * height)
+    row = i // width
+    return dr.gather(Float, plane, row * (columns * BLOCK) + (i - row * width), mode=dr.ReduceMode.NoConflicts)
+
+
+def splats_at(gaussians: TransientGaussians, camera: Camera, time_s: float, *, shutter: str = "exact") -> Splats:
+    """State of a reconstruction as a camera sees it at a time, without gradients.
+
+    Args:
+        time_s: seconds on the dataset clock; with a rolling shutter, when the first line is read.
+        shutter: "exact" (delay t(p0) / (1 - grad t . v)), "first order" (t(p0)) or "global". Cameras without a row time
+            cost nothing and are global.
+    """
+    g = gaussians
+    position, velocity = columns(g.position, Array3f), columns(g.velocity, Array3f)
+    # Times relative to the frame, so that float32 resolves microsecond delays late in a long clip.
+    state = [floats(g.t_mu.astype(np.float64) - time_s), floats(g.t_sigma), floats(g.opacity)]
+    dynamic = floats(g.dynamic) > 0
+    seen, opacity = transient_state(position, velocity, *state, 0.0, dynamic)
+    if shutter != "global" and camera.row_time_s > 0 and len(g):
+        delay = shutter_delay(seen, velocity, camera, exact=shutter == "exact")
+        seen, opacity = transient_state(position, velocity, *state, delay, dynamic)
+    if g.color.ndim == 2:
+        color = columns(g.color)
+    else:
+        coefficients = [columns(g.color[:, k]) for k in range(g.color.shape[1])]
+        eye = Array3f(*(opaque(v) for v in camera.position))
+        color = harmonics_color(coefficients, seen, eye, round(len(coefficients) ** 0.5) - 1)
+    return Splats(seen, columns(g.rotation, Array4f), columns(g.scale, Array3f), opacity, color)
+
+
+def render(
+    gaussians: TransientGaussians, camera: Camera, time_s: float, background=None, *, shutter: str = "exact", **lens
+) -> dict[str, np.ndarray]:
+    """A picture of a reconstruction at a time, as numpy arrays, without gradients.
+
+    Args:
+        gaussians: N Gaussians with plain colours or spherical harmonics.
+        time_s, shutter: see `splats_at`.
+        background: (3,) colour or (H, W, 3) image; None = black.
+        lens: near, far, dilation, antialias, min_radius of `gof.render.project.Lens`.
+    Returns:
+        color (H, W, 3), alpha (H, W), depth (H, W) expected camera depth in m (0 where nothing is), dynamic_alpha (H, W).
+    Raises:
+        NonFiniteError: NaN or Inf in the Gaussians.
+    """
+    splats = splats_at(gaussians, camera, time_s, shutter=shutter)
+    require_finite_splats(splats)
+    shape = (camera.height, camera.width)
+    if background is not None:
+        background = np.broadcast_to(np.asarray(background, np.float32), (*shape, 3))
+        background = [floats(background[..., c]) for c in range(3)]
+    frame = render_splats(splats, camera, background, dynamic=floats(gaussians.dynamic), depth=True, **lens)
+    plane = lambda v: np.array(v.numpy()).reshape(shape)  # noqa: E731  a copy: numpy must not alias Dr.Jit's memory
+    return {
+        "color": np.stack([plane(c) for c in frame.color], -1),
+        "alpha": plane(frame.alpha),
+        "depth": plane(frame.expected_depth),
+        "dynamic_alpha": plane(frame.dynamic_alpha),
+    }

@@ -1,0 +1,16 @@
+"""Package names: the folders `benchmark` and `blender_addon` install as `gof_benchmark` and `gof_blender`.
+
+Plain `benchmark` at the top of a user's site-packages would shadow, or be shadowed by, a file of their own.
+"""
+
+from setuptools import find_namespace_packages, setup
+
+FOLDERS = {"gof": "gof", "gof_benchmark": "benchmark", "gof_blender": "blender_addon"}
+
+packages = [
+    name + package.removeprefix(folder)
+    for name, folder in FOLDERS.items()
+    for package in find_namespace_packages(include=[folder, f"{folder}.*"])
+    if "__pycache__" not in package
+]
+setup(packages=packages, package_dir=FOLDERS)

@@ -1,0 +1,101 @@
+"""Static Gaussians of a scene whose pictures and depths are known everywhere, also where no camera stood."""
+
+import numpy as np
+import pytest
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError
+from gof.evaluate.image import psnr
+from gof.gaussians import TransientGaussians
+from gof.reconstruct.background import BackgroundConfig, make_background, plate_depths, seed_background
+from gof.reconstruct.splatting import optimize_background
+from gof.render import render
+from tests.conftest import look_at, write_dataset
+from tests.ingest import scene
+
+BUDGET = 9000
+
+
+@pytest.fixture(scope="module")
+def views():
+    """Cameras, plates and depths at a third of the scene's size, and a view between two cameras."""
+    between = look_at(
+        "between", (3 * np.sin(0.1), -3 * np.cos(0.1), 0.9), (0, 0, 0.6), scene.WIDTH, scene.HEIGHT, scene.FOCAL
+    )
+    result = []
+    for camera in (*scene.cameras(), between):
+        picture, depth = scene.draw(camera)
+        small = (
+            picture[: scene.HEIGHT // 2 * 2].reshape(scene.HEIGHT // 2, 2, scene.WIDTH // 2, 2, 3).mean((1, 3)) / 255
+        )
+        depth = np.where(np.isfinite(depth), depth, 20.0)[::2, ::2]
+        result.append(
+            (camera.scaled(scene.WIDTH // 2, scene.HEIGHT // 2), small.astype(np.float32), depth.astype(np.float32))
+        )
+    return result
+
+
+def fit(views, steps=200, depth_term=True, budget=BUDGET, noise=0.0):
+    cameras, plates, depths = (list(x) for x in zip(*views[:3], strict=True))
+    rng = np.random.default_rng(0)
+    seeds = seed_background(
+        cameras, plates, [d * np.exp(noise * rng.normal(size=d.shape)) for d in depths], budget // 2, rng
+    )
+    return optimize_background(seeds, cameras, plates, depths if depth_term else None, steps, budget, rng)
+
+
+def shown(gaussians, view):
+    camera, plate, depth = view
+    frame = render(gaussians, camera, 0.0, near=0.01)
+    return psnr(np.clip(frame["color"], 0, 1), plate), float(np.median(np.abs(frame["depth"] - depth) / depth))
+
+
+def test_a_view_between_the_cameras(views):
+    gaussians = fit(views)
+    trained, _ = shown(gaussians, views[0])
+    between, depth_error = shown(gaussians, views[3])
+    assert trained > 25 and between > 25 and depth_error < 0.01
+    assert not gaussians.dynamic.any() and np.isinf(gaussians.t_sigma).all()
+    assert BUDGET // 2 < len(gaussians) <= BUDGET, "it grows where pictures pull, up to the budget; nothing is pruned"
+
+
+def test_the_depth_term_holds_the_geometry(views):
+    """Seeds of 10 % depth noise: pictures alone are matched with it, the depth maps pull them back."""
+    _, held = shown(fit(views, noise=0.1), views[3])
+    _, free = shown(fit(views, noise=0.1, depth_term=False), views[3])
+    assert held < 0.75 * free
+
+
+def test_from_a_dataset_with_the_flame_added(views, tmp_path, gaussians):
+    cameras, plates, depths = (list(x) for x in zip(*views[:3], strict=True))
+    folder = write_dataset(tmp_path / "data", cameras, np.stack([plates, plates]), plates, [0.0, 0.1])
+    (folder / "depth").mkdir()
+    for camera, depth in zip(cameras, depths, strict=True):
+        np.save(folder / "depth" / f"{camera.name}.npy", depth)
+    flame = tmp_path / "flame.npz"
+    gaussians.save(flame, source="test")
+    config = BackgroundConfig(folder, tmp_path / "out", steps=20, gaussians=3000, flame=flame)
+    result = make_background(config)
+    background = TransientGaussians.load(result)
+    scene_file = TransientGaussians.load(tmp_path / "out" / "scene.npz")
+    assert (
+        len(scene_file) == len(background) + len(gaussians)
+        and (scene_file.dynamic == np.concatenate([background.dynamic, gaussians.dynamic])).all()
+    )
+    stamp = result.stat().st_mtime_ns
+    make_background(config)
+    assert result.stat().st_mtime_ns == stamp, "what is finished is kept"
+
+
+def test_without_depth_maps_stereo_is_used_and_bad_maps_are_named(views, tmp_path):
+    cameras, plates, depths = (list(x) for x in zip(*views[:3], strict=True))
+    folder = write_dataset(tmp_path / "data", cameras, np.stack([plates]), plates, [0.0])
+    dataset = Dataset.open(folder)
+    found = plate_depths(dataset, [dataset.static(c) for c in range(3)], None)
+    error = np.abs(found[1] - depths[1]) / depths[1]
+    assert np.median(error) < 0.05 and all(np.isfinite(d).all() for d in found)
+    (folder / "depth").mkdir()
+    for camera, depth in zip(cameras, depths, strict=True):
+        np.save(folder / "depth" / f"{camera.name}.npy", np.where(depth > np.median(depth), np.nan, depth))
+    with pytest.raises(DataFormatError, match="positive depths"):
+        plate_depths(dataset, plates, None)

@@ -1,0 +1,210 @@
+"""Plates, footage, clocks, and the whole command on a small drawn fire."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from gof.commands.ingest import StaticConfig, make_dataset
+from gof.dataset import Dataset
+from gof.errors import DataFormatError, GofError
+from gof.footage import first_frame
+from gof.ingest import plates
+from gof.ingest.footage import read_clip
+from gof.ingest.frame_times import read_clock
+from gof.ingest.sfm import PoseError
+from gof.lens import Lens, prepare
+from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
+
+
+def burning(picture: np.ndarray, frames: int, centre, seed=0, noise=0.0) -> np.ndarray:
+    """(T, H, W, 3) uint8: an orange spot that wanders around `centre`; every pixel is free of it in some frame."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    clip = []
+    for k in range(frames):
+        cx, cy = centre[0] + 8 * np.sin(2 * np.pi * k / frames), centre[1] - 20 * (k / frames - 0.5) * 2
+        glow = np.exp(-0.5 * (((x - cx) / 5) ** 2 + ((y - cy) / 7) ** 2))[..., None]
+        clip.append(np.clip(picture + glow * [230, 140, 20] + rng.normal(0, noise, picture.shape), 0, 255))
+    return np.uint8(np.rint(clip))
+
+
+def psnr(a, b):
+    return 10 * np.log10(255**2 / np.mean((a.astype(float) - b) ** 2))
+
+
+def test_plates_remove_fire_and_steady_has_no_noise_bias():
+    truth = draw(cameras()[0])[0]
+    clip = burning(truth, 40, (110, 170), noise=3)
+    low = plates.rank(clip, 0.0)
+    steady = plates.steady(clip, low)
+    burnt = plates.fire_reached(clip, low)
+    assert burnt[170, 110] and burnt.mean() < 0.2
+    assert psnr(np.median(clip, 0)[burnt], truth[burnt]) < psnr(low[burnt], truth[burnt])
+    np.testing.assert_array_equal(low[160:180, 105:115], steady[160:180, 105:115])
+    assert (low.astype(float) - truth)[~burnt].mean() < -2 and abs((steady.astype(float) - truth)[~burnt].mean()) < 0.8
+    assert psnr(steady, truth) > psnr(low, truth) + 3
+
+
+def test_one_frame_and_ranks():
+    stack = np.arange(5, dtype=np.uint8)[::-1, None, None, None] * np.ones((1, 2, 3, 3), np.uint8)
+    assert (
+        (plates.rank(stack, 0) == 0).all()
+        and (plates.rank(stack, 0.5) == 2).all()
+        and (plates.rank(stack, 1) == 4).all()
+    )
+    assert (plates.darkest(stack, 0.4) == np.rint(0.5)).all()
+    assert (plates.rank(stack[:1], 0.3) == 4).all() and (plates.darkest(stack[:1], 0.01) == 4).all()
+
+
+@pytest.mark.parametrize("turn", ["none", "clockwise", "counterclockwise"])
+def test_turning_keeps_points_on_their_rays(turn):
+    """A spot in the stored picture, undistorted and turned, lies where the turned pinhole projects its ray."""
+    lens = Lens(
+        200,
+        120,
+        np.array([[150, 0, 96.0], [0, 152, 63], [0, 0, 1]]),
+        np.array([-0.25, 0.05, 0.001, -0.001, 0]),
+    )
+    ray = np.array([0.32, -0.21, 1.0])
+    K = lens.K.copy()
+    K[:2, 2] -= 0.5
+    pixel = cv2.projectPoints(ray[None], np.zeros(3), np.zeros(3), K, lens.distortion)[0][0, 0]
+    y, x = np.mgrid[:120, :200]
+    spot = np.exp(-0.5 * ((x - pixel[0]) ** 2 + (y - pixel[1]) ** 2) / 4)
+    out = prepare(np.uint8(255 * spot)[..., None].repeat(3, -1), lens, turn)[..., 0].astype(float)
+    upright = lens.turned(turn)
+    assert out.shape == (upright.height, upright.width)
+    turned_ray = {"none": ray, "clockwise": [-ray[1], ray[0], 1], "counterclockwise": [ray[1], -ray[0], 1]}[turn]
+    expected = (upright.K @ turned_ray)[:2]
+    rows, columns = np.mgrid[: out.shape[0], : out.shape[1]] + 0.5
+    found = [(out * columns).sum() / out.sum(), (out * rows).sum() / out.sum()]
+    np.testing.assert_allclose(found, expected, atol=0.15)
+
+
+def times_file(path, offsets_us, frames=20, row_us=4.0, readout="left"):
+    entries = [
+        {
+            "name": f"cam_{c}",
+            "width": 100,
+            "height": 200,
+            "row_time_us": row_us,
+            "readout": readout,
+            "frames": [{"time_s": 7 + 1e-6 * (o + 2500 * k)} for k in range(frames)],
+        }
+        for c, o in enumerate(offsets_us)
+    ]
+    path.write_text(json.dumps({"schema": "gof-times", "version": 1, "cameras": entries}))
+    return entries
+
+
+def test_measured_clock_pairs_nearest_frames(tmp_path):
+    path = tmp_path / "times.json"
+    times_file(path, [0, -6000, 3200])
+    clock = read_clock(path, None, [20] * 3, 0, None)
+    # Camera 2 starts 3.2 ms late: its first frame pairs with camera 0's frame 1.
+    assert [r.start for r in clock.frames] == [1, 3, 0] and {len(r) for r in clock.frames} == {17}
+    starts = np.array([t[0] for t in clock.time_s])
+    np.testing.assert_allclose(starts, [0, -1e-3, 0.7e-3], atol=1e-9)
+    np.testing.assert_allclose(np.diff(clock.time_s[2]), 2.5e-3, atol=1e-9)
+    assert clock.row_time_s == pytest.approx([4e-6] * 3) and clock.readout == ["left"] * 3
+    assert clock.turned("clockwise").readout == ["up"] * 3 and clock.turned("counterclockwise").readout == ["down"] * 3
+
+
+def test_clock_errors_say_what_to_do(tmp_path):
+    path = tmp_path / "times.json"
+    entries = times_file(path, [0, 100])
+    with pytest.raises(GofError, match=r"--times.*--fps"):
+        read_clock(None, None, [20, 20], 0, None)
+    with pytest.raises(DataFormatError, match="3 videos"):
+        read_clock(path, None, [20] * 3, 0, None)
+    with pytest.raises(DataFormatError, match="20 frames, its video 19"):
+        read_clock(path, None, [20, 19], 0, None)
+    with pytest.raises(GofError, match="0 frames are left"):
+        read_clock(None, 100.0, [20, 20], 20, None)
+    for k in range(10, 20):
+        entries[1]["frames"][k]["time_s"] += 2.5e-3
+    path.write_text(json.dumps({"schema": "gof-times", "version": 1, "cameras": entries}))
+    with pytest.raises(DataFormatError, match=r"cam_1.*drops frames at 9"):
+        read_clock(path, None, [20, 20], 0, None)
+    entries[1] = {"name": "cam_1", "error": "marker not found"}
+    path.write_text(json.dumps({"schema": "gof-times", "version": 1, "cameras": entries}))
+    with pytest.raises(DataFormatError, match="marker not found"):
+        read_clock(path, None, [20, 20], 0, None)
+
+
+def footage(folder, rig, frames=10):
+    centres = [c.project(np.array([[0.0, 0.0, 0.7]]))[0][0] for c in rig]
+    for c, camera in enumerate(rig):
+        (folder / f"view{c}").mkdir(parents=True)
+        for k, frame in enumerate(burning(draw(camera)[0], frames, centres[c])):
+            cv2.imwrite(str(folder / f"view{c}" / f"{k:03d}.png"), frame[..., ::-1])
+    return [folder / f"view{c}" for c in range(len(rig))]
+
+
+def test_command_makes_a_dataset_with_true_poses(tmp_path):
+    pytest.importorskip("pycolmap")
+    rig = cameras()
+    videos = footage(tmp_path, rig)
+    fov = float(np.rad2deg(2 * np.arctan(WIDTH / 2 / FOCAL)))
+    baseline = float(np.linalg.norm(rig[2].position - rig[0].position))
+    config = StaticConfig(videos, tmp_path / "set", fov=fov, fps=100.0, width=120, baseline_m=baseline, board="none")
+    dataset = Dataset.open(make_dataset(config))
+    assert (dataset.cameras[0].width, dataset.cameras[0].height) == (120, 160) and dataset.test_frames == [4]
+    assert dataset.times_s[3] == pytest.approx(0.03) and dataset.cameras[0].K[0, 0] == pytest.approx(FOCAL / 2)
+    angle, shift = pose_errors([c.world_to_camera for c in dataset.cameras], [c.world_to_camera for c in rig])
+    assert angle < 0.4 and shift < 0.03
+    assert np.linalg.norm(dataset.cameras[2].position - dataset.cameras[0].position) == pytest.approx(baseline)
+    plate = cv2.resize(draw(rig[1])[0], (120, 160), interpolation=cv2.INTER_AREA)
+    assert psnr(255 * dataset.static(1), plate) > 30
+    assert 0.001 < dataset.mask(0, 2).mean() < 0.2
+    with pytest.raises(GofError, match="already holds"):
+        make_dataset(config)
+
+
+def test_poses_that_cannot_be_solved_say_so_per_camera(tmp_path):
+    pytest.importorskip("pycolmap")
+    rig = cameras()
+    videos = footage(tmp_path, rig, frames=3)
+    blank = np.full((HEIGHT, WIDTH, 3), 80, np.uint8)
+    for file in videos[2].iterdir():
+        cv2.imwrite(str(file), blank)
+    with pytest.raises(PoseError, match=r"(?s)not registered: .*cam_2.*cam_2: 0 features.*--points"):
+        make_dataset(StaticConfig(videos, tmp_path / "set", fov=50.0, fps=100.0))
+    assert not (tmp_path / "set" / "dataset.json").exists()
+
+
+def test_known_cameras_are_taken_as_they_are(tmp_path):
+    rig = cameras()
+    videos = footage(tmp_path, rig, frames=3)
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps({"cameras": [c.to_dict() for c in rig]}))
+    dataset = Dataset.open(
+        make_dataset(StaticConfig(videos, tmp_path / "set", cameras=path, fps=50.0, board="none", depth=True))
+    )
+    for c, camera in enumerate(rig):
+        found, truth = np.load(tmp_path / "set" / "depth" / f"cam_{c}.npy"), draw(camera)[1]
+        seen = np.isfinite(truth)
+        assert np.isfinite(found).all() and (np.abs(found - truth)[seen] < 0.05 * truth[seen]).mean() > 0.75
+    assert (tmp_path / "set" / "points.ply").stat().st_size > 3 * HEIGHT * WIDTH * 15
+    for got, camera in zip(dataset.cameras, rig, strict=True):
+        np.testing.assert_allclose(got.world_to_camera, camera.world_to_camera)
+
+
+def test_footage_errors(tmp_path):
+    with pytest.raises(DataFormatError, match="no such video"):
+        first_frame(tmp_path / "none.mp4")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataFormatError, match="no pictures"):
+        first_frame(tmp_path / "empty")
+    cv2.imwrite(str(tmp_path / "empty" / "0.png"), np.zeros((4, 6, 3), np.uint8))
+    lens = Lens.from_fov(6, 4, 40)
+    with pytest.raises(DataFormatError, match="has 1 frames, 2"):
+        read_clip(tmp_path / "empty", lens, "none", range(2))
+    with pytest.raises(DataFormatError, match="6x4, the lens is given for 5x4"):
+        read_clip(tmp_path / "empty", Lens.from_fov(5, 4, 40), "none", range(1))
+    with pytest.raises(DataFormatError, match="between 0 and 180"):
+        Lens.from_fov(6, 4, 180)
+    with pytest.raises(DataFormatError, match="camera 0"):
+        Lens.from_dict({"width": 4, "height": 4, "K": [[1, 0], [0, 1]]}, "camera 0")
