@@ -53,7 +53,7 @@ def only_run_in(folder: Path) -> Iterator[None]:
 def write_json(path: Path, value: Any) -> None:
     """Write JSON atomically; NaN and Inf are refused, because other readers reject them."""
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
+        temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> Any:
@@ -63,7 +63,7 @@ def read_json(path: Path) -> Any:
         DataFormatError: the file is absent or is not JSON (names it).
     """
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as e:
         raise DataFormatError(f"{path}: no such file") from e
     except OSError as e:

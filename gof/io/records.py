@@ -1,0 +1,55 @@
+"""Records: what crosses a room, a process or the disk as JSON is one frozen dataclass with one reader and one writer.
+
+A record is a frozen dataclass with class variables `SCHEMA` and `VERSION`; its file is a JSON object of its fields beside
+`"schema"` and `"version"`. Fields are checked against their types on reading, so a wrong file fails at the door and by name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import msgspec
+
+from gof.errors import DataFormatError
+from gof.io.files import read_json, write_json
+
+
+class Record(Protocol):
+    SCHEMA: ClassVar[str]
+    VERSION: ClassVar[int]
+
+
+R = TypeVar("R", bound=Record)
+
+
+def to_json(record: Record) -> dict[str, Any]:
+    """The JSON form of a record: its fields under its schema and version; tuples become lists."""
+    return {"schema": record.SCHEMA, "version": record.VERSION} | msgspec.to_builtins(asdict(record))
+
+
+def from_json(kind: type[R], data: Any, source: str | Path) -> R:
+    """Build a record from its JSON form; fields this version does not know are left aside.
+
+    Args:
+        source: what to name in errors, usually the file.
+    Raises:
+        DataFormatError: another schema or version, a missing field, a field of the wrong type (names it).
+    """
+    if not isinstance(data, dict) or data.get("schema") != kind.SCHEMA or data.get("version") != kind.VERSION:
+        raise DataFormatError(f"{source}: not schema '{kind.SCHEMA}' version {kind.VERSION}")
+    try:
+        return msgspec.convert(data, kind)
+    except msgspec.ValidationError as e:
+        raise DataFormatError(f"{source}: {e} ($ is the whole file)") from e
+
+
+def read_record(kind: type[R], path: Path) -> R:
+    """Read a record's file. Raises DataFormatError as `from_json`, or when the file is absent or not JSON."""
+    return from_json(kind, read_json(path), path)
+
+
+def write_record(path: Path, record: Record) -> None:
+    """Write a record's file atomically; NaN and Inf are refused (None says "undefined")."""
+    write_json(path, to_json(record))
