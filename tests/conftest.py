@@ -1,6 +1,5 @@
 """Shared test material, all made here: small Gaussians, a small camera arc, and a dataset folder by the contract."""
 
-import json
 from pathlib import Path
 
 import cv2
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 
 from gof.cameras import Camera
+from gof.dataset import CameraEntry, DatasetDescription, Splits
 from gof.fields import VelocityField, VelocitySequence
 from gof.gaussians import TransientGaussians
 
@@ -55,7 +55,7 @@ def gaussians() -> TransientGaussians:
 
 
 def write_dataset(folder: Path, cameras, images, statics, times_s, fields=None, masks=None, test_frames=()) -> Path:
-    """A dataset folder by docs/formats.md. images (T, C, H, W, 3), statics (C, H, W, 3) display values, masks (T, C, H, W)."""
+    """A dataset folder. images (T, C, H, W, 3) and statics (C, H, W, 3) are display values, masks (T, C, H, W)."""
 
     def write(path: Path, image):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -64,36 +64,29 @@ def write_dataset(folder: Path, cameras, images, statics, times_s, fields=None, 
 
     entries = []
     for c, camera in enumerate(cameras):
-        entry = camera.to_dict() | {
-            "role": "train",
-            "roll_deg": 0,
-            "rgb": f"cameras/{camera.name}/rgb/{{frame:06d}}.png",
-            "static": f"static/{camera.name}.png",
-        }
-        if masks is not None:
-            entry["mask"] = f"cameras/{camera.name}/mask/{{frame:06d}}.png"
+        files = f"cameras/{camera.name}"
+        entry = CameraEntry.of(
+            camera,
+            rgb=f"{files}/rgb/{{frame:06d}}.png",
+            static=f"static/{camera.name}.png",
+            mask=None if masks is None else f"{files}/mask/{{frame:06d}}.png",
+        )
         entries.append(entry)
-        write(folder / entry["static"], statics[c])
+        write(folder / entry.static, statics[c])
         for k in range(len(times_s)):
-            write(folder / entry["rgb"].format(frame=k), images[k][c])
+            write(folder / entry.rgb.format(frame=k), images[k][c])
             if masks is not None:
-                write(folder / entry["mask"].format(frame=k), masks[k][c].astype(float))
+                write(folder / entry.mask.format(frame=k), masks[k][c].astype(float))
     if fields is not None:
         VelocitySequence.create(folder / "velocity.zarr", fields)
     train = [k for k in range(len(times_s)) if k not in test_frames]
-    meta = {
-        "schema": "gof-dataset",
-        "version": 1,
-        "name": folder.name,
-        "spec": {},
-        "effects": [],
-        "time_s": list(map(float, times_s)),
-        "cameras": entries,
-        "splits": {"train": train, "test": list(test_frames)},
-        "velocity": "velocity.zarr" if fields is not None else None,
-        "provenance": {},
-    }
-    (folder / "dataset.json").write_text(json.dumps(meta))
+    DatasetDescription(
+        name=folder.name,
+        time_s=tuple(map(float, times_s)),
+        cameras=tuple(entries),
+        splits=Splits(tuple(train), tuple(test_frames)),
+        velocity="velocity.zarr" if fields is not None else None,
+    ).write(folder)
     return folder
 
 

@@ -1,7 +1,8 @@
 """Records: what crosses a room, a process or the disk as JSON is one frozen dataclass with one reader and one writer.
 
-A record is a frozen dataclass with class variables `SCHEMA` and `VERSION`; its file is a JSON object of its fields beside
-`"schema"` and `"version"`. Fields are checked against their types on reading, so a wrong file fails at the door and by name.
+A record is a frozen dataclass with class variables `SCHEMA` and `VERSION`; its file is a JSON object of its fields
+beside `"schema"` and `"version"`. Fields are checked against their types on reading, so that a wrong file fails at the
+door, and by name.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ def from_json(kind: type[R], data: Any, source: str | Path) -> R:
         raise DataFormatError(f"{source}: not schema '{kind.SCHEMA}' version {kind.VERSION}")
     try:
         return msgspec.convert(data, kind)
-    except msgspec.ValidationError as e:
-        raise DataFormatError(f"{source}: {e} ($ is the whole file)") from e
+    except (msgspec.ValidationError, DataFormatError) as e:  # of a field; of the record's own checks
+        raise DataFormatError(f"{source}: {e}") from e
 
 
 def read_record(kind: type[R], path: Path) -> R:

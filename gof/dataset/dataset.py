@@ -1,0 +1,164 @@
+"""Opening a dataset folder: its cameras, times and pictures, and the true velocity."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from gof.cameras import Camera
+from gof.dataset.description import FILE, CameraEntry, DatasetDescription
+from gof.errors import DataFormatError
+from gof.fields import VelocitySequence
+
+FRAME = re.compile(r"\{frame(?::0?([1-9])d)?\}")  # all of Python's format language that file names may use
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A capture or a benchmark scene. Frames and cameras are numbered from 0; images are read when asked for.
+
+    Attributes:
+        path: the folder.
+        description: what dataset.json says.
+        cameras: the reconstruction's cameras (role "train"), in file order.
+        times_s: (T,) float64 frame times on the dataset clock.
+    """
+
+    path: Path
+    description: DatasetDescription
+    cameras: list[Camera]
+    times_s: np.ndarray
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Dataset:
+        """Read `folder/dataset.json`.
+
+        Raises:
+            DataFormatError: no dataset there, another schema or version, a missing or malformed field.
+        """
+        folder = Path(folder)
+        description = DatasetDescription.read(folder)
+        cameras = [entry.camera() for entry in description.cameras if entry.role == "train"]
+        return cls(folder, description, cameras, np.asarray(description.time_s, np.float64))
+
+    def evaluation_view(self) -> Dataset | None:
+        """The same dataset seen by its cameras of role "eval", for novel views; None when it has none."""
+        cameras = [entry.camera() for entry in self.description.cameras if entry.role == "eval"]
+        return replace(self, cameras=cameras) if cameras else None
+
+    @property
+    def train_frames(self) -> list[int]:
+        return list(self.description.splits.train)
+
+    @property
+    def test_frames(self) -> list[int]:
+        """Held-out frames: neither their pictures nor flow from or to them may be used by a method."""
+        return list(self.description.splits.test)
+
+    @property
+    def frame_time_s(self) -> float:
+        """Median time between two frames; 0 for a single frame."""
+        return float(np.median(np.diff(self.times_s))) if len(self.times_s) > 1 else 0.0
+
+    def camera_times_s(self, camera: int) -> np.ndarray:
+        """(T,) float64 s: when this camera's frames start (its first line is read), on the dataset clock.
+
+        Cameras that are not triggered together have a `time_s` of their own in dataset.json; the others keep the common
+        clock.
+        """
+        own = self._entry(camera).time_s
+        return self.times_s if own is None else np.asarray(own, np.float64)
+
+    def name(self, camera: int, kind: str, frame: int = 0) -> str:
+        """Name of a camera's file for a frame, relative to the dataset.
+
+        Args:
+            kind: "rgb", "exr", "mask", "static", "flow" or "board_mask".
+        Raises:
+            DataFormatError: the camera has no such files.
+        """
+        entry = self._entry(camera)
+        pattern = getattr(entry, kind)
+        if pattern is None:
+            raise DataFormatError(f"{self.path}/{FILE}: camera '{entry.name}' has no '{kind}' files")
+        return FRAME.sub(lambda m: f"{frame:0{m[1] or 1}d}", pattern)
+
+    def file(self, camera: int, kind: str, frame: int = 0) -> Path:
+        """Path of a file; see `name`. Raises DataFormatError: no such kind, or a path that leaves the dataset."""
+        return self._inside(self.name(camera, kind, frame))
+
+    def image(self, camera: int, frame: int) -> np.ndarray:
+        """(H, W, 3) float32 display sRGB in [0, 1]."""
+        return self._read(self.file(camera, "rgb", frame), camera)
+
+    def static(self, camera: int) -> np.ndarray:
+        """(H, W, 3) float32 display sRGB in [0, 1]: the same view without fire."""
+        return self._read(self.file(camera, "static"), camera)
+
+    def mask(self, camera: int, frame: int) -> np.ndarray | None:
+        """(H, W) float32 in [0, 1], 1 where flame is visible (ground truth); None when the dataset has no masks."""
+        if self._entry(camera).mask is None:
+            return None
+        return self._read(self.file(camera, "mask", frame), camera)[..., 0]
+
+    def board_weight(self, camera: int) -> np.ndarray | None:
+        """(H, W) float32 in [0, 1]: what a pixel counts for in scores: 0 on the board, soft at its edge (1 - mask).
+
+        The board's LEDs are lit by the rig, not by the fire. None when the camera has no "board_mask": all count.
+        """
+        if self._entry(camera).board_mask is None:
+            return None
+        return 1 - self._read(self.file(camera, "board_mask"), camera)[..., 0]
+
+    @property
+    def has_velocity(self) -> bool:
+        """Whether the true velocity is known (never of a real capture)."""
+        return self.description.velocity is not None
+
+    @cached_property
+    def velocity(self) -> VelocitySequence:
+        """Ground-truth velocity over time.
+
+        Raises:
+            DataFormatError: the dataset has none (a real capture), or the store cannot be read.
+        """
+        if self.description.velocity is None:
+            raise DataFormatError(f"{self.path}: has no ground-truth velocity (a real capture?)")
+        return VelocitySequence.open(self._inside(self.description.velocity))
+
+    def _inside(self, name: str) -> Path:
+        """A path in the dataset, by its name in dataset.json, which may come from anybody."""
+        try:
+            path = (self.path / name).resolve()
+            path.exists()  # asks the file system whether there can be such a name
+        except (OSError, ValueError) as e:  # too long, a zero byte
+            raise DataFormatError(f"{self.path}/{FILE}: {name[:80]!r} cannot be a file name") from e
+        if not path.is_relative_to(self.path.resolve()):
+            raise DataFormatError(f"{self.path}/{FILE}: '{name[:80]}' points outside the dataset")
+        return path
+
+    def _entry(self, camera: int) -> CameraEntry:
+        name = self.cameras[camera].name
+        return next(entry for entry in self.description.cameras if entry.name == name)
+
+    def _read(self, path: Path, camera: int) -> np.ndarray:
+        import cv2
+
+        if not path.is_file():
+            raise DataFormatError(f"{path}: no such file")
+        try:
+            image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        except cv2.error:  # a header that announces more than 2^30 pixels
+            image = None
+        if image is None:
+            raise DataFormatError(f"{path}: cannot be decoded; delete it and resume the generation")
+        expected = self.cameras[camera].height, self.cameras[camera].width
+        if image.shape[:2] != expected:
+            raise DataFormatError(
+                f"{path}: is {image.shape[1]}x{image.shape[0]}, the camera says {expected[1]}x{expected[0]}"
+            )
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.float32) / 255
