@@ -1,0 +1,145 @@
+"""dataset.json: what a dataset says of itself. The one place of the library that knows its fields (docs/formats.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from gof.cameras import Camera
+from gof.errors import DataFormatError
+from gof.io.records import read_record, write_record
+
+FILE = "dataset.json"
+TEST_EVERY, TEST_FIRST = 8, 4  # every 8th frame is held out (paper, "Results"), from the fifth on
+
+
+@dataclass(frozen=True)
+class Splits:
+    """Frame numbers, each in increasing order: what a method may learn from, and what it is scored on."""
+
+    train: tuple[int, ...]
+    test: tuple[int, ...]
+
+
+def held_out(count: int) -> Splits:
+    """The splits of a clip of `count` frames by the paper's rule."""
+    test = tuple(range(TEST_FIRST, count, TEST_EVERY))
+    return Splits(tuple(k for k in range(count) if k not in test), test)
+
+
+@dataclass(frozen=True)
+class CameraEntry:
+    """One camera of dataset.json. File names are relative to the dataset; patterns hold `{frame:06d}`.
+
+    Attributes:
+        name, width, height, K, world_to_camera, row_time_s, readout: see `gof.cameras.Camera`.
+        role: "train", or "eval" for novel views that no method may learn from.
+        roll_deg: by how much the camera was turned about its axis; pictures are stored upright.
+        rgb: pattern of display sRGB pictures.     static: the same view without fire.
+        mask: pattern of pictures, 255 where flame is.     exr: pattern of linear pictures.
+        flow: pattern of true optical flow.
+        board_mask: picture, 255 on the LED board.
+        time_s: the camera's own frame times on the dataset clock, s; None = the dataset's.
+    """
+
+    name: str
+    width: int
+    height: int
+    K: tuple[tuple[float, ...], ...]
+    world_to_camera: tuple[tuple[float, ...], ...]
+    row_time_s: float = 0.0
+    readout: str = "down"
+    role: Literal["train", "eval"] = "train"
+    roll_deg: float = 0.0
+    rgb: str | None = None
+    static: str | None = None
+    mask: str | None = None
+    exr: str | None = None
+    flow: str | None = None
+    board_mask: str | None = None
+    time_s: tuple[float, ...] | None = None
+
+    @classmethod
+    def of(cls, camera: Camera, **fields: Any) -> CameraEntry:
+        """The entry of a camera; `fields` are those that a `Camera` does not have."""
+        return cls(**camera.to_dict(), **fields)
+
+    def camera(self) -> Camera:
+        """Raises DataFormatError or NonFiniteError: the matrices are not a camera's."""
+        return Camera(self.name, self.width, self.height, self.K, self.world_to_camera, self.row_time_s, self.readout)
+
+
+@dataclass(frozen=True)
+class DatasetDescription:
+    """dataset.json.
+
+    Attributes:
+        name: of the scene or the capture.
+        time_s: (T,) frame times on the dataset clock, s, strictly increasing.
+        cameras: those of role "train" and "eval"; names differ.
+        splits: which frames are for training, which are held out.
+        velocity: name of the store of true velocities; None for a real capture.
+        spec: the scene spec it was generated from, as JSON; None for a real capture.
+        effects: names of the effects that were simulated.
+        provenance: what made it, in words and numbers.
+
+    Raises:
+        DataFormatError: times do not increase, a camera's own times have another length, a split names a frame there is
+            not, two cameras share a name, or no camera is for training.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-dataset"
+    VERSION: ClassVar[int] = 1
+
+    name: str
+    time_s: tuple[float, ...]
+    cameras: tuple[CameraEntry, ...]
+    splits: Splits
+    velocity: str | None = None
+    spec: dict[str, Any] | None = None
+    effects: tuple[str, ...] = ()
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        count = len(self.time_s)
+        if not _increasing(self.time_s):
+            raise DataFormatError("time_s must be a non-empty, strictly increasing list of seconds")
+        if not any(entry.role == "train" for entry in self.cameras):
+            raise DataFormatError("no camera with role 'train'")
+        if len({entry.name for entry in self.cameras}) < len(self.cameras):
+            raise DataFormatError("two cameras have the same name")
+        for name, frames in (("train", self.splits.train), ("test", self.splits.test)):
+            if not all(0 <= k < count for k in frames):
+                raise DataFormatError(f"splits.{name} must list frame numbers below {count}")
+        for entry in self.cameras:
+            if entry.time_s is not None and not (len(entry.time_s) == count and _increasing(entry.time_s)):
+                raise DataFormatError(
+                    f"camera '{entry.name}': time_s must hold {count} strictly increasing seconds, one per frame"
+                )
+
+    @classmethod
+    def read(cls, folder: Path) -> DatasetDescription:
+        """Read `folder/dataset.json`.
+
+        Raises:
+            DataFormatError: absent, another schema or version, a wrong field (names it).
+        """
+        path = folder / FILE
+        if not path.is_file():
+            raise DataFormatError(
+                f"{folder}: no {FILE}; not a dataset, or its generation has not finished "
+                "(run 'gof generate' on it again to resume)"
+            )
+        return read_record(cls, path)
+
+    def write(self, folder: Path) -> None:
+        """Write `folder/dataset.json`. Written last, it says that the dataset is complete."""
+        write_record(folder / FILE, self)
+
+
+def _increasing(values: tuple[float, ...]) -> bool:
+    times = np.asarray(values, np.float64)
+    return bool(len(times)) and bool(np.isfinite(times).all()) and bool((np.diff(times) > 0).all())
