@@ -63,8 +63,8 @@ def test_ctrl_c_is_reported_as_kept_work(monkeypatch, capsys):
 @pytest.mark.parametrize(
     "room, forbidden",
     [
-        ("gof", {"bpy", "blender_addon", "benchmark"}),
-        ("blender_addon", {"gof", "benchmark", "torch", "mitsuba", "drjit", "zarr"}),
+        ("gof", {"bpy", "gof_blender", "gof_benchmark"}),
+        ("blender_addon", {"gof", "gof_benchmark", "torch", "mitsuba", "drjit", "zarr"}),
         ("blender_addon/io", {"bpy", "mathutils"}),
     ],
 )

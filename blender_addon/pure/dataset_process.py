@@ -125,7 +125,7 @@ class Job:
 
     def _begin(self) -> None:
         arguments = ["--spec", str(self.layout.spec), "--out", str(self.layout.root), "--stage", self.stage]
-        code = f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); from {PACKAGE.name}.generate import run; run({arguments!r})"
+        code = f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); from {PACKAGE.name}.worker.generate import run; run({arguments!r})"
         self._done, self._done_before, self._total, self._peak_mb = 0, None, 0, 0.0
         self._start = time.monotonic()
         self._note(f"{self.stage} ...")

@@ -24,7 +24,7 @@ TOY = SceneSpec(
 
 def in_blender(script: str, *args) -> dict:
     """Run a script in its own Blender process; it puts its findings into ``result``."""
-    code = "import json, sys, bpy\nfrom blender_addon import mantaflow\nresult = {}\n" + textwrap.dedent(script)
+    code = "import json, sys, bpy\nfrom gof_blender.scene import mantaflow\nresult = {}\n" + textwrap.dedent(script)
     code += "\nprint('RESULT' + json.dumps(result))\nmantaflow.leave()"
     with tempfile.TemporaryDirectory() as folder:  # Mantaflow leaves files where it runs
         run = subprocess.run([sys.executable, "-c", code, *map(str, args)], capture_output=True, text=True, cwd=folder)

@@ -122,7 +122,7 @@ def test_a_job_ends_with_the_process_that_started_it(tmp_path):
     script = f"""
 import time
 from pathlib import Path
-from blender_addon import spec
+from gof_blender.pure import spec
 from gof_blender.pure.dataset_process import Job
 from gof_blender.pure.layout import Layout
 layout = Layout(Path({str(layout.root)!r}))
@@ -178,7 +178,7 @@ def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
         settings.spec_file = folder + "/broken.json"
         result["broken"] = press()
         settings.spec_file, settings.preset = folder + "/huge.json", "paper"
-        from blender_addon import costs
+        from gof_blender.pure import cost_model as costs
         costs.memory_mb = lambda: 8000.0
         result["huge"] = press()
         result["log"] = message(lambda: bpy.ops.gof.open_benchmark(what="log"))

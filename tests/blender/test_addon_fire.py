@@ -14,7 +14,7 @@ def fail(*what):  # the wheel hangs in its normal exit after a fire
     mantaflow.leave(1)
 sys.excepthook = fail
 import numpy as np
-import blender_addon
+import gof_blender
 from gof_blender.pure.checked_json import SpecError
 from gof_blender.scene import place
 from gof_blender.ui import scene_spec

@@ -26,7 +26,7 @@ def stop(*error):  # a Python process with bpy may hang at its end
 sys.excepthook = stop
 import bpy
 import numpy as np
-import blender_addon
+import gof_blender
 from gof_blender.scene import point_cloud
 
 folder = Path(sys.argv[-1])
@@ -352,7 +352,7 @@ def folder_with(folder: Path, tmp_path: Path) -> Path:
 
 def test_drop_and_menu():
     found = in_blender("""
-import blender_addon
+import gof_blender
 gof_blender.register()
 handler = bpy.types.GOF_FH_result
 result["drop"] = [handler.bl_import_operator, handler.bl_file_extensions, handler.poll_drop(bpy.context)]

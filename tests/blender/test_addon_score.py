@@ -19,7 +19,7 @@ START = """
 import os, sys, traceback
 from pathlib import Path
 import numpy as np
-import blender_addon
+import gof_blender
 from gof_blender.scene import point_cloud
 
 def stop(*error):  # a Python process with bpy may hang at its end

@@ -124,7 +124,7 @@ def test_lines_are_the_weighted_sum_of_the_steps_they_see(camera_run):
         """
         import numpy as np
         from pathlib import Path
-        from blender_addon import shutter, spec as scene_spec
+        from gof_blender.pure import shutter, spec as scene_spec
         from gof_blender.pure.layout import Layout
         from gof_blender.scene import render
         mantaflow.enable()

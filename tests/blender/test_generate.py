@@ -132,7 +132,7 @@ def test_plate_plus_fire_is_the_full_render(toy):
         """
         import numpy as np, pathlib
         from gof_blender.scene import render, rig, images
-        from blender_addon import spec as scene_spec
+        from gof_blender.pure import spec as scene_spec
         mantaflow.enable()
         bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
         scene, spec, beside = bpy.context.scene, scene_spec.load(sys.argv[2]), pathlib.Path(sys.argv[3])
@@ -177,7 +177,7 @@ def test_cameras_agree_with_blender(tmp_path, roll):
         import numpy as np
         from bpy_extras.object_utils import world_to_camera_view
         from mathutils import Vector
-        from blender_addon import spec as scene_spec
+        from gof_blender.pure import spec as scene_spec
         from gof_blender.scene import build, rig
         spec = scene_spec.load(sys.argv[1])
         build.scene(spec)
@@ -275,7 +275,7 @@ def test_only_listed_effects_are_built(tmp_path):
         scene_spec.save(spec, tmp_path / f"{name}.json")
     found = in_blender(
         """
-        from blender_addon import spec as scene_spec
+        from gof_blender.pure import spec as scene_spec
         from gof_blender.scene import build
         for name in ("none", "all"):
             fire = build.scene(scene_spec.load(f"{sys.argv[1]}/{name}.json"))

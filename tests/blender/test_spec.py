@@ -142,7 +142,7 @@ def test_built_in_scenes_load_and_have_a_card(path):
 
 
 def test_reading_a_spec_needs_no_blender():
-    code = "import sys; from blender_addon import spec; spec.load(sys.argv[1]); print('bpy' in sys.modules)"
+    code = "import sys; from gof_blender.pure import spec; spec.load(sys.argv[1]); print('bpy' in sys.modules)"
     path = next(SCENES.glob("*/spec.json"))
     run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "False"

@@ -15,8 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 import bpy
 import numpy as np
-from benchmark import velocity_truth
-from blender_addon import mantaflow
+from gof_benchmark.evidence import velocity_truth
+from gof_blender.scene import mantaflow
 from gof_blender.scene import velocity
 
 mantaflow.enable()
