@@ -12,9 +12,11 @@ import tyro
 from gof.dataset import Dataset
 from gof.errors import GofError, MissingDependencyError
 from gof.evaluate.dve import state_at
-from gof.evaluate.quadrature import rotation_matrices
 from gof.gaussians import TransientGaussians
-from gof.io.importers import ImportOptions, Trajectory, read_result
+from gof.harmonics import plain_color
+from gof.io.importers import ImportOptions, read_result
+from gof.rotations import quaternions_wxyz, rotation_matrices
+from gof.trajectory import Trajectory
 
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 ARROWS = 3000  # lines a browser draws without stuttering
@@ -40,11 +42,10 @@ def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray
     position, opacity = gaussians.at(time_s)
     seen = opacity >= INVISIBLE
     axes = rotation_matrices(gaussians.rotation[seen]) * gaussians.scale[seen, None, :]
-    color = gaussians.color if gaussians.color.ndim == 2 else 0.5 + gaussians.color[:, 0] / np.sqrt(4 * np.pi)
     return {
         "centers": position[seen],
         "covariances": (axes @ axes.transpose(0, 2, 1)).astype(np.float32),
-        "rgbs": np.clip(color[seen], 0, 1),
+        "rgbs": np.clip(plain_color(gaussians.color[seen]), 0, 1),
         "opacities": opacity[seen, None],
         "velocities": np.where(gaussians.dynamic[seen, None], gaussians.velocity[seen], 0),
     }
@@ -169,7 +170,7 @@ class Viewer:
                 scale=0.2,
                 color=(110, 110, 110),
                 image=np.uint8(255 * self.dataset.image(number, middle)),
-                wxyz=_quaternion(pose[:3, :3]),
+                wxyz=quaternions_wxyz(pose[:3, :3]),
                 position=pose[:3, 3],
             )
 
@@ -185,12 +186,6 @@ class Viewer:
 
 def _stamp(path: Path) -> tuple[Path, float]:
     return path, path.stat().st_mtime
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)  # scipy's are xyzw
 
 
 def main(argv: list[str]) -> int:

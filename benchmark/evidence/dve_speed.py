@@ -96,7 +96,8 @@ def gaussians(count: int, n: int) -> TransientGaussians:
 def with_scipy(sequence: VelocitySequence, position, scale, rotation) -> np.ndarray:
     from scipy.ndimage import map_coordinates
 
-    from gof.evaluate.quadrature import product_rule, rotation_matrices
+    from gof.evaluate.quadrature import product_rule
+    from gof.rotations import rotation_matrices
 
     velocity = np.ascontiguousarray(np.moveaxis(sequence.frame(0).velocity.astype(np.float32), -1, 0))
     nodes, weights = product_rule(3)

@@ -13,8 +13,9 @@ import tyro
 from gof.evaluate import line_chart
 from gof.evaluate.closed_forms import Flow, abc, gaussian_vortex, linear, taylor_green
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
-from gof.evaluate.quadrature import ORDERS, expected_velocity_plain, rotation_matrices
+from gof.evaluate.quadrature import ORDERS, expected_velocity_plain
 from gof.fields import VelocityField
+from gof.rotations import rotation_matrices
 
 HALF = 0.6  # m; the Gaussians stay well inside the box of this half width
 
@@ -194,7 +195,7 @@ def main(argv: list[str]) -> int:
     from rich.table import Table
 
     from gof.io.files import write_json
-    from gof.stages import progress_bar
+    from gof.progress import progress_bar
 
     config = tyro.cli(StudyConfig, prog="gof study", args=argv)
     with progress_bar("study") as progress:

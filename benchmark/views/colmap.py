@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gof.io.files import atomic_path
+from gof.rotations import quaternions_wxyz
 
 from .rig import Rig
 
@@ -37,7 +38,7 @@ def write(rig: Rig) -> None:
     with atomic_path(folder / "images.txt") as path:
         lines = []
         for index, camera in enumerate(rig.cameras):
-            pose = [*quaternion_wxyz(camera.world_to_camera[:3, :3]), *camera.world_to_camera[:3, 3]]
+            pose = [*quaternions_wxyz(camera.world_to_camera[:3, :3]), *camera.world_to_camera[:3, 3]]
             lines.append(f"{index + 1} {' '.join(f'{v:.17g}' for v in pose)} {index + 1} {rig.file(index, 'static')}")
             lines.append(" ".join(f"{x:.6f} {y:.6f} {point}" for x, y, point in seen[index]))
         path.write_text("\n".join(lines) + "\n")
@@ -52,14 +53,6 @@ def write(rig: Rig) -> None:
         )
 
 
-def quaternion_wxyz(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion (w, x, y, z), w >= 0, of a (3, 3) rotation."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True)
-    return np.array([w, x, y, z])
-
-
 def _points(rig: Rig, depths: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Points (N, 3) of random pixels that lie on flat surfaces, and their colours (N, 3) uint8."""
     import cv2
@@ -70,17 +63,10 @@ def _points(rig: Rig, depths: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]
         rows, columns = np.nonzero(is_flat(depth))
         chosen = rng.permutation(len(rows))[:POINTS_PER_CAMERA]
         rows, columns = rows[chosen], columns[chosen]
-        positions.append(unproject(camera, columns + 0.5, rows + 0.5, depth[rows, columns]))
+        positions.append(camera.unproject(np.column_stack([columns, rows]) + 0.5, depth[rows, columns]))
         picture = cv2.imread(str(rig.root / rig.file(index, "static")), cv2.IMREAD_COLOR)
         colours.append(picture[rows, columns, ::-1])
     return np.concatenate(positions), np.concatenate(colours)
-
-
-def unproject(camera, x: np.ndarray, y: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """World points (N, 3) of pixels (N,) at camera depths (N,)."""
-    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(camera.K).T
-    rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return (rays * np.asarray(depth, np.float64)[:, None] - shift) @ rotation
 
 
 def is_flat(depth: np.ndarray) -> np.ndarray:

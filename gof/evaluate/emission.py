@@ -17,11 +17,11 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.evaluate.dve import DVEResult, Samples, Sums, state_at, weighted_sums
-from gof.evaluate.quadrature import rotation_matrices
 from gof.evaluate.sparse_grid import StoredField
 from gof.fields import CHUNK, VelocitySequence, open_array, read_array
 from gof.gaussians import TransientGaussians
-from gof.io.importers import Trajectory
+from gof.rotations import rotation_matrices
+from gof.trajectory import Trajectory
 
 POINTS = 1024  # places per frame; the pooled L2 of 36 frames scatters by less than 1 % (tested against closed forms)
 EXPONENT = 1.3  # emission over flame reaction, as in the generated fires' material

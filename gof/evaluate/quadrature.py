@@ -10,6 +10,7 @@ from numpy.polynomial.hermite_e import hermegauss
 from gof.errors import GofError
 from gof.evaluate.sparse_grid import StoredField, cell_ranges, parts, pool_of
 from gof.fields import VelocityField
+from gof.rotations import rotation_matrices
 
 ORDERS = (1, 3, 5, 7)
 COMPILED_FROM = 100_000  # quadrature points; below, loading the compiler takes longer than numpy
@@ -56,26 +57,6 @@ def product_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _nothing(count: int) -> Expectation:
     return Expectation(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count))
-
-
-def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
-    """Unit quaternions wxyz (N, 4) to rotation matrices (N, 3, 3); columns are the Gaussian's own axes in the world."""
-    q = quaternion.astype(np.float64)
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    return np.stack(
-        [
-            1 - 2 * (y * y + z * z),
-            2 * (x * y - w * z),
-            2 * (x * z + w * y),
-            2 * (x * y + w * z),
-            1 - 2 * (x * x + z * z),
-            2 * (y * z - w * x),
-            2 * (x * z - w * y),
-            2 * (y * z + w * x),
-            1 - 2 * (x * x + y * y),
-        ],
-        -1,
-    ).reshape(-1, 3, 3)
 
 
 def expected_velocity(

@@ -15,8 +15,8 @@ from plyfile import PlyData, PlyElement, PlyParseError
 
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
+from gof.harmonics import C0
 
-SH_C0 = 0.28209479177387814  # Y_00: display colour = 0.5 + SH_C0 * f_dc
 LOGIT_EPS = 2.0**-24  # opacities 0 and 1 have no finite logit; this is half a float32 step below 1
 
 
@@ -88,7 +88,7 @@ def quaternions(q: np.ndarray, path: Path) -> np.ndarray:
 def splat_columns(g: TransientGaussians) -> dict[str, np.ndarray]:
     """The shared properties of a splat PLY, raw; display colours become their constant harmonic."""
     n = len(g)
-    sh = (g.color[:, None, :] - 0.5) / SH_C0 if g.color.ndim == 2 else g.color
+    sh = (g.color[:, None, :] - 0.5) / C0 if g.color.ndim == 2 else g.color
     opacity = np.clip(g.opacity.astype(np.float64), LOGIT_EPS, 1 - LOGIT_EPS)
     return {
         **{axis: g.position[:, i] for i, axis in enumerate("xyz")},
@@ -102,9 +102,9 @@ def splat_columns(g: TransientGaussians) -> dict[str, np.ndarray]:
 
 
 def write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> None:
-    """Write a binary little-endian PLY: float properties, and uchar ones for bool columns."""
+    """Write a binary little-endian PLY: float properties, and uchar ones for columns of bool or uint8."""
     vertex = np.empty(
-        len(columns["x"]), [(name, "u1" if np.asarray(v).dtype == bool else "<f4") for name, v in columns.items()]
+        len(columns["x"]), [(name, "u1" if np.asarray(v).itemsize == 1 else "<f4") for name, v in columns.items()]
     )
     for name, values in columns.items():
         vertex[name] = values

@@ -13,9 +13,10 @@ import numpy as np
 
 from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
+from gof.harmonics import plain_color
 from gof.io.files import atomic_path
 from gof.io.npz import read_npz
-from gof.io.ply import SH_C0, Ply, splat_columns, write
+from gof.io.ply import Ply, splat_columns, write
 
 NPZ_SCHEMA = "gof-linear/1"
 PLY_COMMENTS = [
@@ -106,7 +107,7 @@ def _load_ply(path: Path) -> dict[str, np.ndarray]:
         )
     splats = ply.splats()
     if splats["color"].shape[1] == 1:
-        splats["color"] = 0.5 + SH_C0 * splats["color"][:, 0]
+        splats["color"] = plain_color(splats["color"])
     return splats | {
         "velocity": ply.columns("vx", "vy", "vz"),
         "t_mu": ply.columns("t_mu")[:, 0],

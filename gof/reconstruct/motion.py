@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from gof.colour import srgb_to_linear
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.reconstruct.lit_plate import lit_plate
@@ -39,11 +40,6 @@ class Motion:
     mask: np.ndarray
     flow: np.ndarray
     delivered: np.ndarray
-
-
-def srgb_to_linear(x: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1 decoding of display values in [0, 1]."""
-    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def light_above(image: np.ndarray, static: np.ndarray) -> np.ndarray:

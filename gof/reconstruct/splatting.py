@@ -12,13 +12,13 @@ from dataclasses import replace
 import drjit as dr
 import numpy as np
 from drjit.opt import Adam
-from scipy.spatial.transform import Rotation
 
 from gof.cameras import Camera
 from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.render import Splats, Target, l1_ssim, render_splats
 from gof.render.backend import Array3f, Array4f, Float
+from gof.rotations import rotation_matrices
 
 SSIM_WEIGHT = 0.2
 DEPTH_WEIGHT = (1.0, 0.01)  # first and last step; 3DGS' 0.01 at the end, 100 times as much at the start (paper)
@@ -120,7 +120,7 @@ def _densify(optimizer: Adam, pull: np.ndarray, size: float, budget: int, rng: n
 
 def _within(g: TransientGaussians, rng: np.random.Generator) -> np.ndarray:
     """(N, 3) a random offset drawn from each Gaussian, m."""
-    return Rotation.from_quat(np.roll(g.rotation, -1, axis=1)).apply(rng.normal(size=(len(g), 3)) * g.scale)
+    return np.einsum("nij,nj->ni", rotation_matrices(g.rotation), rng.normal(size=(len(g), 3)) * g.scale)
 
 
 def _adam(raw: dict, size: float) -> Adam:

@@ -13,7 +13,7 @@ import numpy as np
 from gof.cameras import Camera
 from gof.errors import DataFormatError, MissingDependencyError
 from gof.gaussians import TransientGaussians
-from gof.render.harmonics import C0
+from gof.harmonics import C0
 
 DILATION_SIGMA_PX = 0.3**0.5  # a Gaussian pixel filter this wide does what the 0.3 px^2 dilation stands for
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from gof.cameras import Camera
+from gof.colour import linear_to_srgb
 from gof.gaussians import TransientGaussians
 
 GROUND = np.array([0.11, 0.11, 0.12])  # display colour where nothing is
@@ -83,7 +84,7 @@ def direction_colors(flow: np.ndarray, longest: float) -> np.ndarray:
         ).T
     )
     rgb = np.clip(rgb, 0, 1)
-    return np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 1e-9) ** (1 / 2.4) - 0.055)
+    return linear_to_srgb(rgb)
 
 
 def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray:

@@ -4,9 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.colour import srgb_to_linear
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
-from gof.reconstruct.motion import consistency, estimate_motion, flame_mask, light_above, srgb_to_linear
+from gof.reconstruct.motion import consistency, estimate_motion, flame_mask, light_above
 from gof.reconstruct.optical_flow import flow_method
 from tests.conftest import arc, write_dataset
 

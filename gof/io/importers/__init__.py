@@ -11,7 +11,7 @@ from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
 from gof.io.importers import authors, freetime, own, ply_sequence, unreadable, yang
 from gof.io.importers.source import Imported, ImportOptions, Source
-from gof.io.importers.trajectory import Trajectory
+from gof.trajectory import Trajectory
 
 # in the order in which they are asked; `unreadable` explains what is recognised and has no velocities
 METHODS = {

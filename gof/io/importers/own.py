@@ -5,7 +5,7 @@ from __future__ import annotations
 from gof.gaussians import TransientGaussians
 from gof.io.importers.ply_sequence import difference_notes
 from gof.io.importers.source import Imported, ImportOptions, Source
-from gof.io.importers.trajectory import SCHEMA, Trajectory
+from gof.trajectory import SCHEMA, Trajectory
 
 
 def matches(source: Source) -> bool:

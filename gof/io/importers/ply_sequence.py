@@ -8,8 +8,8 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.io.importers.source import Imported, ImportOptions, Source
-from gof.io.importers.trajectory import Trajectory
 from gof.io.ply import Ply
+from gof.trajectory import Trajectory
 
 
 def matches(source: Source) -> bool:

@@ -9,12 +9,14 @@ import numpy as np
 
 from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
+from gof.harmonics import turned
+from gof.rotations import quaternion_product, quaternions_wxyz, rotation_matrices
 
 
 def apply(matrix: np.ndarray, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, color: np.ndarray):
     """(position, scale, rotation, color) of Gaussians after a similarity (4, 4): x -> s R x + t."""
     s, R, t = decompose(matrix)
-    return position @ (s * R).T + t, scale * s, _multiply(quaternion(R), rotation), _turned_harmonics(color, R)
+    return position @ (s * R).T + t, scale * s, quaternion_product(quaternions_wxyz(R), rotation), turned(color, R)
 
 
 def transformed(g: TransientGaussians, matrix: np.ndarray) -> TransientGaussians:
@@ -133,35 +135,6 @@ def _check_poses(poses: dict[str, np.ndarray], path: Path) -> None:
             raise DataFormatError(f"{path}: world_to_camera of '{name[:40]}' is not a rotation and a shift")
 
 
-def quaternion(R: np.ndarray) -> np.ndarray:
-    """Rotation matrix (3, 3) to unit quaternion wxyz."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(R).as_quat()[[3, 0, 1, 2]]
-
-
-def _multiply(q: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Quaternion product q p of one q (4,) with many p (N, 4), wxyz: first p, then q."""
-    w, v = q[0], q[1:]
-    pw, pv = p[:, :1], p[:, 1:]
-    return np.concatenate([w * pw - pv @ v[:, None], w * pv + pw * v + np.cross(v, pv)], 1)
-
-
-def _turned_harmonics(color: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Spherical-harmonics colours seen from a turned world: the function of degree <= 3 stays in its space, so a
-    least-squares fit over directions is exact."""
-    if color.ndim == 2 or color.shape[1] == 1:
-        return color
-    from gof.render.harmonics import basis
-
-    degree = int(np.sqrt(color.shape[1])) - 1
-    i = np.arange(200) + 0.5  # evenly over the sphere
-    z, angle = 1 - 2 * i / 200, np.pi * (1 + np.sqrt(5)) * i
-    d = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], 1)
-    before, after = np.stack(basis(degree, d.T), 1), np.stack(basis(degree, (d @ R.T).T), 1)
-    return np.einsum("kl,nlc->nkc", np.linalg.pinv(after) @ before, color)
-
-
 # ---------------------------------------------------------------- COLMAP
 
 
@@ -217,10 +190,8 @@ def read_colmap(folder: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 def _pose(values: tuple) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat([*values[1:4], values[0]]).as_matrix()
+    matrix[:3, :3] = rotation_matrices(np.array([values[:4]]))[0]
     matrix[:3, 3] = values[4:7]
     return matrix
 

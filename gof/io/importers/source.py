@@ -11,9 +11,9 @@ import numpy as np
 
 from gof.errors import DataFormatError, MissingDependencyError
 from gof.gaussians import TransientGaussians
-from gof.io.importers.trajectory import Trajectory
 from gof.io.npz import read_npz
 from gof.io.ply import Ply
+from gof.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,11 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
+from gof.harmonics import plain_color
 from gof.io.importers.authors import is_capture
 from gof.io.importers.source import Imported, ImportOptions, Source, array
-from gof.io.ply import SH_C0, exp, quaternions, sigmoid
+from gof.io.ply import exp, quaternions, sigmoid
+from gof.rotations import quaternions_wxyz
 
 LENGTH, LENGTH_3D = 19, 12
 MARGINAL_CUT = 0.05  # its renderer skips a Gaussian while its temporal window is below this
@@ -86,12 +88,10 @@ def condition_on_time(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 def principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviations (N, 3) and quaternions (N, 4) wxyz of covariances (N, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
     values, axes = np.linalg.eigh(covariance)
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     floor = 1e-12 * np.maximum(values.max(1, keepdims=True), 1e-30)  # rounding may leave a flat one below zero
-    return np.sqrt(np.maximum(values, floor)), Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]
+    return np.sqrt(np.maximum(values, floor)), quaternions_wxyz(axes)
 
 
 def _peak_color(sh: np.ndarray) -> tuple[np.ndarray, list[str]]:
@@ -102,6 +102,4 @@ def _peak_color(sh: np.ndarray) -> tuple[np.ndarray, list[str]]:
         return sh.reshape(len(sh), -1, 16, 3).sum(1), [
             "colours that change over time are those at each Gaussian's peak"
         ]
-    return 0.5 + SH_C0 * sh[:, 0], [
-        f"{sh.shape[1]} colour coefficients are unknown to this importer: plain colours only"
-    ]
+    return plain_color(sh), [f"{sh.shape[1]} colour coefficients are unknown to this importer: plain colours only"]
