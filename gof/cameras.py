@@ -91,6 +91,12 @@ class Camera:
         pixels = uv @ self.K[:2, :2].T + self.K[:2, 2]
         return pixels, depth
 
+    def unproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """World points (N, 3) in metres of continuous pixels (N, 2) at camera depths (N,) in metres; inverse of `project`."""
+        rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.K).T  # at depth 1
+        local = rays * np.asarray(depth, np.float64)[:, None]
+        return (local - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]
+
     def projection_jacobian(self, points: np.ndarray) -> np.ndarray:
         """d(pixel)/d(world) at points (N, 3): (N, 2, 3) in px/m; NaN on or behind the camera plane."""
         xyz = self.to_camera(points)

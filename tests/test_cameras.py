@@ -20,6 +20,15 @@ def test_projection_equals_opencv():
         np.testing.assert_allclose(camera.to_camera(camera.position[None]), 0, atol=1e-12)
 
 
+def test_unprojection_undoes_opencvs_projection():
+    points = np.random.default_rng(2).normal(0, 0.4, (50, 3)) + [0, 0, 1]
+    for camera in arc(3):
+        rvec, _ = cv2.Rodrigues(camera.world_to_camera[:3, :3])
+        pixels, _ = cv2.projectPoints(points, rvec, camera.world_to_camera[:3, 3], camera.K, None)
+        depth = points @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
+        np.testing.assert_allclose(camera.unproject(pixels[:, 0], depth), points, atol=1e-9)
+
+
 def test_jacobian_equals_finite_differences():
     points, h = np.random.default_rng(1).normal(0, 0.4, (20, 3)) + [0, 0, 1], 1e-6
     for camera in arc(3):
