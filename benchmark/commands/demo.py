@@ -9,8 +9,9 @@ from pathlib import Path
 
 import tyro
 
+from gof.costs import StageLog
 from gof.io.files import read_json, write_json
-from gof.stages import StageLog, run_worker
+from gof.worker import run_worker
 
 
 @dataclass

@@ -11,9 +11,9 @@ from typing import Annotated, Literal
 
 import tyro
 
+from gof.costs import StageLog
 from gof.errors import GofError
 from gof.io.files import only_run_in, read_json, write_json
-from gof.stages import StageLog
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec, SpecError

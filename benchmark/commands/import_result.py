@@ -12,7 +12,7 @@ import tyro
 from gof.dataset import Dataset
 from gof.gaussians import TransientGaussians
 from gof.io.files import write_json
-from gof.stages import run_worker
+from gof.worker import run_worker
 
 
 @dataclass

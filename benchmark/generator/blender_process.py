@@ -13,7 +13,7 @@ from collections import deque
 from pathlib import Path
 
 from gof.errors import GofError
-from gof.stages import die_with_parent
+from gof.worker import die_with_parent
 from gof_blender.pure.layout import Layout
 
 

@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from gof.costs import StageLog
 from gof.errors import GofError
-from gof.stages import StageLog, progress_bar
+from gof.progress import progress_bar
 from gof_benchmark.generator.blender_process import Renderer, run_stage
 from gof_blender.pure import shutter
 from gof_blender.pure.cost_model import stage_settings

@@ -10,11 +10,12 @@ from typing import Literal
 import tyro
 
 from gof.commands.evaluate import evaluate
+from gof.costs import StageLog
 from gof.dataset import Dataset
 from gof.evaluate import line_chart
 from gof.io.files import atomic_path, read_json, write_json
 from gof.reconstruct.presets import PRESETS
-from gof.stages import StageLog, run_worker
+from gof.worker import run_worker
 
 ABLATIONS = {
     "full method": {"ablation": "none"},

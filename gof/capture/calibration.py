@@ -15,7 +15,7 @@ from gof.errors import GofError
 from gof.footage import distinct_names, stated_frames, stored_frames
 from gof.io.files import write_json
 from gof.lens import Lens
-from gof.stages import progress_bar
+from gof.progress import progress_bar
 
 MINIMUM_VIEWS = 8
 GRID = (8, 6)  # cells of the picture for the coverage, across and down

@@ -18,7 +18,7 @@ from gof.capture.template import BoardTemplate
 from gof.errors import GofError
 from gof.footage import distinct_names, stated_fps, stated_frames
 from gof.io.files import write_json
-from gof.stages import progress_bar
+from gof.progress import progress_bar
 
 
 @dataclass(frozen=True)

@@ -253,7 +253,7 @@ def main(argv: list[str]) -> int:
     """The command line of `gof evaluate`."""
     from rich.console import Console
 
-    from gof.stages import progress_bar
+    from gof.progress import progress_bar
 
     config = tyro.cli(EvaluateConfig, prog="gof evaluate", args=argv)
     dataset = Dataset.open(config.truth)

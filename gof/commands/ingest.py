@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from gof.cameras import Camera
+from gof.costs import StageLog
 from gof.dataset import SCHEMA, VERSION, Dataset
 from gof.errors import DataFormatError, GofError
 from gof.footage import count_frames, first_frame
@@ -20,7 +21,6 @@ from gof.ingest.stereo import stereo_depth
 from gof.io.files import atomic_path, write_json
 from gof.lens import ROLL_DEG, Lens, Turn, prepare, read_cameras
 from gof.reconstruct.motion import flame_mask
-from gof.stages import StageLog
 
 
 @dataclass

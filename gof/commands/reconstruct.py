@@ -11,14 +11,15 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
+from gof.costs import StageLog
 from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
 from gof.io.files import only_run_in, read_json, write_json
 from gof.plates import save_plates
+from gof.progress import progress_bar
 from gof.reconstruct.optical_flow import FlowName
 from gof.reconstruct.presets import METHODS, PRESETS, step_ms
-from gof.stages import StageLog, progress_bar
 
 Ablation = Literal["none", "no-sync", "rand-flow", "joint-opt", "no-mask"]
 

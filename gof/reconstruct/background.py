@@ -12,14 +12,15 @@ import numpy as np
 import tyro
 
 from gof.cameras import Camera
+from gof.costs import StageLog
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
 from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
 from gof.io.files import write_json
+from gof.progress import progress_bar
 from gof.reconstruct.shrink import shrink
-from gof.stages import StageLog, progress_bar
 
 
 @dataclass

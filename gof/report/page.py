@@ -11,15 +11,16 @@ import numpy as np
 import tyro
 from PIL import Image
 
+from gof.costs import StageCost, StageLog
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.files import atomic_path, read_json, write_json
 from gof.plates import background
+from gof.progress import progress_bar
 from gof.report import animation as pictures
 from gof.report.machine import machine, versions
 from gof.report.velocity import legend
-from gof.stages import StageCost, StageLog, progress_bar
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.costs import StageLog
 from gof.dataset import Dataset
-from gof.stages import StageLog
 from gof_benchmark.commands import generate
 from gof_blender.pure import cost_model as costs
 from gof_blender.pure import report

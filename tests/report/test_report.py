@@ -10,13 +10,13 @@ import pytest
 from PIL import Image
 
 from gof.commands.evaluate import evaluate
+from gof.costs import StageLog
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.files import write_json
 from gof.report import Preview, build_report, main
 from gof.report.page import verdicts
-from gof.stages import StageLog
 from tests.evaluate.synthetic_flame import flame_dataset
 
 

@@ -1,0 +1,104 @@
+"""Child processes that report their progress, and die with their parent."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+from gof.costs import StageCost
+from gof.errors import GofError
+from gof.progress import WORKER_VARIABLE, progress_bar
+
+
+def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCost:
+    """Run a child process that prints progress lines; show them as a progress bar.
+
+    Args:
+        argv: the command.
+        title: what the bar says.
+        log: file to append the child's other output to; its last lines are shown when it fails.
+    Returns:
+        the child's wall seconds and peak memory (with its own children's); settings hold the figures of its last
+        progress line.
+    Raises:
+        GofError: the child failed; the message holds its exit status and last lines.
+        KeyboardInterrupt: Ctrl-C; the child has been stopped.
+    """
+    start, tail, figures = time.perf_counter(), [], {}
+    log_file = open(log, "a") if log else None
+    child = subprocess.Popen(
+        argv,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+        env=os.environ | {WORKER_VARIABLE: "1"},
+        preexec_fn=die_with_parent if sys.platform == "linux" else None,
+    )
+    peak = _PeakMemory(child.pid)
+    try:
+        with progress_bar(title, ticking=True) as update:
+            for line in child.stdout:
+                try:
+                    message = json.loads(line)["progress"] if line.startswith('{"progress"') else None
+                except (ValueError, KeyError):
+                    message = None
+                if message:
+                    figures = message
+                    update(**message)
+                    continue
+                tail = [*tail[-30:], line]
+                if log_file:
+                    log_file.write(line)
+        status = child.wait()
+    except BaseException:
+        # The whole group: a worker may have started helpers of its own.
+        os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        raise
+    finally:
+        peak.stop()
+        if log_file:
+            log_file.close()
+    if status:
+        where = f" (full log: {log})" if log else ""
+        raise GofError(f"{title} failed with status {status}{where}:\n{''.join(tail)}")
+    return StageCost(title, time.perf_counter() - start, peak.mb, figures)
+
+
+def die_with_parent() -> None:
+    """In a child: be killed when the parent is, so that a killed run leaves nobody writing into its folder."""
+    PR_SET_PDEATHSIG = 1
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+class _PeakMemory:
+    """Peak resident memory of a process tree, read from the kernel's own high-water marks twice a second."""
+
+    def __init__(self, pid: int):
+        self.mb, self._pid, self._stop = 0.0, pid, threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def _watch(self) -> None:
+        import psutil
+
+        while not self._stop.wait(0.5):
+            try:
+                root = psutil.Process(self._pid)
+                rss = sum(p.memory_info().rss for p in [root, *root.children(recursive=True)])
+                self.mb = max(self.mb, rss / 2**20)
+            except psutil.Error:
+                return
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._thread.join(timeout=2)
