@@ -54,8 +54,8 @@ class Camera:
         R = self.world_to_camera[:3, :3]
         if np.abs(R @ R.T - np.eye(3)).max() > 1e-4 or np.linalg.det(R) < 0:
             raise DataFormatError(
-                f"camera '{self.name}': world_to_camera is not a rigid transform (rotation not orthonormal, or mirrored; "
-                "OpenGL camera-to-world matrices must be converted first)"
+                f"camera '{self.name}': world_to_camera is not a rigid transform (rotation not orthonormal, or "
+                "mirrored; OpenGL camera-to-world matrices must be converted first)"
             )
         if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
             raise DataFormatError(
@@ -92,7 +92,7 @@ class Camera:
         return pixels, depth
 
     def unproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """World points (N, 3) in metres of continuous pixels (N, 2) at camera depths (N,) in metres; inverse of `project`."""
+        """World points (N, 3) in metres of continuous pixels (N, 2) at camera depths (N,) in metres; undoes `project`."""
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.K).T  # at depth 1
         local = rays * np.asarray(depth, np.float64)[:, None]
         return (local - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]

@@ -8,7 +8,7 @@ import pytest
 from gof.cameras import Camera
 from gof.errors import DataFormatError
 from gof_benchmark import views
-from gof_benchmark.views.colmap import is_flat, unproject
+from gof_benchmark.views.colmap import is_flat
 from gof_benchmark.views.rig import Rig
 
 OpenEXR = pytest.importorskip("OpenEXR")
@@ -37,7 +37,8 @@ def dataset(tmp_path_factory):
         K = np.array([[150.0, 0, WIDTH / 2], [0, 150.0, HEIGHT / 2], [0, 0, 1]])
         camera = Camera(name, WIDTH, HEIGHT, K, pose)
         columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
-        rays = unproject(camera, columns.ravel(), rows.ravel(), np.ones(columns.size)) - camera.position
+        pixels = np.column_stack([columns.ravel(), rows.ravel()])
+        rays = camera.unproject(pixels, np.ones(len(pixels))) - camera.position
         with np.errstate(divide="ignore"):
             wall, floor = (2.0 - camera.position[1]) / rays[:, 1], -camera.position[2] / rays[:, 2]
         depth = np.minimum(np.where(wall > 0, wall, 1e10), np.where(floor > 0, floor, 1e10)).reshape(HEIGHT, WIDTH)
@@ -94,7 +95,7 @@ def test_pycolmap_reads_the_model_and_depth_lands_on_the_same_pixels(dataset):
     for a in range(4):
         depth = rig.plate_depth(a)
         rows, columns = np.nonzero(is_flat(depth))
-        points = unproject(rig.cameras[a], columns + 0.5, rows + 0.5, depth[rows, columns])
+        points = rig.cameras[a].unproject(np.column_stack([columns, rows]) + 0.5, depth[rows, columns])
         # The same picture: the unprojected pixel centre comes back.
         image = images[f"static/cam_{a}.png"]
         seen = np.array([image.project_point(p) for p in points[::37]])
@@ -108,7 +109,7 @@ def test_pycolmap_reads_the_model_and_depth_lands_on_the_same_pixels(dataset):
                     continue
                 if not is_flat(other)[int(pixel[1]), int(pixel[0])]:
                     continue
-                back = unproject(rig.cameras[b], *pixel[:, None], 1 / bilinear(1 / other, *(pixel - 0.5))[None])
+                back = rig.cameras[b].unproject(pixel[None], 1 / bilinear(1 / other, *(pixel - 0.5))[None])
                 depth_there = (rig.cameras[b].world_to_camera @ [*point, 1])[2]
                 if depth_there > 1.02 * bilinear(other, *(pixel - 0.5)):
                     continue  # hidden
