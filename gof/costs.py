@@ -6,7 +6,7 @@ import resource
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -35,23 +35,27 @@ class Costs:
 
     stages: tuple[StageCost, ...] = ()
     wall_s: float = 0.0
-    """Clock seconds of the whole command, added up over all its runs in this folder, the failed ones too."""
+    """Clock seconds of the whole command, added up over all its runs in this folder. A run that is cut off counts up to
+    the last stage it recorded."""
 
 
 class StageLog:
     """Keeps the `costs.json` of a folder: one entry per stage; a stage run again replaces its entry.
 
-    A resumed stage adds up: its seconds are the sum over the runs that did work.
+    A resumed stage adds up: its seconds are the sum over the runs that did work. Made when a run of the command begins:
+    `wall_s` grows by the clock seconds from then to the last stage that the run records.
     """
 
     def __init__(self, path: Path):
         self.path = path
+        self._counted = time.perf_counter()  # until when `wall_s` counts this run
 
     def costs(self) -> Costs:
-        """All of it; empty before the first stage. Raises DataFormatError if the file is not a `gof-costs` record."""
+        """What is in the file; nothing before the first stage. Raises DataFormatError: not a `gof-costs` record."""
         return read_record(Costs, self.path) if self.path.exists() else Costs()
 
     def stages(self) -> tuple[StageCost, ...]:
+        """The stages of `costs`, in the order in which they were first recorded."""
         return self.costs().stages
 
     def record(
@@ -59,16 +63,18 @@ class StageLog:
     ) -> StageCost:
         """Write a stage's cost; with `resumed`, add to the seconds already there."""
         costs = self.costs()
-        before = next((s for s in costs.stages if s.name == name), None)
+        before = next((stage for stage in costs.stages if stage.name == name), None)
         if before and resumed:
             seconds += before.seconds
             peak_mb = max(peak_mb, before.peak_mb)
         cost = StageCost(name, round(seconds, 3), round(peak_mb, 1), settings or {})
         if before:
-            stages = tuple(cost if s.name == name else s for s in costs.stages)
+            stages = tuple(cost if stage.name == name else stage for stage in costs.stages)
         else:
             stages = (*costs.stages, cost)
-        write_record(self.path, replace(costs, stages=stages))
+        now = time.perf_counter()
+        write_record(self.path, Costs(stages, round(costs.wall_s + now - self._counted, 3)))
+        self._counted = now
         return cost
 
     @contextmanager
@@ -81,15 +87,3 @@ class StageLog:
         yield settings
         peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         self.record(name, time.perf_counter() - start, peak_mb, settings)
-
-    @contextmanager
-    def clock(self) -> Iterator[None]:
-        """Add the clock seconds of the block, a run of the command, to `wall_s`; also when it fails after some work."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            if self.path.exists():
-                costs = self.costs()
-                wall_s = costs.wall_s + time.perf_counter() - start
-                write_record(self.path, replace(costs, wall_s=round(wall_s, 3)))
