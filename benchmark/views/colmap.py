@@ -5,66 +5,81 @@ COLMAP's convention is ours: world to camera, OpenCV axes, pixel centres at inte
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 
 from gof.io.files import atomic_path
 from gof.rotations import quaternions_wxyz
 
-from .rig import Rig
+from .source import ViewSource
 
 POINTS_PER_CAMERA = 1500
 SAME_DEPTH = 0.01  # relative; a point is seen by a camera whose depth agrees
 FLAT = 0.004  # relative change of depth to the neighbouring pixels; corners and edges are left out
 
 
-def write(rig: Rig) -> None:
-    depths = [rig.plate_depth(camera) for camera in range(len(rig.cameras))]
-    position, colour = _points(rig, depths)
-    seen: list[list[tuple[float, float, int]]] = [[] for _ in rig.cameras]
-    tracks: list[list[tuple[int, int]]] = [[] for _ in position]
-    for index, camera in enumerate(rig.cameras):
+def write(source: ViewSource) -> None:
+    cameras = source.dataset.cameras
+    depths = [source.plate_depth(camera) for camera in range(len(cameras))]
+    position, colour = _points(source, depths)
+    seen: list[list[tuple[float, float, int]]] = [[] for _ in cameras]  # per picture: x, y, number of the point
+    tracks: list[list[tuple[int, int]]] = [[] for _ in position]  # per point: picture, index in `seen`
+    for index, camera in enumerate(cameras):
         pixels, depth = camera.project(position)
         for point in np.nonzero(_is_seen(pixels, depth, depths[index]))[0]:
             tracks[point].append((index + 1, len(seen[index])))
             seen[index].append((*pixels[point], int(point) + 1))
-    folder = rig.root / "sparse" / "0"
-    with atomic_path(folder / "cameras.txt") as path:
-        path.write_text(
-            "".join(
-                f"{index + 1} PINHOLE {c.width} {c.height} {' '.join(f'{v:.17g}' for v in c.K[[0, 1, 0, 1], [0, 1, 2, 2]])}\n"
-                for index, c in enumerate(rig.cameras)
-            )
-        )
-    with atomic_path(folder / "images.txt") as path:
-        lines = []
-        for index, camera in enumerate(rig.cameras):
-            pose = [*quaternions_wxyz(camera.world_to_camera[:3, :3]), *camera.world_to_camera[:3, 3]]
-            lines.append(f"{index + 1} {' '.join(f'{v:.17g}' for v in pose)} {index + 1} {rig.file(index, 'static')}")
-            lines.append(" ".join(f"{x:.6f} {y:.6f} {point}" for x, y, point in seen[index]))
-        path.write_text("\n".join(lines) + "\n")
-    with atomic_path(folder / "points3D.txt") as path:
-        path.write_text(
-            "".join(
-                f"{point + 1} {' '.join(f'{v:.9g}' for v in position[point])} {' '.join(map(str, colour[point]))} 0 "
-                f"{' '.join(f'{image} {index}' for image, index in track)}\n"
-                for point, track in enumerate(tracks)
-                if len(track) >= 2
-            )
-        )
+    folder = source.dataset.path / "sparse" / "0"
+    _write_lines(folder / "cameras.txt", _camera_lines(source))
+    _write_lines(folder / "images.txt", _image_lines(source, seen))
+    _write_lines(folder / "points3D.txt", _point_lines(position, colour, tracks))
 
 
-def _points(rig: Rig, depths: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _camera_lines(source: ViewSource) -> Iterator[str]:
+    for index, c in enumerate(source.dataset.cameras):
+        lens = _words([c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]], ".17g")
+        yield f"{index + 1} PINHOLE {c.width} {c.height} {lens}"
+
+
+def _image_lines(source: ViewSource, seen: list[list[tuple[float, float, int]]]) -> Iterator[str]:
+    for index, camera in enumerate(source.dataset.cameras):
+        turn, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+        pose = _words([*quaternions_wxyz(turn), *shift], ".17g")
+        yield f"{index + 1} {pose} {index + 1} {source.dataset.name(index, 'static')}"
+        yield " ".join(f"{x:.6f} {y:.6f} {point}" for x, y, point in seen[index])
+
+
+def _point_lines(position: np.ndarray, colour: np.ndarray, tracks: list[list[tuple[int, int]]]) -> Iterator[str]:
+    """Points that two cameras or more see; the reprojection error is that of exact depth, 0."""
+    for point, track in enumerate(tracks):
+        if len(track) >= 2:
+            observations = " ".join(f"{image} {index}" for image, index in track)
+            yield f"{point + 1} {_words(position[point], '.9g')} {_words(colour[point], 'd')} 0 {observations}"
+
+
+def _words(numbers, form: str) -> str:
+    return " ".join(format(number, form) for number in numbers)
+
+
+def _write_lines(path: Path, lines: Iterator[str]) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text("".join(f"{line}\n" for line in lines))
+
+
+def _points(source: ViewSource, depths: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Points (N, 3) of random pixels that lie on flat surfaces, and their colours (N, 3) uint8."""
     import cv2
 
     rng = np.random.default_rng(0)
     positions, colours = [], []
-    for index, (camera, depth) in enumerate(zip(rig.cameras, depths, strict=True)):
+    for index, (camera, depth) in enumerate(zip(source.dataset.cameras, depths, strict=True)):
         rows, columns = np.nonzero(is_flat(depth))
         chosen = rng.permutation(len(rows))[:POINTS_PER_CAMERA]
         rows, columns = rows[chosen], columns[chosen]
         positions.append(camera.unproject(np.column_stack([columns, rows]) + 0.5, depth[rows, columns]))
-        picture = cv2.imread(str(rig.root / rig.file(index, "static")), cv2.IMREAD_COLOR)
+        picture = cv2.imread(str(source.dataset.file(index, "static")), cv2.IMREAD_COLOR)
         colours.append(picture[rows, columns, ::-1])
     return np.concatenate(positions), np.concatenate(colours)
 
@@ -82,10 +97,11 @@ def is_flat(depth: np.ndarray) -> np.ndarray:
 
 
 def _is_seen(pixels: np.ndarray, depth: np.ndarray, surface: np.ndarray) -> np.ndarray:
+    """(N,) bool: the pixel lies in the picture, and the surface there is as deep as the point."""
     height, width = surface.shape
     with np.errstate(invalid="ignore"):
         x, y = (np.nan_to_num(np.floor(v), nan=-1).astype(int) for v in pixels.T)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (depth > 0)
-    there = np.full(len(depth), np.inf)
-    there[inside] = surface[y[inside], x[inside]]
-    return np.abs(there - depth) < SAME_DEPTH * depth
+    surface_depth = np.full(len(depth), np.inf)
+    surface_depth[inside] = surface[y[inside], x[inside]]
+    return np.abs(surface_depth - depth) < SAME_DEPTH * depth

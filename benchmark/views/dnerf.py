@@ -7,32 +7,49 @@ from __future__ import annotations
 
 import math
 
+from gof.cameras import Camera
+from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.io.files import write_json
 
-from .rig import Rig
+from .source import ViewSource
 
 
-def write(rig: Rig) -> None:
-    first = rig.cameras[0]
-    for camera in rig.cameras:
-        same = abs(camera.K - first.K).max() < 1e-6 and (camera.width, camera.height) == (first.width, first.height)
-        centred = abs(camera.K[0, 2] - camera.width / 2) < 1e-6 and abs(camera.K[1, 2] - camera.height / 2) < 1e-6
-        if not (same and centred and abs(camera.K[0, 0] - camera.K[1, 1]) < 1e-6):
+def write(source: ViewSource) -> None:
+    dataset = source.dataset
+    angle = field_of_view(dataset)
+    train, test = [], []
+    for camera, frame, trains in source.pictures():
+        picture = {
+            "file_path": "./" + dataset.name(camera, "rgb", frame).removesuffix(".png"),
+            "time": source.normalised_time(frame),
+            "time_s": float(dataset.times_s[frame]),
+            "rotation": 0.0,
+            "transform_matrix": source.opengl_pose(camera).tolist(),
+        }
+        (train if trains else test).append(picture)
+    for name, frames in (("train", train), ("test", test), ("val", test)):
+        write_json(dataset.path / f"transforms_{name}.json", {"camera_angle_x": angle, "frames": frames})
+
+
+def field_of_view(dataset: Dataset) -> float:
+    """The horizontal field of view that all cameras share, radians. Raises DataFormatError: they do not share one."""
+    first = dataset.cameras[0]
+    for camera in dataset.cameras:
+        if not (_same_lens(camera, first) and _centred(camera)):
             raise DataFormatError(
-                f"{rig.root}: the D-NeRF layout has one centred field of view for all cameras; '{camera.name}' differs"
+                f"{dataset.path}: the D-NeRF layout has one centred field of view for all cameras; "
+                f"'{camera.name}' differs"
             )
-    angle = 2 * math.atan(first.width / (2 * first.K[0, 0]))
-    splits = {"train": [], "test": []}
-    for camera, frame, trains in rig.pictures():
-        splits["train" if trains else "test"].append(
-            {
-                "file_path": "./" + rig.file(camera, "rgb", frame).removesuffix(".png"),
-                "time": rig.normalised_time(frame),
-                "time_s": float(rig.times_s[frame]),
-                "rotation": 0.0,
-                "transform_matrix": rig.opengl_pose(camera).tolist(),
-            }
-        )
-    for name, frames in (splits | {"val": splits["test"]}).items():
-        write_json(rig.root / f"transforms_{name}.json", {"camera_angle_x": angle, "frames": frames})
+    return 2 * math.atan(first.width / (2 * first.K[0, 0]))
+
+
+def _same_lens(a: Camera, b: Camera) -> bool:
+    return abs(a.K - b.K).max() < 1e-6 and (a.width, a.height) == (b.width, b.height)
+
+
+def _centred(camera: Camera) -> bool:
+    """Whether the principal point is the picture's middle, and pixels are square."""
+    K = camera.K
+    off_centre = max(abs(K[0, 2] - camera.width / 2), abs(K[1, 2] - camera.height / 2))
+    return off_centre < 1e-6 and abs(K[0, 0] - K[1, 1]) < 1e-6

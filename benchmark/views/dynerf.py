@@ -14,24 +14,31 @@ import numpy as np
 
 from gof.io.files import atomic_path
 
-from .rig import Rig
+from .source import ViewSource
 
 
-def write(rig: Rig) -> None:
-    order = sorted(range(len(rig.cameras)), key=lambda camera: rig.entries[camera].get("role", "train") != "eval")
+def write(source: ViewSource) -> None:
+    dataset = source.dataset
+    order = sorted(range(len(dataset.cameras)), key=lambda camera: source.trains[camera])
     rows = []
     for number, camera in enumerate(order):
-        lens, pose, depth = rig.cameras[camera], rig.opengl_pose(camera), rig.plate_depth(camera)
-        right, up, back, centre = pose[:3].T
-        size = np.array([lens.height, lens.width, lens.K[0, 0]])
-        seen = depth[np.isfinite(depth)]
-        near, far = (0.8 * seen.min(), 1.2 * seen.max()) if seen.size else (0.1, 100.0)
-        rows.append([*np.stack([-up, right, back, centre, size], axis=1).ravel(), near, far])
-        for frame in range(len(rig.times_s)):
-            target = rig.root / "dynerf" / f"cam{number:02d}" / "images" / f"{frame:04d}.png"
-            _link(rig.root / rig.file(camera, "rgb", frame), target)
-    with atomic_path(rig.root / "dynerf" / "poses_bounds.npy") as path:
+        rows.append(_poses_bounds(source, camera))
+        for frame in range(len(dataset.times_s)):
+            target = dataset.path / "dynerf" / f"cam{number:02d}" / "images" / f"{frame:04d}.png"
+            _link(dataset.file(camera, "rgb", frame), target)
+    with atomic_path(dataset.path / "dynerf" / "poses_bounds.npy") as path:
         np.save(path, np.array(rows))
+
+
+def _poses_bounds(source: ViewSource, camera: int) -> np.ndarray:
+    """(17,) row of a camera: the 3x5 matrix and the near and far depth, m."""
+    lens = source.dataset.cameras[camera]
+    right, up, back, centre = source.opengl_pose(camera)[:3].T
+    size = np.array([lens.height, lens.width, lens.K[0, 0]])
+    depth = source.plate_depth(camera)
+    seen = depth[np.isfinite(depth)]
+    near, far = (0.8 * seen.min(), 1.2 * seen.max()) if seen.size else (0.1, 100.0)
+    return np.array([*np.stack([-up, right, back, centre, size], axis=1).ravel(), near, far])
 
 
 def _link(source: Path, target: Path) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from gof.cameras import Camera
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 
@@ -16,45 +15,46 @@ FAR = 1e6  # metres; Blender writes 1e10 where nothing is
 
 
 @dataclass(frozen=True)
-class Rig:
-    root: Path
-    cameras: list[Camera]
-    entries: list[dict]  # of dataset.json, beside `cameras`
-    times_s: np.ndarray
-    test_frames: set[int]
+class ViewSource:
+    """A finished dataset seen by all its cameras.
+
+    Attributes:
+        dataset: its cameras are those for training and those for evaluation, in file order.
+        trains: whether a method may train on the camera, per camera.
+    """
+
+    dataset: Dataset
+    trains: tuple[bool, ...]
 
     @classmethod
-    def open(cls, root: Path) -> Rig:
+    def open(cls, root: Path) -> ViewSource:
         """Raises DataFormatError if the folder holds no finished dataset."""
         dataset = Dataset.open(root)
-        entries = dataset.meta["cameras"]
-        cameras = [Camera.from_dict(entry, f"{root}/dataset.json") for entry in entries]
-        return cls(dataset.path, cameras, entries, dataset.times_s, set(dataset.test_frames))
+        entries = dataset.description.cameras
+        all_cameras = replace(dataset, cameras=[entry.camera() for entry in entries])
+        return cls(all_cameras, tuple(entry.role == "train" for entry in entries))
 
     def pictures(self) -> Iterator[tuple[int, int, bool]]:
         """(camera, frame, whether a method may train on it), frame by frame."""
-        for frame in range(len(self.times_s)):
-            for camera, entry in enumerate(self.entries):
-                yield camera, frame, entry.get("role", "train") == "train" and frame not in self.test_frames
-
-    def file(self, camera: int, kind: str, frame: int = 0) -> str:
-        """Path of a file relative to the dataset."""
-        return self.entries[camera][kind].format(frame=frame)
+        for frame in range(len(self.dataset.times_s)):
+            for camera, trains in enumerate(self.trains):
+                yield camera, frame, trains and frame not in self.dataset.test_frames
 
     def normalised_time(self, frame: int) -> float:
         """0 at the first frame, 1 at the last; 0 for a single frame."""
-        span = self.times_s[-1] - self.times_s[0]
-        return float((self.times_s[frame] - self.times_s[0]) / span) if span > 0 else 0.0
+        times = self.dataset.times_s
+        span = times[-1] - times[0]
+        return float((times[frame] - times[0]) / span) if span > 0 else 0.0
 
     def opengl_pose(self, camera: int) -> np.ndarray:
         """(4, 4) camera to world with x right, y up, z backward, as Nerfstudio, NeRF and Blender write it."""
-        return np.linalg.inv(self.cameras[camera].world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        return np.linalg.inv(self.dataset.cameras[camera].world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
 
     def plate_depth(self, camera: int) -> np.ndarray:
         """(H, W) float32 camera depth of the fire-free view, metres; inf where nothing is."""
         import OpenEXR
 
-        path = (self.root / self.file(camera, "static")).with_suffix(".exr")
+        path = self.dataset.file(camera, "static").with_suffix(".exr")
         try:
             with OpenEXR.File(str(path), separate_channels=True) as file:
                 depth = np.array(file.channels()["Z"].pixels, np.float32)
