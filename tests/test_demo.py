@@ -14,7 +14,7 @@ from gof.gaussians import TransientGaussians
 
 def spec(folder):
     """The built-in demo scene, coarse: 6 frames of 72x128 pixels, frame 4 held out."""
-    from gof_benchmark.commands.generate import load_scene
+    from gof_benchmark.scenes import load_scene
 
     data = load_scene("demo", "toy").to_dict()
     data["clip"] |= {"frames": 6, "warm_up_frames": 40}

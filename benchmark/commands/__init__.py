@@ -1,4 +1,4 @@
-"""The commands that make scenes with Blender, and the studies; the entry point `gof.commands` brings them into `gof`."""
+"""The commands that make scenes with Blender, and the studies; the entry point `gof.commands` adds them to `gof`."""
 
 from gof.commands import Command
 

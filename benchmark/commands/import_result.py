@@ -17,7 +17,7 @@ from gof.worker import run_worker
 
 @dataclass
 class ImportConfig:
-    """Result -> animated point cloud in a .blend that also holds the dataset's scene, and one rendered preview frame."""
+    """Result -> animated point cloud in a .blend that also holds the dataset's scene, and a rendered preview frame."""
 
     result: tyro.conf.Positional[Path]
     """result.npz or result.ply of a reconstruction."""
@@ -32,7 +32,8 @@ class ImportConfig:
     camera: str | None = None
     """Camera to render from; default: the middle one."""
     mode: Literal["points", "ellipsoids"] = "points"
-    """How the cloud is drawn: round points (quick), or each Gaussian's own ellipsoid (about three times the render time)."""
+    """How the cloud is drawn: round points (quick), or each Gaussian's own ellipsoid (about three times the render
+    time)."""
     samples: int = 16
     """Cycles samples per pixel of the preview."""
     json: Path | None = None
@@ -48,35 +49,24 @@ def main(argv: list[str]) -> int:
     frame = len(dataset.times_s) // 2 if config.frame is None else config.frame
     camera = config.camera or dataset.cameras[len(dataset.cameras) // 2].name
     config.blend.parent.mkdir(parents=True, exist_ok=True)
-    worker = [
-        sys.executable,
-        "-m",
-        "gof_blender.worker.import_result",
-        "--result",
-        config.result,
-        "--dataset",
-        config.dataset,
-        "--blend",
-        config.blend,
-        "--preview",
-        preview,
-        "--frame",
-        frame,
-        "--camera",
-        camera,
-        "--mode",
-        config.mode,
-        "--samples",
-        config.samples,
-    ]
-    cost = run_worker([str(part) for part in worker], "import into Blender")
+    options = {
+        "result": config.result,
+        "dataset": config.dataset,
+        "blend": config.blend,
+        "preview": preview,
+        "frame": frame,
+        "camera": camera,
+        "mode": config.mode,
+        "samples": config.samples,
+    }
+    worker = [sys.executable, "-m", "gof_blender.worker.import_result"]
+    worker += [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    cost = run_worker(worker, "import into Blender")
     names = [c.name for c in dataset.cameras]
     # Which truth the preview belongs to, for `gof report`.
     write_json(preview.with_suffix(".json"), {"image": preview.name, "camera": names.index(camera), "frame": frame})
     if config.json:
-        write_json(
-            config.json,
-            {"blend": str(config.blend), "preview": str(preview), "seconds": cost.seconds, "peak_mb": cost.peak_mb},
-        )
+        files = {"blend": str(config.blend), "preview": str(preview)}
+        write_json(config.json, files | {"seconds": cost.seconds, "peak_mb": cost.peak_mb})
     print(f"{config.blend} and {preview} ({cost.seconds:.1f} s): open the .blend and press play")
     return 0

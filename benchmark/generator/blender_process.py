@@ -10,6 +10,9 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from gof.errors import GofError
@@ -21,36 +24,35 @@ class BlenderLost(GofError):
     """A Blender process died or failed; the same work may succeed in another one."""
 
 
+@dataclass(frozen=True)
+class ProcessCost:
+    """What a piece of work cost: seconds on the clock and of the processor, and peak resident memory in MB."""
+
+    seconds: float
+    cpu_s: float
+    peak_mb: float
+
+
 def command(stage: str, root: Path) -> list[str]:
-    layout = Layout(root)
-    return [
-        sys.executable,
-        "-m",
-        "gof_blender.worker.generate",
-        "--spec",
-        str(layout.spec),
-        "--out",
-        str(root),
-        "--stage",
-        stage,
-    ]
+    worker = [sys.executable, "-m", "gof_blender.worker.generate"]
+    return [*worker, "--spec", str(Layout(root).spec), "--out", str(root), "--stage", stage]
 
 
-def run_stage(stage: str, root: Path) -> dict:
-    """Run a stage of the dataset in `root` to its end. Returns {"seconds", "cpu_s", "peak_mb"}.
+def run_stage(stage: str, root: Path) -> ProcessCost:
+    """Run a stage of the dataset in `root` to its end.
 
     Raises:
         BlenderLost: it failed; the message holds its last lines.
     """
     start = time.perf_counter()
     process, log = _start(stage, root)
-    with _ending(process):
+    with _killed_on_error(process):
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise BlenderLost(f"stage '{stage}' of {root} ended with status {process.returncode}:\n{_last_lines(log)}")
     seconds = time.perf_counter() - start
-    return {"seconds": seconds, "cpu_s": usage.ru_utime + usage.ru_stime, "peak_mb": usage.ru_maxrss / 1024}
+    return ProcessCost(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
 
 
 class Renderer:
@@ -62,13 +64,13 @@ class Renderer:
     def __init__(self, root: Path):
         self._root = root
         self._process, self._log = _start("serve", root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self._start, self._overhead = time.perf_counter(), 0.0
+        start = time.perf_counter()
         self._answer()  # ready
-        self._overhead = time.perf_counter() - self._start
+        self._overhead = time.perf_counter() - start
 
     @classmethod
-    def render(cls, root: Path, frame: int, camera: int) -> dict:
-        """Render with an idle renderer of this process, or a new one. Returns {"seconds", "cpu_s", "peak_mb"}.
+    def render(cls, root: Path, frame: int, camera: int) -> ProcessCost:
+        """Render with an idle renderer of this process, or a new one.
 
         Raises:
             BlenderLost: the Blender process died; the picture is not there.
@@ -91,14 +93,15 @@ class Renderer:
                     renderer._process.stdin.close()
                     renderer._process.wait()
 
-    def _ask(self, frame: int, camera: int) -> dict:
+    def _ask(self, frame: int, camera: int) -> ProcessCost:
         try:
             print(json.dumps({"frame": frame, "camera": camera}), file=self._process.stdin, flush=True)
             cost = self._answer()["rendered"]
         except BrokenPipeError as error:
             raise self._lost() from error
-        seconds, self._overhead = cost["seconds"] + self._overhead, 0.0  # the start-up counts with the first picture
-        return {"seconds": seconds, "cpu_s": cost["cpu_s"], "peak_mb": cost["peak_mb"]}
+        seconds = cost["seconds"] + self._overhead
+        self._overhead = 0.0  # the start-up counts with the first picture
+        return ProcessCost(seconds, cost["cpu_s"], cost["peak_mb"])
 
     def _answer(self) -> dict:
         line = self._process.stdout.readline()
@@ -124,18 +127,14 @@ def _start(stage: str, root: Path, **pipes) -> tuple[subprocess.Popen, Path]:
         return subprocess.Popen(command(stage, root), stderr=file, preexec_fn=hook, **({"stdout": file} | pipes)), log
 
 
-class _ending:
+@contextmanager
+def _killed_on_error(process: subprocess.Popen) -> Iterator[None]:
     """Kill a process if the block is left by an exception."""
-
-    def __init__(self, process: subprocess.Popen):
-        self._process = process
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind, *_) -> None:
-        if kind:
-            self._process.kill()
+    try:
+        yield
+    except BaseException:
+        process.kill()
+        raise
 
 
 def _last_lines(log: Path) -> str:

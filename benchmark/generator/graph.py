@@ -1,8 +1,9 @@
 """The generator's task graph on dask.distributed: bake -> pictures -> codec, ground truth -> description -> views.
 
-A task is a call into a Blender process (`gof_benchmark.generator.blender_process`) and leaves files; a shared file system carries the
-data, dask only the order, the retries and the costs. Pictures of a frame are asked for as soon as the solver has passed
-what their shutter sees, so that rendering does not wait for the bake. Everything resumes from the files.
+A task is a call into a Blender process (`gof_benchmark.generator.blender_process`) and leaves files; a shared file
+system carries the data, dask only the order, the retries and the costs. Pictures of a frame are asked for as soon as
+the solver has passed what their shutter sees, so that rendering does not wait for the bake. Everything resumes from the
+files.
 """
 
 from __future__ import annotations
@@ -15,14 +16,20 @@ from pathlib import Path
 from gof.costs import StageLog
 from gof.errors import GofError
 from gof.progress import progress_bar
-from gof_benchmark.generator.blender_process import Renderer, run_stage
-from gof_blender.pure import shutter
+from gof_benchmark.generator.blender_process import ProcessCost, Renderer, run_stage
+from gof_blender.pure import effects
 from gof_blender.pure.cost_model import stage_settings
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
 RETRIES = 3
 POLL_S = 0.3
+LOCAL_WORKERS = {  # they are threads of this process: dask must neither pause nor kill them for its memory
+    "distributed.admin.tick.limit": "1h",
+    "distributed.worker.memory.terminate": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.spill": False,
+}
 
 
 @contextmanager
@@ -45,14 +52,7 @@ def cluster(scheduler: str | None, workers: int) -> Iterator:
             ) from error
         return
     with (
-        dask.config.set(
-            {
-                "distributed.admin.tick.limit": "1h",
-                "distributed.worker.memory.terminate": False,
-                "distributed.worker.memory.pause": False,
-                "distributed.worker.memory.spill": False,
-            }
-        ),
+        dask.config.set(LOCAL_WORKERS),
         LocalCluster(n_workers=workers, threads_per_worker=1, processes=False, dashboard_address=None) as local,
         Client(local) as client,
     ):
@@ -66,8 +66,8 @@ class Generation:
         self._spec, self._layout, self._client, self._log = spec, layout, client, log
         self._root = layout.root.resolve()
         self._running: dict = {}  # future -> stage
-        self._rendered = 0
-        self._steps = 0
+        self._rendered = 0  # pictures, in this run
+        self._steps = 0  # of the solver
         self._wall_before = {cost.name: cost.settings.get("wall_s", 0.0) for cost in log.stages()}
         self._begun: dict[str, float] = {}  # stage -> clock when its first task began
 
@@ -80,7 +80,7 @@ class Generation:
         try:
             # A bake that was cut off starts over, so that pictures may follow only a bake of this very run.
             self._simulate_and_render(fresh_bake=not self._layout.bake.exists())
-            stages = ["video"] if any(map(_encodes, self._spec.effects)) else []
+            stages = ["video"] if any(map(effects.encodes, self._spec.effects)) else []
             stages += ["flow"] if "flow" in self._spec.ground_truth else []
             for stage in [*stages, "finish"]:
                 self._submit(stage, run_stage, stage)
@@ -115,11 +115,11 @@ class Generation:
 
     def _is_ready(self, frame: int) -> bool:
         """Whether the solver has passed every step that a picture of this frame sees."""
-        spec, last = self._spec, 0
-        for camera in range(len(spec.cameras.names)):
-            first, weights = shutter.step_weights(spec, camera, frame)
+        timeline, last = self._spec.timeline, 0
+        for camera in range(timeline.cameras):
+            first, weights = timeline.weights(camera, frame)
             last = max(last, first + len(weights) - 1)
-        return self._layout.blend.is_file() and self._layout.is_baked(spec.blender_frame(frame) + last)
+        return self._layout.blend.is_file() and self._layout.is_baked(timeline.blender_frame(frame) + last)
 
     def _submit(self, stage: str, function, *args, priority: int = 0) -> None:
         future = self._client.submit(
@@ -132,10 +132,10 @@ class Generation:
             stage = self._running.pop(future)
             if future.status != "finished":
                 raise GofError(f"{stage} failed {RETRIES + 1} times; the last time: {future.exception()}")
-            cost = future.result()
+            cost: ProcessCost = future.result()
             self._rendered += stage == "render"
-            settings = stage_settings(stage, self._spec) | {"wall_s": self._wall_s(stage, cost["seconds"])}
-            self._log.record(stage, cost["seconds"], cost["peak_mb"], settings, resumed=True)
+            settings = stage_settings(stage, self._spec) | {"wall_s": self._wall_s(stage, cost.seconds)}
+            self._log.record(stage, cost.seconds, cost.peak_mb, settings, resumed=True)
 
     def _wall_s(self, stage: str, seconds: float) -> float:
         """Wall seconds of a stage until now, in all runs; its tasks overlap, so their seconds add up to more."""
@@ -150,20 +150,14 @@ class Generation:
 
     def _progress(self) -> tuple[int, int]:
         """Solver steps, pictures and ground truth done, of all: rough units of one total."""
-        spec = self._spec
-        pictures = spec.clip.frames * len(spec.cameras.names)
+        pictures = self._spec.clip.frames * len(self._spec.cameras.names)
+        last = self._spec.timeline.last_frame
         if self._layout.bake_marker.is_file():
-            self._steps = spec.last_frame
-        while self._steps < spec.last_frame and self._layout.cached_velocity(self._steps + 1).is_file():
+            self._steps = last
+        while self._steps < last and self._layout.cached_velocity(self._steps + 1).is_file():
             self._steps += 1
-        return self._steps + self._rendered, spec.last_frame + pictures
+        return self._steps + self._rendered, last + pictures
 
 
-def _render(frame: int, camera: int, root: Path) -> dict:
+def _render(frame: int, camera: int, root: Path) -> ProcessCost:
     return Renderer.render(root, frame, camera)
-
-
-def _encodes(settings) -> bool:
-    from gof_blender.scene import effects
-
-    return effects.encodes(settings)

@@ -1,4 +1,4 @@
-"""Measure this machine for the cost model of `gof_blender.pure.cost_model`, and refuse what does not fit it.
+"""The generator's cost model on this machine: its coefficients measured, and specs refused that do not fit.
 
 `calibrate` fits the coefficients to a few tiny runs (about a minute) and then predicts and makes one more, which they
 were not fitted to: that difference is the prediction error shown with every estimate. Large grids are an extrapolation
@@ -11,13 +11,14 @@ import os
 import platform
 import tempfile
 import time
-from dataclasses import asdict, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gof.errors import GofError
-from gof.io.files import write_json
+from gof_benchmark.generator.blender_process import Renderer, run_stage
+from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.cost_model import (
     CORES,
@@ -26,28 +27,18 @@ from gof_blender.pure.cost_model import (
     Prediction,
     cells,
     known_machine,
-    machine_file,
     picture_s,
     predict,
+    remember,
     require_room,
     with_resolution,
 )
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
-__all__ = [
-    "REFERENCE",
-    "Machine",
-    "Prediction",
-    "calibrate",
-    "cells",
-    "known_machine",
-    "machine",
-    "predict",
-    "refuse_if_too_large",
-]
-
 LEAST_POWER = 1.13  # from 64 to 128 cells along the longest side 1.13 to 1.16; smaller grids hide it in the caches
+MOST_POWER = 1.4
+FRAMES = 2  # of a tiny run's clip
 
 
 def refuse_if_too_large(spec: SceneSpec, root: Path) -> Prediction:
@@ -63,83 +54,121 @@ def refuse_if_too_large(spec: SceneSpec, root: Path) -> Prediction:
         raise GofError(f"{error} (--out, --scheduler: another disk, a larger machine)") from error
 
 
-def machine() -> Machine:
+def this_machine() -> Machine:
     """This machine's coefficients: those measured before, or measured now."""
     return known_machine() or calibrate()
 
 
+@dataclass(frozen=True)
+class TinyRun:
+    """A bake of a few steps and single pictures of it, in processor seconds over cores.
+
+    Attributes:
+        resolution: cells along the longest side.   cells: of the whole grid.   steps: of the solver.
+        velocity_s: of exporting the ground truth of `FRAMES` frames; None when no picture was asked for.
+        pictures: (pixels, samples, seconds) each.
+    """
+
+    resolution: int
+    cells: int
+    steps: int
+    bake_s: float
+    velocity_s: float | None
+    pictures: tuple[tuple[int, int, float], ...]
+
+
 def calibrate() -> Machine:
     """Measure this machine with tiny runs and keep the coefficients for later."""
-    from gof_benchmark.commands.generate import load_scene
-
     print("measuring this machine (about a minute) ...", flush=True)
     demo = load_scene("demo", "toy")
     with tempfile.TemporaryDirectory() as folder:
-        measured = [
-            _measure(demo, Path(folder) / str(index), *setting)
-            for index, setting in enumerate(
-                (
-                    # resolution, steps, [(percentage, samples), ...]
-                    (8, 2, []),
-                    (32, 24, [(25, 4)]),
-                    (56, 14, [(10, 2), (25, 2), (25, 16)]),
-                )
-            )
-        ]
-        empty, small, large = measured
-        start = empty["bake_s"]
-        per_step = [(m["bake_s"] - start) / m["steps"] for m in (small, large)]
-        power = float(
-            np.clip(np.log(per_step[1] / per_step[0]) / np.log(large["cells"] / small["cells"]), LEAST_POWER, 1.4)
-        )
-        rows = [(1.0, p, p * s, p * s * m["resolution"]) for m in (small, large) for p, s, _ in m["pictures"]]
-        times = [t for m in (small, large) for _, _, t in m["pictures"]]
-        from scipy.optimize import nnls
-
-        coefficients, _ = nnls(np.array(rows) / np.array(times)[:, None], np.ones(len(times)))
-        velocity = max(large["velocity_s"] - start, 0.01) / (large["frames"] * large["cells"])
-        where = f"{platform.node() or 'this machine'} ({os.cpu_count()} cores, {time.strftime('%Y-%m-%d')})"
-        result = Machine(
-            start, per_step[1] / large["cells"] ** power, power, *map(float, coefficients), velocity, 0.0, where
-        )
-        # One more, which nothing was fitted to.
-        test = _measure(demo, Path(folder) / "test", 44, 20, [(18, 8)])
-        pixels, samples, seconds = test["pictures"][0]
-        spec = with_resolution(demo, 44)
-        pairs = [
-            (test["bake_s"], start + test["steps"] * result.bake_scale * test["cells"] ** power),
-            (seconds, picture_s(result, pixels, samples, spec.domain.resolution)),
-        ]
-        result = replace(result, error=max(abs(b - a) / a for a, b in pairs))
-    write_json(machine_file(), asdict(result))
-    return result
+        root = Path(folder)
+        empty = measure(demo, root / "empty", resolution=8, steps=2)
+        small = measure(demo, root / "small", resolution=32, steps=24, pictures=((25, 4),))
+        large = measure(demo, root / "large", resolution=56, steps=14, pictures=((10, 2), (25, 2), (25, 16)))
+        fitted = fit(empty, small, large)
+        unseen = measure(demo, root / "unseen", resolution=44, steps=20, pictures=((18, 8),))
+    machine = replace(fitted, error=prediction_error(fitted, unseen))
+    remember(machine)
+    return machine
 
 
-def _measure(demo: SceneSpec, root: Path, resolution: int, steps: int, pictures: list[tuple[int, int]]) -> dict:
-    """Bake a small scene and render single pictures of its last frame; median of three each."""
-    from gof_benchmark.commands.generate import claim
-    from gof_benchmark.generator.blender_process import Renderer, run_stage
-
-    spec = replace(
-        with_resolution(demo, resolution), clip=replace(demo.clip, frames=2, warm_up_frames=max(steps - 2, 0))
+def fit(empty: TinyRun, small: TinyRun, large: TinyRun) -> Machine:
+    """The coefficients that explain three runs; their error is not known yet, and 0 here."""
+    start = empty.bake_s
+    small_step, large_step = ((run.bake_s - start) / run.steps for run in (small, large))
+    power = np.log(large_step / small_step) / np.log(large.cells / small.cells)
+    power = float(np.clip(power, LEAST_POWER, MOST_POWER))
+    picture, pixel, sample, sample_per_cell = _fit_pictures((small, large))
+    return Machine(
+        start=start,
+        bake_scale=large_step / large.cells**power,
+        bake_power=power,
+        picture=picture,
+        pixel=pixel,
+        sample=sample,
+        sample_per_cell=sample_per_cell,
+        velocity=max(large.velocity_s - start, 0.01) / (FRAMES * large.cells),
+        error=0.0,
+        measured_on=f"{platform.node() or 'this machine'} ({os.cpu_count()} cores, {time.strftime('%Y-%m-%d')})",
     )
-    result = {"resolution": resolution, "cells": cells(spec), "steps": spec.last_frame, "frames": 2, "pictures": []}
-    for index, (percentage, samples) in enumerate(pictures or [(6, 1)]):
-        this = replace(spec, render=replace(spec.render, percentage=percentage, samples=samples, denoise=True))
-        layout = Layout(root / str(index))
-        claim(layout, this)
-        seconds = run_stage("bake", layout.root)["cpu_s"] / CORES
-        if index == 0:
-            result["bake_s"] = seconds
-            if pictures:
-                result["velocity_s"] = run_stage("ground-truth", layout.root)["cpu_s"] / CORES
-        if pictures:
-            times = []
-            for _ in range(4):
-                times.append(Renderer.render(layout.root, 1, 1)["cpu_s"] / CORES)
-                for path in vars(layout.frame("cam_1", 1)).values():
-                    path.unlink()
-            Renderer.close(layout.root)
-            width, height = (side * percentage // 100 for side in spec.cameras.sensor_px)
-            result["pictures"].append((width * height, samples, float(np.median(times[1:]))))
-    return result
+
+
+def _fit_pictures(runs: tuple[TinyRun, ...]) -> list[float]:
+    """Seconds per picture, per pixel, per sample and per sample and cell: non-negative, least relative error."""
+    from scipy.optimize import nnls
+
+    pictures = [(run.resolution, *picture) for run in runs for picture in run.pictures]
+    terms = np.array([(1.0, p, p * s, p * s * resolution) for resolution, p, s, _ in pictures])
+    seconds = np.array([t for *_, t in pictures])
+    coefficients, _ = nnls(terms / seconds[:, None], np.ones(len(seconds)))
+    return coefficients.tolist()
+
+
+def prediction_error(machine: Machine, run: TinyRun) -> float:
+    """The larger relative error of the predicted bake and picture of a run that nothing was fitted to."""
+    pixels, samples, seconds = run.pictures[0]
+    bake_s = machine.start + run.steps * machine.bake_scale * run.cells**machine.bake_power
+    pairs = ((run.bake_s, bake_s), (seconds, picture_s(machine, pixels, samples, run.resolution)))
+    return max(abs(predicted - true) / true for true, predicted in pairs)
+
+
+def measure(
+    demo: SceneSpec, root: Path, resolution: int, steps: int, pictures: tuple[tuple[int, int], ...] = ()
+) -> TinyRun:
+    """Bake a small scene, and render single pictures, (percentage, samples) each, of its last frame."""
+    clip = replace(demo.clip, frames=FRAMES, warm_up_frames=max(steps - FRAMES, 0))
+    spec = replace(with_resolution(demo, resolution), clip=clip)
+    layout = _bake_folder(spec, root / "0", *(pictures[0] if pictures else (6, 1)))
+    bake_s = _stage_s("bake", layout)
+    velocity_s = _stage_s("ground-truth", layout) if pictures else None
+    rendered = []
+    for index, (percentage, samples) in enumerate(pictures):
+        if index:
+            layout = _bake_folder(spec, root / str(index), percentage, samples)
+            _stage_s("bake", layout)
+        width, height = (side * percentage // 100 for side in spec.cameras.sensor_px)
+        rendered.append((width * height, samples, _picture_s(layout)))
+    return TinyRun(resolution, cells(spec), spec.timeline.last_frame, bake_s, velocity_s, tuple(rendered))
+
+
+def _bake_folder(spec: SceneSpec, root: Path, percentage: int, samples: int) -> Layout:
+    render = replace(spec.render, percentage=percentage, samples=samples, denoise=True)
+    layout = Layout(root)
+    claim(layout, replace(spec, render=render))
+    return layout
+
+
+def _stage_s(stage: str, layout: Layout) -> float:
+    return run_stage(stage, layout.root).cpu_s / CORES
+
+
+def _picture_s(layout: Layout) -> float:
+    """Median of three pictures, after one that loads the scene."""
+    times = []
+    for _ in range(4):
+        times.append(Renderer.render(layout.root, 1, 1).cpu_s / CORES)
+        for path in vars(layout.frame("cam_1", 1)).values():
+            path.unlink()
+    Renderer.close(layout.root)
+    return float(np.median(times[1:]))

@@ -7,8 +7,8 @@ import psutil
 import pytest
 
 from gof.errors import GofError
-from gof_benchmark.commands.generate import load_scene
-from gof_benchmark.generator import machine as costs
+from gof_benchmark.generator import machine
+from gof_benchmark.scenes import load_scene
 from gof_blender.pure.spec import PRESETS
 from gof_blender.scene.effects import fine_noise, motion_blur, rolling_shutter, smoke
 
@@ -16,11 +16,11 @@ DEMO = load_scene("demo")
 
 
 def predicted(spec):
-    return costs.predict(spec, costs.REFERENCE)
+    return machine.predict(spec, machine.REFERENCE)
 
 
 def test_cells_of_the_domain():
-    assert costs.cells(DEMO) == 32 * 32 * 64
+    assert machine.cells(DEMO) == 32 * 32 * 64
 
 
 def test_presets_rise_in_cost():
@@ -47,7 +47,7 @@ def test_listed_effects_cost_and_others_do_not(effect, stage):
 def test_too_large_is_refused_with_advice(tmp_path):
     huge = replace(DEMO, domain=replace(DEMO.domain, resolution=2048))
     with pytest.raises(GofError, match=r"lower domain\.resolution from 2048 to") as error:
-        costs.refuse_if_too_large(huge, tmp_path)
+        machine.refuse_if_too_large(huge, tmp_path)
     advice = int(str(error.value).split(" to ")[1].split(",")[0])
     assert (
         predicted(replace(DEMO, domain=replace(DEMO.domain, resolution=advice))).memory_mb
@@ -58,11 +58,11 @@ def test_too_large_is_refused_with_advice(tmp_path):
 def test_full_disk_is_seen_before_it_is_full(tmp_path, monkeypatch):
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("usage", (), {"free": 1000})())
     with pytest.raises(GofError, match="choose another output folder"):
-        costs.refuse_if_too_large(DEMO, tmp_path)
+        machine.refuse_if_too_large(DEMO, tmp_path)
 
 
 @pytest.mark.slow
 def test_prediction_holds_for_a_spec_it_was_not_fitted_to(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    machine = costs.calibrate()
-    assert costs.known_machine() == machine and machine.error < 1.0
+    measured = machine.calibrate()
+    assert machine.known_machine() == measured and measured.error < 1.0

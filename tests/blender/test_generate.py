@@ -15,6 +15,7 @@ import pytest
 from gof.dataset import Dataset
 from gof.errors import GofError
 from gof_benchmark.commands import generate
+from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
@@ -242,7 +243,7 @@ def test_killed_render_redoes_no_finished_frame(toy, tmp_path):
 
 def test_killed_bake_starts_over(tmp_path):
     layout = Layout(tmp_path / "toy")
-    generate.claim(layout, TOY)
+    claim(layout, TOY)
     kill_after(layout, "bake", 2)
     assert not layout.bake_marker.exists()
     failed = subprocess.run(worker(layout, "render"), capture_output=True, text=True)
@@ -261,12 +262,12 @@ def test_a_finished_dataset_is_left_alone(toy, capfd):
 def test_folder_of_another_spec_is_refused(toy, tmp_path):
     other = replace(TOY, seed=4)
     with pytest.raises(GofError, match=r"made from another spec \(seed differ"):
-        generate.claim(toy, other)
+        claim(toy, other)
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(GofError, match="not empty"):
-        generate.claim(Layout(tmp_path), TOY)
+        claim(Layout(tmp_path), TOY)
     with pytest.raises(GofError, match="neither a spec file nor a built-in scene"):
-        generate.load_scene("nowhere")
+        load_scene("nowhere")
 
 
 def test_only_listed_effects_are_built(tmp_path):

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from gof_benchmark.commands.generate import SCENES
+from gof_benchmark.scenes import FOLDER as SCENES
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.spec import Clip, Domain, Fire, Render, Rig, SceneSpec, SpecError
 from gof_blender.scene import effects

@@ -1,0 +1,45 @@
+"""The built-in scenes: one folder each with its spec, and by name or by file to a checked `SceneSpec`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gof.errors import GofError
+from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.layout import Layout
+from gof_blender.pure.spec import SceneSpec, SpecError
+
+FOLDER = Path(__file__).parent
+
+
+def built_in_scenes() -> list[str]:
+    """Names of the built-in scenes."""
+    return sorted(path.parent.name for path in FOLDER.glob("*/spec.json"))
+
+
+def load_scene(scene: str, preset: str | None = None) -> SceneSpec:
+    """The spec of a file or of a built-in scene, with a cost preset applied.
+
+    Raises:
+        GofError: no such file or scene, or a field of the spec is wrong (names it).
+    """
+    path = FOLDER / scene / "spec.json" if scene in built_in_scenes() else Path(scene)
+    if not path.is_file():
+        raise GofError(f"'{scene}' is neither a spec file nor a built-in scene ({', '.join(built_in_scenes())})")
+    try:
+        spec = scene_spec.load(path)
+        return spec.with_preset(preset) if preset else spec
+    except SpecError as error:
+        raise GofError(str(error)) from error
+
+
+def claim(layout: Layout, spec: SceneSpec) -> None:
+    """Make the folder this spec's, or check that it is.
+
+    Raises:
+        GofError: the folder was made from another spec, or holds other things.
+    """
+    try:
+        scene_spec.claim(layout, spec)
+    except SpecError as error:
+        raise GofError(f"{error} (--out)") from error
