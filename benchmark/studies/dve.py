@@ -1,11 +1,16 @@
-"""`gof study dve`: what quadrature order, grid resolution, precision and Monte Carlo buy, in error against closed forms and seconds."""
+"""`gof study dve`: what quadrature order, grid resolution, precision and Monte Carlo buy, in error and in seconds.
+
+The truth is a closed form of the expected velocity (`gof.evaluate.closed_forms`).
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import ClassVar
 
 import numpy as np
 import tyro
@@ -15,12 +20,159 @@ from gof.evaluate.closed_forms import Flow, abc, gaussian_vortex, linear, taylor
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import ORDERS, expected_velocity_plain
 from gof.fields import VelocityField
+from gof.io.files import write_json
+from gof.io.records import to_json
+from gof.progress import progress_bar
 from gof.rotations import rotation_matrices
 
 HALF = 0.6  # m; the Gaussians stay well inside the box of this half width
+WAVE_NUMBER = 10.0  # 1/m, of the periodic flows; `k_sigma` is this times a Gaussian's width
+WIDTHS = (0.25, 0.5, 1.0, 1.5)  # k_sigma
+GRIDS = (16, 32, 64, 128)  # cells along each side
+FEW_SAMPLES = 100  # of Monte Carlo; each further row has ten times as many
 
 
-class _Analytic:
+@dataclass
+class DveStudy:
+    """Accuracy against time: quadrature order, grid resolution and precision, against closed forms and Monte Carlo."""
+
+    out: Path = Path("out/study")
+    """Folder for study_dve.json and a chart per flow; older ones are replaced."""
+    gaussians: int = 20_000
+    """Gaussians per measurement."""
+    samples: int = 1_000_000
+    """Largest number of Monte Carlo samples per Gaussian."""
+    json: Path | None = None
+    """Another file to write the rows to."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement: `error` is relative (L2 over the Gaussians), `seconds` are per 10 000 Gaussians."""
+
+    study: str
+    flow: str
+    setting: str
+    k_sigma: float
+    error: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Rows:
+    """`study_dve.json`."""
+
+    SCHEMA: ClassVar[str] = "gof-study-dve"
+    VERSION: ClassVar[int] = 1
+
+    rows: tuple[Row, ...]
+
+
+def main(argv: list[str]) -> int:
+    """`gof study dve`; see --help."""
+    from rich.console import Console
+    from rich.table import Table
+
+    config = tyro.cli(DveStudy, prog="gof study dve", args=argv)
+    with progress_bar("study") as progress:
+        rows = run(config.gaussians, config.samples, lambda done, total: progress(done, total, stage="DVE"))
+    table = Table(title="Expected velocity against closed forms", title_justify="left")
+    for column in ("study", "flow", "setting", "k sigma", "relative error", "s per 10 000"):
+        table.add_column(column, no_wrap=True)
+    for r in rows:
+        table.add_row(r.study, r.flow, r.setting, f"{r.k_sigma:g}", f"{r.error:.2e}", f"{r.seconds:.4f}")
+    console = Console()
+    console.print(table)
+    content = to_json(Rows(tuple(rows)))
+    write_json(config.out / "study_dve.json", content)
+    if config.json:
+        write_json(config.json, content)
+    charts = write_charts(rows, config.out)
+    console.print(f"written to {config.out}/study_dve.json, {', '.join(path.name for path in charts)}")
+    return 0
+
+
+def run(count: int = 20_000, samples: int = 1_000_000, progress: Callable[[int, int], None] | None = None) -> list[Row]:
+    """All rows; progress(parts done, parts)."""
+    k = WAVE_NUMBER
+    flows = [linear(), taylor_green(k), abc(k), gaussian_vortex(1.5 / k)]
+    parts = [partial(order_rows, flow, width, count // 10) for flow in flows for width in WIDTHS]
+    parts += [partial(part, flow, count) for flow in flows for part in (grid_rows, precision_rows)]
+    parts += [partial(monte_carlo_rows, abc(k), samples)]
+    rows: list[Row] = []
+    for done, part in enumerate(parts, 1):
+        rows += part()
+        if progress:
+            progress(done, len(parts))
+    return rows
+
+
+def order_rows(flow: Flow, k_sigma: float, count: int) -> Iterator[Row]:
+    """Orders of the product rule, on the flow itself."""
+    x, s, q = gaussians(count, k_sigma)
+    truth = flow.mean(x, _covariance(s, q))
+    for order in ORDERS:
+        start = time.perf_counter()
+        got = expected_velocity_plain(_Everywhere(flow), x, s, q, order).mean
+        yield _row("order", flow, f"order {order}", k_sigma, got, truth, time.perf_counter() - start)
+
+
+def grid_rows(flow: Flow, count: int) -> Iterator[Row]:
+    """Grids of several resolutions, by the compiled kernel."""
+    x, s, q = gaussians(count, 0.5)
+    truth = flow.mean(x, _covariance(s, q))
+    for cells in GRIDS:
+        field = _grid(flow, cells)
+        for order in ORDERS if cells == 64 else (3, 5):
+            expected_velocity_on_grid(field, x[:100], s[:100], q[:100], order)  # compiled once, not timed
+            start = time.perf_counter()
+            got = expected_velocity_on_grid(field, x, s, q, order).mean
+            yield _row("grid", flow, f"{cells}^3 order {order}", 0.5, got, truth, time.perf_counter() - start)
+
+
+def precision_rows(flow: Flow, count: int) -> Iterator[Row]:
+    """Precisions of the stored velocity, by kernel and in numpy; the truth is the same grid in float64."""
+    x, s, q = gaussians(count, 0.5)
+    few = count // 10
+    field = _grid(flow, GRIDS[-1])
+    truth = expected_velocity_plain(field, x[:few], s[:few], q[:few], 3).mean
+    for dtype in (np.float16, np.float32, np.float64):
+        cast = VelocityField(field.velocity.astype(dtype), field.index_to_world)
+        for name, function, n in (
+            ("kernel", expected_velocity_on_grid, count),
+            ("plain", expected_velocity_plain, few),
+        ):
+            start = time.perf_counter()
+            got = function(cast, x[:n], s[:n], q[:n], 3).mean
+            seconds = (time.perf_counter() - start) * few / n
+            yield _row("precision", flow, f"{np.dtype(dtype).name} {name}", 0.5, got[:few], truth, seconds)
+
+
+def monte_carlo_rows(flow: Flow, most: int) -> Iterator[Row]:
+    """Numbers of random samples per Gaussian, on the flow itself."""
+    x, s, q = gaussians(20, 0.5)
+    truth = flow.mean(x, _covariance(s, q))
+    rng = np.random.default_rng(1)
+    axes = rotation_matrices(q) * s[:, None, :]
+    count = FEW_SAMPLES
+    while count <= most:
+        start = time.perf_counter()
+        got = np.empty_like(x)
+        for i in range(len(x)):
+            got[i] = flow.velocity(x[i] + rng.standard_normal((count, 3)) @ axes[i].T).mean(0)
+        yield _row("monte carlo", flow, f"{count} samples", 0.5, got, truth, time.perf_counter() - start)
+        count *= 10
+
+
+def gaussians(count: int, k_sigma: float, k: float = WAVE_NUMBER, seed: int = 0):
+    """Random anisotropic Gaussians with a root-mean-square width of k_sigma / k; (position, scale, rotation)."""
+    rng = np.random.default_rng(seed)
+    scale = rng.uniform(0.3, 1.0, (count, 3))
+    scale *= k_sigma / k / np.sqrt((scale**2).mean())
+    return rng.uniform(-0.25, 0.25, (count, 3)), scale, rng.normal(size=(count, 4))
+
+
+class _Everywhere:
     """A flow with the interface of a field, everywhere."""
 
     voxel_size = 1.0
@@ -32,97 +184,11 @@ class _Analytic:
         return np.ones(len(points), bool)
 
 
-def gaussians(count: int, k_sigma: float, k: float, seed: int = 0):
-    """Random anisotropic Gaussians with a root-mean-square width of k_sigma / k; (position, scale, rotation)."""
-    rng = np.random.default_rng(seed)
-    scale = rng.uniform(0.3, 1.0, (count, 3))
-    scale *= k_sigma / k / np.sqrt((scale**2).mean())
-    return rng.uniform(-0.25, 0.25, (count, 3)), scale, rng.normal(size=(count, 4))
-
-
-def run(count: int = 20_000, samples: int = 1_000_000, progress=None) -> list[dict[str, Any]]:
-    """All rows: {"study", "flow", "setting", "k_sigma", "error" (relative L2 over the Gaussians), "seconds" (per 10 000 Gaussians)}."""
-    k = 10.0
-    flows = [linear(), taylor_green(k), abc(k), gaussian_vortex(1.5 / k)]
-    rows: list[dict[str, Any]] = []
-    widths = (0.25, 0.5, 1.0, 1.5)
-    total = len(flows) * len(widths) + 2 * len(flows) + 1
-
-    def record(study, flow, setting, k_sigma, got, truth, seconds, n):
-        rows.append(
-            {
-                "study": study,
-                "flow": flow.name,
-                "setting": setting,
-                "k_sigma": k_sigma,
-                "error": float(np.linalg.norm(got - truth) / np.linalg.norm(truth)),
-                "seconds": seconds / n * 10_000,
-            }
-        )
-
-    def step(done):
-        if progress:
-            progress(done, total)
-
-    done = 0
-    for flow in flows:
-        for k_sigma in widths:
-            x, s, q = gaussians(count // 10, k_sigma, k)
-            truth = flow.mean(x, _covariance(s, q))
-            for order in ORDERS:
-                start = time.perf_counter()
-                got = expected_velocity_plain(_Analytic(flow), x, s, q, order).mean
-                record("order", flow, f"order {order}", k_sigma, got, truth, time.perf_counter() - start, len(x))
-            step(done := done + 1)
-    for flow in flows:
-        x, s, q = gaussians(count, 0.5, k)
-        truth = flow.mean(x, _covariance(s, q))
-        for cells in (16, 32, 64, 128):
-            field = _grid(flow, cells)
-            for order in (1, 3, 5, 7):
-                if order in (1, 7) and cells != 64:
-                    continue
-                expected_velocity_on_grid(field, x[:100], s[:100], q[:100], order)  # compiled once, not timed
-                start = time.perf_counter()
-                got = expected_velocity_on_grid(field, x, s, q, order).mean
-                record("grid", flow, f"{cells}^3 order {order}", 0.5, got, truth, time.perf_counter() - start, count)
-        step(done := done + 1)
-        field = _grid(flow, 128)
-        for dtype in (np.float16, np.float32, np.float64):
-            cast = VelocityField(field.velocity.astype(dtype), field.index_to_world)
-            for name, function in (("kernel", expected_velocity_on_grid), ("plain", expected_velocity_plain)):
-                n = count if name == "kernel" else count // 10
-                start = time.perf_counter()
-                got = function(cast, x[:n], s[:n], q[:n], 3).mean
-                reference = expected_velocity_plain(field, x[: n // 10], s[: n // 10], q[: n // 10], 3).mean
-                record(
-                    "precision",
-                    flow,
-                    f"{np.dtype(dtype).name} {name}",
-                    0.5,
-                    got[: n // 10],
-                    reference,
-                    time.perf_counter() - start,
-                    n,
-                )
-        step(done := done + 1)
-    _monte_carlo(abc(k), k, samples, record)
-    step(total)
-    return rows
-
-
-def _monte_carlo(flow: Flow, k: float, samples: int, record) -> None:
-    x, s, q = gaussians(20, 0.5, k)
-    truth, rng = flow.mean(x, _covariance(s, q)), np.random.default_rng(1)
-    axes = rotation_matrices(q) * s[:, None, :]
-    count = 100
-    while count <= samples:
-        start = time.perf_counter()
-        got = np.empty_like(x)
-        for i in range(len(x)):
-            got[i] = flow.velocity(x[i] + rng.standard_normal((count, 3)) @ axes[i].T).mean(0)
-        record("monte carlo", flow, f"{count} samples", 0.5, got, truth, time.perf_counter() - start, len(x))
-        count *= 10
+def _row(
+    study: str, flow: Flow, setting: str, k_sigma: float, got: np.ndarray, truth: np.ndarray, seconds: float
+) -> Row:
+    error = float(np.linalg.norm(got - truth) / np.linalg.norm(truth))
+    return Row(study, flow.name, setting, k_sigma, error, seconds / len(got) * 10_000)
 
 
 def _grid(flow: Flow, cells: int) -> VelocityField:
@@ -131,7 +197,7 @@ def _grid(flow: Flow, cells: int) -> VelocityField:
     return VelocityField(velocity, field.index_to_world)
 
 
-def _covariance(scale, rotation):
+def _covariance(scale: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     axes = rotation_matrices(rotation) * scale[:, None, :]
     return axes @ axes.transpose(0, 2, 1)
 
@@ -144,74 +210,26 @@ LINES = (
 )
 
 
-def write_charts(rows: list[dict[str, Any]], folder: Path) -> list[Path]:
+def write_charts(rows: list[Row], folder: Path) -> list[Path]:
     """Error over seconds, study_dve_FLOW.svg per flow. Errors below 1e-17 count as 1e-17."""
     paths = []
-    for flow in dict.fromkeys(r["flow"] for r in rows):
-        lines: dict[str, list] = {}
-        for study, k_sigma, label in LINES:
-            picked = [r for r in rows if (r["flow"], r["study"], r["k_sigma"]) == (flow, study, k_sigma)]
-            if study == "grid":
-                picked = [r for r in picked if r["setting"].endswith("order 3")]
-            if picked:
-                lines[label] = [
-                    (
-                        r["seconds"],
-                        max(r["error"], 1e-17),
-                        r["setting"].removesuffix(" order 3").removesuffix(" samples"),
-                    )
-                    for r in picked
-                ]
+    for flow in dict.fromkeys(row.flow for row in rows):
+        lines = {label: _points(rows, flow, study, k_sigma) for study, k_sigma, label in LINES}
         paths.append(folder / f"study_dve_{flow.lower().replace(' ', '_')}.svg")
         line_chart.write(
             paths[-1],
             f"{flow}: error of the expected velocity",
             "seconds per 10 000 Gaussians",
             "relative L2 error",
-            lines,
+            {label: points for label, points in lines.items() if points},
         )
     return paths
 
 
-@dataclass
-class StudyConfig:
-    """Accuracy against time: quadrature order, grid resolution and precision, against closed forms and Monte Carlo."""
-
-    what: tyro.conf.Positional[Literal["dve"]]
-    """What to study."""
-    out: Path = Path("out/study")
-    """Folder for study_dve.json and a chart per flow; older ones are replaced."""
-    gaussians: int = 20_000
-    """Gaussians per measurement."""
-    samples: int = 1_000_000
-    """Largest number of Monte Carlo samples per Gaussian."""
-    json: Path | None = None
-    """Another file to write the rows to."""
-
-
-def main(argv: list[str]) -> int:
-    """The command line of `gof study`."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from gof.io.files import write_json
-    from gof.progress import progress_bar
-
-    config = tyro.cli(StudyConfig, prog="gof study", args=argv)
-    with progress_bar("study") as progress:
-        rows = run(config.gaussians, config.samples, lambda done, total: progress(done, total, stage="DVE"))
-    table = Table(title="Expected velocity against closed forms", title_justify="left")
-    for column in ("study", "flow", "setting", "k sigma", "relative error", "s per 10 000"):
-        table.add_column(column, no_wrap=True)
-    for r in rows:
-        table.add_row(
-            r["study"], r["flow"], r["setting"], f"{r['k_sigma']:g}", f"{r['error']:.2e}", f"{r['seconds']:.4f}"
-        )
-    console = Console()
-    console.print(table)
-    content = {"schema": "gof-study-dve", "version": 1, "rows": rows}
-    for path in {config.out / "study_dve.json", config.json} - {None}:
-        write_json(path, content)
-    charts = write_charts(rows, config.out)
-    console.print(f"written to {config.out}/study_dve.json, {', '.join(path.name for path in charts)}")
-    return 0
+def _points(rows: list[Row], flow: str, study: str, k_sigma: float) -> list[tuple[float, float, str]]:
+    """(seconds, error, label) of one line of a chart."""
+    found = [row for row in rows if (row.flow, row.study, row.k_sigma) == (flow, study, k_sigma)]
+    if study == "grid":
+        found = [row for row in found if row.setting.endswith("order 3")]
+    labels = [row.setting.removesuffix(" order 3").removesuffix(" samples") for row in found]
+    return [(row.seconds, max(row.error, 1e-17), label) for row, label in zip(found, labels, strict=True)]

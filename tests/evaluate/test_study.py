@@ -22,7 +22,7 @@ def test_closed_forms_against_a_million_samples(flow):
 
 
 def test_the_study_shows_what_it_claims(tmp_path, capsys):
-    assert main(["dve", "--out", str(tmp_path), "--gaussians", "1000", "--samples", "10000"]) == 0
+    assert main(["--out", str(tmp_path), "--gaussians", "1000", "--samples", "10000"]) == 0
     assert "Expected velocity" in capsys.readouterr().out
     rows = json.loads((tmp_path / "study_dve.json").read_text())["rows"]
     error = {(r["study"], r["flow"], r["setting"], r["k_sigma"]): r["error"] for r in rows}
