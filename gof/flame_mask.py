@@ -1,0 +1,26 @@
+"""Where flame may be in a picture, told from the view without it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+
+def flame_mask(
+    image: np.ndarray, static: np.ndarray, weak: float = 0.15, strong: float = 0.35, grow_px: int = 2
+) -> np.ndarray:
+    """(H, W) bool: where flame may be, closed and grown by `grow_px`.
+
+    Flame raises red most, and so does the light it throws on its surroundings, only less. Hence hysteresis: regions
+    whose rise in red, and in red over blue, is above `weak` everywhere and above `strong` somewhere.
+
+    Args:
+        image, static: (H, W, 3) display sRGB in [0, 1], with and without fire.
+        weak, strong: display values.
+    """
+    rise = image - static
+    rise = np.minimum(rise[..., 0], rise[..., 0] - rise[..., 2])
+    _, region = cv2.connectedComponents((rise > weak).astype(np.uint8))
+    flame = np.isin(region, np.unique(region[rise > strong])) & (region > 0)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow_px + 1, 2 * grow_px + 1))
+    return cv2.dilate(cv2.morphologyEx(flame.astype(np.uint8), cv2.MORPH_CLOSE, disc), disc) > 0
