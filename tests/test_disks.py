@@ -7,13 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from gof.commands.reconstruct import reconstruct
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
 from gof.io.files import only_run_in, write_json
 from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY
-from tests.reconstruct.rising_flame import config, write_flame
+from tests.reconstruct.rising_flame import reconstruct, write_flame
 
 OPTIONS = ("--gaussians", "800", "--iterations", "20", "--voxels", "24", "--no-flow-prior")
 
@@ -102,9 +101,9 @@ def test_generate_on_a_full_disk_keeps_its_folder_and_goes_on(disk, tmp_path):
 def test_two_runs_in_one_folder(flame, tmp_path):
     with only_run_in(tmp_path / "out"):
         with pytest.raises(GofError, match=rf"another run is at work there \(process {os.getpid()}\)"):
-            reconstruct(config(flame, tmp_path / "out", iterations=5))
+            reconstruct(flame, tmp_path / "out", iterations=5)
         assert files(tmp_path / "out") == [".lock"]
-    reconstruct(config(flame, tmp_path / "out", iterations=5))
+    reconstruct(flame, tmp_path / "out", iterations=5)
 
 
 def test_two_generators_in_one_folder(tmp_path):
@@ -116,7 +115,10 @@ def test_two_generators_in_one_folder(tmp_path):
 
 
 def test_the_folder_is_free_again_after_kill_9(tmp_path):
-    code = f"from pathlib import Path\nfrom gof.io.files import only_run_in\nimport os\nwith only_run_in(Path({str(tmp_path)!r})):\n os.kill(os.getpid(), 9)"
+    code = (
+        "import os\nfrom pathlib import Path\nfrom gof.io.files import only_run_in\n"
+        f"with only_run_in(Path({str(tmp_path)!r})):\n os.kill(os.getpid(), 9)"
+    )
     assert subprocess.run([sys.executable, "-c", code]).returncode == -9
     with only_run_in(tmp_path):
         write_json(tmp_path / "a.json", 1)

@@ -2,16 +2,16 @@
 
     python -m gof_benchmark.evidence.flow_fusion DATASET [--json FILE]
 
-Every row changes one choice of `gof reconstruct`. Scores are DVE's on the voxels, weighted by their tomographic emission and
-averaged over the training frames: L2 (0 perfect, 1 = standing still), CosSim, and the speed relative to the true one. Seconds
-are those of the fusion (and of another flow) of that row.
+Every row changes one choice of `gof reconstruct`. Scores are DVE's on the voxels, weighted by their tomographic
+emission and averaged over the training frames: L2 (0 perfect, 1 = standing still), CosSim, and the speed relative to
+the true one. Seconds are those of the fusion (and of another flow) and the scoring of that row.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +21,13 @@ from gof.dataset import Dataset
 from gof.evaluate import dve
 from gof.gaussians import TransientGaussians
 from gof.io.files import write_json
-from gof.reconstruct.flow_field import fuse_frame
+from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FlowPrior
-from gof.reconstruct.motion import estimate_motion
+from gof.reconstruct.fusion import fuse_frame
+from gof.reconstruct.observation import observe
 from gof.reconstruct.optical_flow import deepflow, tvl1
-from gof.reconstruct.voxels import FlameVoxels, carve, tomography
+from gof.reconstruct.presets import METHODS
+from gof.reconstruct.voxels import FlameVoxels
 
 
 @dataclass
@@ -64,54 +66,51 @@ def grey_picture(image: np.ndarray, static: np.ndarray) -> np.ndarray:
 def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(FusionStudy, prog="python -m gof_benchmark.evidence.flow_fusion", args=argv)
     dataset = Dataset.open(config.dataset)
-    motion = estimate_motion(dataset)
-    voxels = carve(dataset.cameras, motion.mask, config.voxels)
-    count = len(motion.frames)
-    emission = [tomography(voxels, motion.intensity[f], motion.mask[f]) for f in range(count)]
-    times = dataset.times_s[motion.frames]
+    seen = observe(dataset)
+    field = seen_flow_field(seen, METHODS["gof"], config.voxels)
+    voxels = field.voxels
 
-    def measure(velocity: Callable[[int], np.ndarray]) -> list[float]:
+    def measure(field: FlowField) -> list[float]:
         results = []
-        for f, t in enumerate(times):
-            r = dve(on_voxels(voxels, velocity(f), emission[f], t), dataset.velocity.at(t), t, order=1)
+        for frame in field.frames:
+            cloud = on_voxels(voxels, frame.velocity, frame.emission, frame.time_s)
+            r = dve(cloud, dataset.velocity.at(frame.time_s), frame.time_s, order=1)
             results.append((r.l2, r.cos_sim, r.speed_ratio))
         return np.mean(results, 0).tolist()
 
-    def fused(flow: np.ndarray, fusion: str, smooth: float) -> list[float]:
-        return measure(lambda f: fuse_frame(voxels, flow[f], motion.mask[f], emission[f], fusion, smooth)[0])
+    def constant() -> FlowField:
+        frames = []
+        for frame in field.frames:
+            truth = dataset.velocity.at(frame.time_s).sample(voxels.center)
+            mean = (frame.emission[:, None] * truth).sum(0) / frame.emission.sum()
+            frames.append(replace(frame, velocity=np.broadcast_to(mean, truth.shape)))
+        return replace(field, frames=tuple(frames))
 
-    def corrected(flow: np.ndarray) -> list[float]:
-        seen = np.stack(
-            [fuse_frame(voxels, flow[f], motion.mask[f], emission[f], "full", 3.0)[0] for f in range(count)]
-        )
-        gas = FlowPrior.load().correct(voxels, seen, np.stack(emission))
-        return measure(lambda f: gas[f])
+    def fused(flow: np.ndarray, fusion: str, smooth: float) -> FlowField:
+        """The field with another flow, fusion or smoothing; its emission stays."""
+        frames = []
+        for f, frame in enumerate(field.frames):
+            velocity, known = fuse_frame(voxels, flow[f], seen.mask[f], frame.emission, fusion, smooth)
+            frames.append(replace(frame, velocity=velocity, known=known))
+        return replace(field, frames=tuple(frames))
 
-    def constant(f: int) -> np.ndarray:
-        truth = dataset.velocity.at(times[f]).sample(voxels.center)
-        mean = (emission[f][:, None] * truth).sum(0) / emission[f].sum()
-        return np.broadcast_to(mean, truth.shape)
-
-    rows: list[tuple[str, Callable[[], list[float]]]] = [
-        ("control: best constant vector", lambda: measure(constant)),
-        ("default: full, smooth 3, light above plate", lambda: fused(motion.flow, "full", 3.0)),
-        ("no smoothing", lambda: fused(motion.flow, "full", 0.0)),
-        ("smooth 6", lambda: fused(motion.flow, "full", 6.0)),
-        ("the paper's constraint, smooth 3", lambda: fused(motion.flow, "paper", 3.0)),
-        ("the paper's constraint, no smoothing", lambda: fused(motion.flow, "paper", 0.0)),
-        (
-            "flow on grey display pictures",
-            lambda: fused(estimate_motion(dataset, picture=grey_picture).flow, "full", 3.0),
-        ),
-        ("flow by DeepFlow", lambda: fused(estimate_motion(dataset, flow=deepflow).flow, "full", 3.0)),
-        ("flow by TV-L1", lambda: fused(estimate_motion(dataset, flow=tvl1).flow, "full", 3.0)),
-        ("default, and the flow prior", lambda: corrected(motion.flow)),
+    rows: list[tuple[str, Callable[[], FlowField]]] = [
+        ("control: best constant vector", constant),
+        ("default: full, smooth 3, light above plate", lambda: fused(seen.flow, "full", 3.0)),
+        ("no smoothing", lambda: fused(seen.flow, "full", 0.0)),
+        ("smooth 6", lambda: fused(seen.flow, "full", 6.0)),
+        ("the paper's constraint, smooth 3", lambda: fused(seen.flow, "paper", 3.0)),
+        ("the paper's constraint, no smoothing", lambda: fused(seen.flow, "paper", 0.0)),
+        ("flow on grey display pictures", lambda: fused(observe(dataset, picture=grey_picture).flow, "full", 3.0)),
+        ("flow by DeepFlow", lambda: fused(observe(dataset, flow=deepflow).flow, "full", 3.0)),
+        ("flow by TV-L1", lambda: fused(observe(dataset, flow=tvl1).flow, "full", 3.0)),
+        ("default, and the flow prior", lambda: FlowPrior.load().correct(fused(seen.flow, "full", 3.0))),
     ]
     table = []
     print(f"{'choice':<46} {'L2':>7} {'CosSim':>7} {'speed':>6} {'s':>6}")
     for name, row in rows:
         start = time.perf_counter()
-        l2, cosine, speed = row()
+        l2, cosine, speed = measure(row())
         table.append(
             {"choice": name, "l2": l2, "cos_sim": cosine, "speed_ratio": speed, "seconds": time.perf_counter() - start}
         )

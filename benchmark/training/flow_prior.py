@@ -3,8 +3,8 @@
     python -m gof_benchmark.training.flow_prior WORK [--out gof/reconstruct/flow_prior.npz]
 
 Generates every spec in benchmark/flow_prior_scenes into WORK (resumable; about two minutes each on two cores), runs the
-motion and fusion stages on each, prints what the prior does for a flame it has not seen (each flame left out in turn, and
-the datasets given with --test), and writes the weights. Scores as in `gof_benchmark.evidence.flow_fusion`.
+motion and fusion stages on each, prints what the prior does for a flame it has not seen (each flame left out in turn,
+and the datasets given with --test), and writes the weights. Scores as in `gof_benchmark.evidence.flow_fusion`.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import tyro
 from gof.dataset import Dataset
 from gof.evaluate import dve
 from gof.io.files import atomic_path
-from gof.reconstruct.flow_field import fuse_frame
+from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import WEIGHTS, FlowPrior, describe
-from gof.reconstruct.motion import estimate_motion
-from gof.reconstruct.voxels import FlameVoxels, carve, tomography
+from gof.reconstruct.observation import observe
+from gof.reconstruct.presets import METHODS
 from gof_benchmark.commands import generate
 from gof_benchmark.evidence.flow_fusion import on_voxels
 
@@ -46,32 +46,25 @@ class TrainConfig:
 
 @dataclass(frozen=True)
 class Flame:
-    """One dataset as the prior sees it: velocity and truth (F, V, 3) m/s, emission (F, V)."""
+    """One dataset as the prior sees it: the seen flow field, and the true velocity (F, V, 3) m/s on its voxels."""
 
     dataset: Dataset
-    voxels: FlameVoxels
-    times_s: np.ndarray
-    emission: np.ndarray
-    velocity: np.ndarray
+    field: FlowField
     truth: np.ndarray
 
     @classmethod
     def of(cls, path: Path) -> Flame:
         dataset = Dataset.open(path)
-        motion = estimate_motion(dataset)
-        voxels = carve(dataset.cameras, motion.mask, 72)
-        frames, times = range(len(motion.frames)), dataset.times_s[motion.frames]
-        emission = [tomography(voxels, motion.intensity[f], motion.mask[f]) for f in frames]
-        velocity = [fuse_frame(voxels, motion.flow[f], motion.mask[f], emission[f])[0] for f in frames]
-        truth = [dataset.velocity.at(t).sample(voxels.center) for t in times]
-        return cls(dataset, voxels, times, np.stack(emission), np.stack(velocity), np.stack(truth))
+        field = seen_flow_field(observe(dataset), METHODS["gof"], 72)
+        truth = [dataset.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames]
+        return cls(dataset, field, np.stack(truth))
 
-    def score(self, velocity: np.ndarray) -> str:
-        """L2, CosSim and speed ratio of velocity (F, V, 3), mean over frames."""
-        results = [
-            dve(on_voxels(self.voxels, v, e, t), self.dataset.velocity.at(t), t, order=1)
-            for v, e, t in zip(velocity, self.emission, self.times_s, strict=True)
-        ]
+    def score(self, field: FlowField) -> str:
+        """L2, CosSim and speed ratio of a flow field of this dataset, mean over frames."""
+        results = []
+        for frame in field.frames:
+            cloud = on_voxels(field.voxels, frame.velocity, frame.emission, frame.time_s)
+            results.append(dve(cloud, self.dataset.velocity.at(frame.time_s), frame.time_s, order=1))
         return "  ".join(f"{x:.3f}" for x in np.mean([(r.l2, r.cos_sim, r.speed_ratio) for r in results], 0))
 
 
@@ -89,8 +82,8 @@ def train(
     torch.manual_seed(seed)
     parts: list[tuple[np.ndarray, ...]] = []
     for flame in flames:
-        features, vectors = describe(flame.voxels, flame.velocity, flame.emission)
-        e = flame.emission
+        features, vectors = describe(flame.field)
+        e = flame.field.emission
         weight = e / e.sum() + np.sqrt(e) / np.sqrt(e).sum()
         weight /= weight.sum()
         energy = (weight[..., None] * flame.truth**2).sum()
@@ -147,8 +140,8 @@ def main(argv: list[str] | None = None) -> None:
     print(f"{'flame not trained on':<28} {'seen: L2 CosSim speed':<24} {'with the prior':<22}")
 
     def show(name: str, flame: Flame, prior: FlowPrior) -> None:
-        corrected = prior.correct(flame.voxels, flame.velocity, flame.emission)
-        print(f"{name:<28} {flame.score(flame.velocity):<24} {flame.score(corrected):<22}", flush=True)
+        corrected = prior.correct(flame.field)
+        print(f"{name:<28} {flame.score(flame.field):<24} {flame.score(corrected):<22}", flush=True)
 
     if config.leave_one_out:
         for name, flame in flames.items():

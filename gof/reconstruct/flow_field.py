@@ -1,112 +1,75 @@
-"""Fusing the cameras' optical flows into one 3D velocity per voxel (paper, "Dynamic Scene", eq. 4 to 7)."""
+"""The flow field of a clip: per training frame and voxel, how brightly it shines and how fast it moves."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
-from gof.errors import GofError
-from gof.reconstruct.voxels import FlameVoxels
+from gof.reconstruct.fusion import fuse_frame
+from gof.reconstruct.observation import Observation
+from gof.reconstruct.presets import Method
+from gof.reconstruct.tomography import tomography
+from gof.reconstruct.voxels import FlameVoxels, carve
 
 
-def back_projected_flow(jacobian: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """u_i of the paper's eq. 4, as a velocity: the motion at constant depth that projects to the flow.
+@dataclass(frozen=True)
+class FrameField:
+    """One training frame on V voxels. What adds evidence to it returns a new one.
 
-    For a small step, pi^-1(f + pi(x), x) - x is the shortest vector u in the image plane with J u = f, which is the
-    pseudo-inverse of J; unlike the finite step it is exact in units of velocity.
+    Attributes:
+        time_s: on the dataset clock.
+        emission: (V,) >= 0, mean 1 over the frame's hull and 0 outside; all 0 where no flame is seen.
+        velocity: (V, 3) world m/s; 0 where it is not known.
+        known: (V,) bool, where the views say something of the velocity.
+        image: (C, H, W, 3) the frame's pictures, display sRGB.
+    """
+
+    time_s: float
+    emission: np.ndarray
+    velocity: np.ndarray
+    known: np.ndarray
+    image: np.ndarray
+
+
+@dataclass(frozen=True)
+class FlowField:
+    """The training frames of a clip, in order of time, all on the same voxels."""
+
+    voxels: FlameVoxels
+    frames: tuple[FrameField, ...]
+
+    @property
+    def emission(self) -> np.ndarray:
+        """(F, V), a copy."""
+        return np.stack([frame.emission for frame in self.frames])
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """(F, V, 3) m/s, a copy."""
+        return np.stack([frame.velocity for frame in self.frames])
+
+
+def seen_flow_field(
+    observation: Observation, method: Method, longest_side: int, progress: Callable[..., None] | None = None
+) -> FlowField:
+    """What is seen to move: hull, emission by tomography, and the cameras' optical flows fused in 3D.
 
     Args:
-        jacobian: (V, 2, 3) px/m.    flow: (V, 2) px/s.
-    Returns:
-        (V, 3) m/s.
+        longest_side: voxels along the longest side of the flame's box.
+        progress: called with (done, total) after every frame.
+    Raises:
+        DataFormatError: the flame cannot be placed in space; see `carve`.   GofError: see `fuse_frame`.
     """
-    # J J^T is 2x2 and regular for any point in front of a camera with positive focal length.
-    gram = jacobian @ jacobian.transpose(0, 2, 1)
-    return (jacobian.transpose(0, 2, 1) @ np.linalg.solve(gram, flow[..., None]))[..., 0]
-
-
-def fuse_paper(jacobian: np.ndarray, flow: np.ndarray, valid: np.ndarray, tau0: float = 0.1) -> np.ndarray:
-    """The paper's constraint u_i . F = |u_i|^2 with Tikhonov regularisation (eq. 5 to 7), made independent of units.
-
-    As printed, tau^2 has the unit of velocity^4 while the matrix it regularises has velocity^2, so the result changes
-    with the unit of length. Here every row is divided by the root-mean-square |u| and tau = tau0, the only reading that scales.
-
-    Args:
-        jacobian: (C, V, 2, 3) px/m.   flow: (C, V, 2) px/s.   valid: (C, V) bool.   tau0: regularisation, relative.
-    Returns:
-        (V, 3) m/s; 0 where no camera has flow or all flows are 0.
-    """
-    n = jacobian.shape[1]
-    A, b = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    u = np.zeros((len(jacobian), n, 3))
-    for c, use in enumerate(valid):
-        u[c, use] = back_projected_flow(jacobian[c, use], flow[c, use])
-    count = np.maximum(valid.sum(0), 1)
-    mean_square = (u**2).sum((0, 2)) / count
-    moving = mean_square > 1e-30
-    scaled = u / np.sqrt(np.where(moving, mean_square, 1))[:, None]
-    A = np.einsum("cvi,cvj->vij", scaled, scaled) + tau0**2 * np.eye(3)
-    b = np.einsum("cvi,cv->vi", scaled, (scaled * u).sum(-1))
-    return np.where(moving[:, None], np.linalg.solve(A, b[..., None])[..., 0], 0)
-
-
-def fuse_full(jacobian: np.ndarray, flow: np.ndarray, valid: np.ndarray, ridge: float = 0.01) -> np.ndarray:
-    """Every camera constrains both image components: minimise sum_i |J_i F - f_i|^2 + ridge * scale * |F|^2.
-
-    The paper keeps one equation per camera (along u_i) and so gives up half of what a camera knows. The ridge is relative
-    to the mean eigenvalue of sum J^T J, hence independent of units; it holds the component no camera sees (along the
-    rays) at zero.
-
-    Args and returns: as `fuse_paper`.
-    """
-    n = jacobian.shape[1]
-    A, b = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    for c, use in enumerate(valid):
-        J = jacobian[c, use]
-        A[use] += J.transpose(0, 2, 1) @ J
-        b[use] += (J.transpose(0, 2, 1) @ flow[c, use][..., None])[..., 0]
-    trace = np.trace(A, axis1=1, axis2=2)
-    seen = trace > 0
-    A += (ridge * np.where(seen, trace, 1) / 3)[:, None, None] * np.eye(3)
-    return np.where(seen[:, None], np.linalg.solve(A, b[..., None])[..., 0], 0)
-
-
-FUSIONS = {"full": fuse_full, "paper": fuse_paper}
-
-
-def fuse_frame(
-    voxels: FlameVoxels,
-    flow: np.ndarray,
-    mask: np.ndarray,
-    emission: np.ndarray,
-    fusion: str = "full",
-    smooth_voxels: float = 3.0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The 3D velocity of every voxel in one frame.
-
-    Args:
-        flow: (C, H, W, 2) px/s, NaN where unknown.   mask: (C, H, W) bool.   emission: (V,) weights for the smoothing.
-        fusion: "full" or "paper".   smooth_voxels: std-dev of the emission-weighted Gaussian smoothing; 0 = none.
-    Returns:
-        velocity (V, 3) m/s, and known (V,) bool: at least two cameras gave flow here or smoothing reached it.
-    """
-    sampled = voxels.sample(flow, outside=np.nan)
-    valid = np.isfinite(sampled).all(-1) & (voxels.sample(mask.astype(np.int8), outside=0) == 1)
-    velocity = FUSIONS[fusion](voxels.jacobian, np.where(valid[..., None], sampled, 0), valid)
-    known = valid.sum(0) >= 2
-    velocity[~known] = 0
-    if smooth_voxels > 0 and known.any():
-        weight = np.where(known, emission + 1e-3 * emission.max(initial=0) + 1e-12, 0)
-        cells = tuple(voxels.index.T)
-        grid = np.zeros((*voxels.resolution, 4))
-        grid[(*cells, slice(0, 3))] = velocity * weight[:, None]
-        grid[(*cells, 3)] = weight
-        smooth = np.stack(
-            [gaussian_filter(grid[..., i], smooth_voxels, mode="constant", truncate=3) for i in range(4)], -1
-        )[cells]
-        reached = smooth[:, 3] > 1e-6 * weight.max()
-        velocity = np.where(reached[:, None], smooth[:, :3] / np.where(reached, smooth[:, 3], 1)[:, None], 0)
-        known = reached
-    if not np.isfinite(velocity).all():
-        raise GofError("flow fusion produced NaN or Inf; the camera matrices or flows are degenerate")
-    return velocity, known
+    voxels = carve(observation.cameras, observation.mask, longest_side)
+    frames = []
+    for f, time_s in enumerate(observation.time_s):
+        flow = observation.flow[f]
+        mask = observation.mask[f]
+        emission = tomography(voxels, observation.intensity[f], mask, method.round_flame)
+        velocity, known = fuse_frame(voxels, flow, mask, emission, method.fusion, method.smooth_voxels)
+        frames.append(FrameField(float(time_s), emission, velocity, known, observation.image[f]))
+        if progress:
+            progress(f + 1, len(observation.frames))
+    return FlowField(voxels, tuple(frames))

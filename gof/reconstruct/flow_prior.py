@@ -1,18 +1,19 @@
 """From the motion that is seen to the motion of the gas: a small learned correction of the fused flow.
 
-Optical flow follows texture. A flame's texture sits in its slow outer layer, the core has none, and the inflow at the foot moves
-nothing that could be seen, so the fused flow is too slow by a factor that changes over the flame. How it changes is much
-the same from flame to flame. A small network, trained on simulated flames (`benchmark/training/flow_prior.py`; none of
-them is a scene of the benchmark), reads it off the shape of the flame and of the seen flow.
+Optical flow follows texture. A flame's texture sits in its slow outer layer, the core has none, and the inflow at the
+foot moves nothing that could be seen, so the fused flow is too slow by a factor that changes over the flame. How it
+changes is much the same from flame to flame. A small network, trained on simulated flames
+(`benchmark/training/flow_prior.py`; none of them is a scene of the benchmark), reads it off the shape of the flame and
+of the seen flow.
 
-Everything the network sees is a ratio, and what it gives are the coefficients of five vectors that turn with the flame, so that
-the result is the same in any unit of length or time and for any heading. The world's z axis must point up.
+Everything the network sees is a ratio, and what it gives are the coefficients of five vectors that turn with the flame,
+so that the result is the same in any unit of length or time and for any heading. The world's z axis must point up.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -20,7 +21,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from gof.errors import DataFormatError, GofError
-from gof.reconstruct.voxels import FlameVoxels
+from gof.reconstruct.flow_field import FlowField, FrameField
+from gof.reconstruct.voxels import FlameLayers, FlameVoxels, flame_radius
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
 FEATURES = (
@@ -41,7 +43,8 @@ FEATURES = (
     "widening",
     "slenderness",
 )
-"""What the network reads of a voxel in a frame; lengths over the flame's height or radius, speeds over the seen flow's RMS."""
+"""What the network reads of a voxel in a frame. Lengths are over the flame's height or radius, speeds over the RMS of
+the seen flow."""
 LIMIT = 6.0  # features beyond this say no more; a strange flame must not drive the network far outside its training
 
 
@@ -102,66 +105,45 @@ class FlowPrior:
         weight, bias = self.layers[-1]
         return (x @ weight + bias).mean(0).reshape(*features.shape[:-1], -1)
 
-    def correct(self, voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray) -> np.ndarray:
-        """The velocity of the gas, from the velocity of its texture.
+    def correct(self, field: FlowField) -> FlowField:
+        """The same clip with the velocity of the gas, from the velocity of its texture.
 
         Args:
-            velocity: (F, V, 3) m/s, fused and smoothed flow.   emission: (F, V) >= 0, from `tomography`.
+            field: fused and smoothed flow, as `seen_flow_field` makes it.
         Returns:
-            (F, V, 3) m/s; all 0 where nothing moves or shines at all.
+            a new field; velocities are all 0 when nothing in the clip moves or shines.
         Raises:
             GofError: the result is not finite.
         """
-        scene = _Scene.of(voxels, velocity, emission)
+        scene = _Scene.of(field)
+        frames = []
+        for frame in field.frames:  # frame by frame: all features of a clip at once would take gigabytes
+            frames.append(replace(frame, velocity=self._gas_velocity(scene, frame)))
+        return replace(field, frames=tuple(frames))
+
+    def _gas_velocity(self, scene: _Scene | None, frame: FrameField) -> np.ndarray:
+        """(V, 3) m/s."""
         if scene is None:
-            return np.zeros_like(velocity)
-        result = np.empty(velocity.shape)
-        for f in range(len(velocity)):  # frame by frame: all features of a clip at once would take gigabytes
-            features, vectors = scene.describe(velocity[f], emission[f])
-            result[f] = np.einsum("vk,vki->vi", self.coefficients(features), vectors)
-        if not np.isfinite(result).all():
+            return np.zeros_like(frame.velocity)
+        features, vectors = scene.describe(frame)
+        velocity = np.einsum("vk,vki->vi", self.coefficients(features), vectors)
+        if not np.isfinite(velocity).all():
             raise GofError("the flow prior gave NaN or Inf; are velocity and emission finite?")
-        return result
+        return velocity.astype(np.float64)
 
 
-def describe(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Features (F, V, 16), and vectors (F, V, 5, 3) in m/s: up, outward from the clip's axis, the seen sideways flow, along the
-    axis' lean, outward from the frame's axis. None where nothing moves or shines at all. Args as `FlowPrior.correct`."""
-    scene = _Scene.of(voxels, velocity, emission)
+def describe(field: FlowField) -> tuple[np.ndarray, np.ndarray] | None:
+    """What the network reads, and the vectors that it weighs; None where nothing moves or shines at all.
+
+    Returns:
+        features (F, V, 16); and vectors (F, V, 5, 3) in m/s: up, outward from the clip's axis, the seen sideways flow,
+        along the axis' lean, outward from the frame's axis.
+    """
+    scene = _Scene.of(field)
     if scene is None:
         return None
-    frames = [scene.describe(u, e) for u, e in zip(velocity, emission, strict=True)]
-    return np.stack([f for f, _ in frames]), np.stack([v for _, v in frames])
-
-
-@dataclass(frozen=True)
-class _Layers:
-    """Axis (Z, 2) and RMS radius (Z,) of the light in every layer of voxels, m."""
-
-    axis: np.ndarray
-    radius: np.ndarray
-
-    @classmethod
-    def of(cls, voxels: FlameVoxels, emission: np.ndarray) -> _Layers:
-        """Emission (V,) must not be all 0. Dark layers take the nearest lit ones' values."""
-        layer, xy = voxels.index[:, 2], voxels.center[:, :2]
-
-        def per_layer(values: np.ndarray) -> np.ndarray:
-            return gaussian_filter1d(np.bincount(layer, values, voxels.resolution[2]), 2)
-
-        light = per_layer(emission)
-        lit = np.flatnonzero(light > 1e-6 * light.max())
-        at = np.arange(len(light))
-        axis = np.stack([np.interp(at, lit, per_layer(emission * xy[:, i])[lit] / light[lit]) for i in (0, 1)], -1)
-        spread = per_layer(emission * ((xy - axis[layer]) ** 2).sum(1))[lit] / light[lit]
-        radius = np.interp(at, lit, np.sqrt(np.maximum(spread, 0)))
-        return cls(axis, np.maximum(radius, 0.5 * voxels.voxel_size))
-
-
-def flame_radius(voxels: FlameVoxels, emission: np.ndarray) -> float:
-    """RMS distance, m, of the light from the axis of its layer; emission (V,) >= 0 must not be all 0."""
-    light = np.bincount(voxels.index[:, 2], emission, voxels.resolution[2])
-    return float(np.sqrt((light * _Layers.of(voxels, emission).radius ** 2).sum() / light.sum()))
+    features, vectors = zip(*map(scene.describe, field.frames), strict=True)
+    return np.stack(features), np.stack(vectors)
 
 
 @dataclass(frozen=True)
@@ -173,7 +155,7 @@ class _Scene:
     height: np.ndarray  # (V,) over the foot of the flame, in flame heights
     flame_height: float  # m
     flame_radius: float  # m
-    layers: _Layers
+    layers: FlameLayers
     mean_velocity: np.ndarray  # (V, 3) m/s
     mean_brightness: np.ndarray  # (V,) log, relative to the layer
     layer_up: np.ndarray  # (Z,) m/s
@@ -181,7 +163,9 @@ class _Scene:
     lean: np.ndarray  # (Z, 2) d axis / d height
 
     @classmethod
-    def of(cls, voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray) -> _Scene | None:
+    def of(cls, field: FlowField) -> _Scene | None:
+        """None where nothing moves or shines at all."""
+        voxels, emission, velocity = field.voxels, field.emission, field.velocity
         total = emission.sum(0, dtype=np.float64)
         energy = (emission[..., None] * velocity**2).sum()
         if not total.any() or energy <= 0:
@@ -191,7 +175,7 @@ class _Scene:
         z = voxels.center[0, 2] + (np.arange(len(light)) - layer[0]) * size
         foot, tip = np.interp((0.02, 0.95), np.cumsum(light) / light.sum(), z)
         flame_height = max(tip - foot, 2 * size)
-        layers = _Layers.of(voxels, total)
+        layers = FlameLayers.of(voxels, total)
         momentum = (emission[..., None] * velocity).sum(0)
         smooth_light = gaussian_filter1d(light, 2) + 1e-9 * light.max()
         layer_up = gaussian_filter1d(np.bincount(layer, momentum[:, 2], len(light)), 2) / smooth_light
@@ -209,10 +193,11 @@ class _Scene:
             lean=_slope(gaussian_filter1d(layers.axis, 3, axis=0), size),
         )
 
-    def describe(self, velocity: np.ndarray, emission: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Features (V, 16) and vectors (V, 5, 3) m/s of one frame: velocity (V, 3) m/s, emission (V,)."""
-        voxels, speed, layer = self.voxels, self.speed, self.voxels.index[:, 2]
-        now = _Layers.of(voxels, emission) if emission.any() else self.layers
+    def describe(self, frame: FrameField) -> tuple[np.ndarray, np.ndarray]:
+        """Features (V, 16) and vectors (V, 5, 3) m/s of one frame."""
+        voxels, emission, velocity = self.voxels, frame.emission, frame.velocity
+        speed, layer = self.speed, voxels.index[:, 2]
+        now = FlameLayers.of(voxels, emission) if emission.any() else self.layers
         outward, radius = self._outward(self.layers)
         outward_now, radius_now = self._outward(now)
         gradient = self._log_brightness_gradient(emission)
@@ -243,7 +228,7 @@ class _Scene:
         vectors[:, 4, :2] = speed * outward_now
         return np.clip(np.stack(features, -1), -LIMIT, LIMIT).astype(np.float32), vectors.astype(np.float32)
 
-    def _outward(self, layers: _Layers) -> tuple[np.ndarray, np.ndarray]:
+    def _outward(self, layers: FlameLayers) -> tuple[np.ndarray, np.ndarray]:
         """Direction (V, 2) away from the axis, shrinking to 0 within half a voxel of it, and distance (V,) m."""
         offset = self.voxels.center[:, :2] - layers.axis[self.voxels.index[:, 2]]
         radius = np.linalg.norm(offset, axis=1)

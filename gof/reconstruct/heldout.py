@@ -2,91 +2,103 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from gof.cameras import Camera
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr, ssim
+from gof.flame_mask import flame_mask
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.motion import flame_mask
-from gof.reconstruct.shrink import shrink
+from gof.reconstruct.curve import HeldOutScores
+from gof.render import render
 
 
 @dataclass(frozen=True)
-class _Picture:
+class _HeldOutPicture:
     camera: Camera
-    number: int | None  # of the training camera; None for a camera kept for novel views
+    number: int  # of the camera in its dataset
     time_s: float
-    truth: np.ndarray
-    plate: np.ndarray
-    mask: np.ndarray  # of the flame
+    truth: np.ndarray  # (H, W, 3) display sRGB
+    flame: np.ndarray  # (H, W) weight of each pixel for the flame's scores
     counts: np.ndarray | None  # (H, W) weight of each pixel, 0 on the sync board; None = all
-
-    def draw(self, gaussians: TransientGaussians, plates: list[np.ndarray], near: float) -> np.ndarray:
-        """(H, W, 3) display values in [0, 1]; args as `HeldOut.score`."""
-        from gof.render import render
-
-        plate = self.plate if self.number is None else plates[self.number]
-        return np.clip(render(gaussians, self.camera, self.time_s, background=plate, near=near)["color"], 0, 1)
 
 
 class HeldOut:
     """The pictures of a dataset's test frames, read once.
 
-    A picture's flame is the dataset's own mask; where there is none (a real capture), the motion mask of that picture. Pixels of
-    the sync board do not count.
+    A picture's flame is the dataset's own mask; where there is none (a real capture), the motion mask of that picture.
+    Pixels of the sync board do not count.
     """
 
-    def __init__(self, dataset: Dataset, longest_side: int):
-        self.pictures = _pictures(shrink(dataset, longest_side), training=True)
-        kept = [Camera.from_dict(entry) for entry in dataset.meta["cameras"] if entry.get("role") == "eval"]
-        if kept:
-            self.pictures += _pictures(shrink(replace(dataset, cameras=kept), longest_side), training=False)
-
-    def score(self, gaussians: TransientGaussians, plates: list[np.ndarray], near: float) -> dict[str, float | None]:
-        """Means over the held-out pictures.
-
-        Args:
-            plates: C x (H, W, 3) display values of the training cameras, what the Gaussians are drawn over.
-            near: m, Gaussians closer to a camera are not drawn.
-        Returns:
-            "psnr", "ssim", "psnr_flame", "ssim_flame" of the training cameras, and "psnr_flame_novel" of cameras with role
-            "eval"; None without such pictures.
+    def __init__(self, dataset: Dataset, static: Sequence[np.ndarray], near: float):
         """
+        Args:
+            dataset: at the size that is scored; its cameras for novel views come with it.
+            static: C x (H, W, 3) display sRGB, the views of its training cameras without fire.
+            near: m, Gaussians closer to a camera are not drawn.
+        """
+        self._near = near
+        self._training = _pictures(dataset, static)
+        novel = dataset.evaluation_view()
+        self._novel_static = [] if novel is None else [novel.static(c) for c in range(len(novel.cameras))]
+        self._novel = [] if novel is None else _pictures(novel, self._novel_static)
+
+    def score(self, gaussians: TransientGaussians, plates: Sequence[np.ndarray]) -> HeldOutScores:
+        """Means over the held-out pictures. plates: C x (H, W, 3) display values that the Gaussians are drawn over."""
         values = {name: [] for name in ("psnr", "ssim", "psnr_flame", "ssim_flame", "psnr_flame_novel")}
-        for p in self.pictures:
-            image = p.draw(gaussians, plates, near)
-            if p.number is None:
-                values["psnr_flame_novel"].append(psnr(image, p.truth, p.mask))
-                continue
+        for picture in self._training:
+            image = self._draw(picture, gaussians, plates)
             for name, score in (("psnr", psnr), ("ssim", ssim)):
-                values[name].append(score(image, p.truth, p.counts))
-                values[f"{name}_flame"].append(score(image, p.truth, p.mask))
-        finite = {name: [x for x in v if x is not None and np.isfinite(x)] for name, v in values.items()}
-        return {name: round(float(np.mean(v)), 4) if v else None for name, v in finite.items()}
+                values[name].append(score(image, picture.truth, picture.counts))
+                values[f"{name}_flame"].append(score(image, picture.truth, picture.flame))
+        for picture in self._novel:
+            image = self._draw(picture, gaussians, self._novel_static)
+            values["psnr_flame_novel"].append(psnr(image, picture.truth, picture.flame))
+        return HeldOutScores(**{name: _mean(found) for name, found in values.items()})
 
-    def side_by_side(self, gaussians: TransientGaussians, plates: list[np.ndarray], near: float) -> np.ndarray | None:
-        """(2 H, C W, 3): a held-out frame in the middle of the clip, above what the Gaussians make of it. None without one."""
-        training = [p for p in self.pictures if p.number is not None]
-        if not training:
+    def side_by_side(self, gaussians: TransientGaussians, plates: Sequence[np.ndarray]) -> np.ndarray | None:
+        """(2 H, C W, 3): a held-out frame in the middle of the clip, above what the Gaussians make of it.
+
+        None when no frame is held out. Args as `score`.
+        """
+        if not self._training:
             return None
-        frames = len(training) // len(plates)
-        shown = [training[c * frames + frames // 2] for c in range(len(plates))]
-        if len({p.truth.shape for p in shown}) > 1:  # cameras of different sizes do not make a grid
+        frames = len(self._training) // len(plates)
+        shown = [self._training[c * frames + frames // 2] for c in range(len(plates))]
+        if len({picture.truth.shape for picture in shown}) > 1:  # cameras of different sizes do not make a grid
             shown = shown[:1]
-        drawn = [p.draw(gaussians, plates, near) for p in shown]
-        return np.vstack([np.hstack([p.truth for p in shown]), np.hstack(drawn)])
+        drawn = [self._draw(picture, gaussians, plates) for picture in shown]
+        return np.vstack([np.hstack([picture.truth for picture in shown]), np.hstack(drawn)])
+
+    def _draw(
+        self, picture: _HeldOutPicture, gaussians: TransientGaussians, plates: Sequence[np.ndarray]
+    ) -> np.ndarray:
+        """(H, W, 3) display values in [0, 1]."""
+        plate = plates[picture.number]
+        drawn = render(gaussians, picture.camera, picture.time_s, background=plate, near=self._near)
+        return np.clip(drawn["color"], 0, 1)
 
 
-def _pictures(dataset: Dataset, training: bool) -> list[_Picture]:
-    result = []
+def _pictures(dataset: Dataset, static: Sequence[np.ndarray]) -> list[_HeldOutPicture]:
+    """Those of a camera one after the other."""
+    pictures = []
     for c, camera in enumerate(dataset.cameras):
-        plate, times, counts = dataset.static(c), dataset.camera_times_s(c), dataset.board_weight(c)
+        times = dataset.camera_times_s(c)
+        counts = dataset.board_weight(c)
         for k in dataset.test_frames:
-            truth, mask = dataset.image(c, k), dataset.mask(c, k)
-            mask = flame_mask(truth, plate).astype(np.float32) if mask is None else mask
-            mask = mask if counts is None else mask * counts
-            result.append(_Picture(camera, c if training else None, float(times[k]), truth, plate, mask, counts))
-    return result
+            truth = dataset.image(c, k)
+            flame = dataset.mask(c, k)
+            if flame is None:
+                flame = flame_mask(truth, static[c]).astype(np.float32)
+            if counts is not None:
+                flame = flame * counts
+            pictures.append(_HeldOutPicture(camera, c, float(times[k]), truth, flame, counts))
+    return pictures
+
+
+def _mean(scores: list[float | None]) -> float | None:
+    finite = [score for score in scores if score is not None and np.isfinite(score)]
+    return round(float(np.mean(finite)), 4) if finite else None

@@ -1,7 +1,8 @@
 """The fire-free plate in the fire's own light.
 
-A fire lights its surroundings. Without that light in the plate, fat faint Gaussians paint it in front of walls and floor,
-where no gas moves; they spoil the motion and the pictures around the flame (docs/reconstruction.md has the figures).
+A fire lights its surroundings. Without that light in the plate, fat faint Gaussians paint it in front of walls and
+floor, where no gas moves; they spoil the motion and the pictures around the flame (docs/reconstruction.md has the
+figures).
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ def lit_plate(static: np.ndarray, images: np.ndarray, masks: np.ndarray) -> np.n
     """The view without flame but with its light: the temporal median of what is not flame.
 
     Args:
-        static: (H, W, 3) the fire-free plate.   images: (F, H, W, 3), same range.   masks: (F, H, W) bool, where flame may be (all of
-            a picture that does not count).
+        static: (H, W, 3) the fire-free plate.   images: (F, H, W, 3), same range.
+        masks: (F, H, W) bool, where flame may be (all of a picture that does not count).
     Returns:
-        (H, W, 3) float32. Pixels hardly ever free of flame get their surroundings' light, or none where nothing was seen.
+        (H, W, 3) float32. Pixels hardly ever free of flame get their surroundings' light, or none where nothing was
+        seen.
     """
     count = (~masks).sum(0)
     seen = count >= max(LEAST_SEEN * len(images), 2)

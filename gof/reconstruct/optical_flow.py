@@ -1,7 +1,7 @@
 """Dense optical flow between two pictures: methods of OpenCV, or MEMFOF from local weights, behind one call.
 
-A method is a function of two pictures (H, W) uint8 that returns the flow from the first to the second, (H, W, 2) px. What each is
-worth on flames, and costs, is in docs/reconstruction.md.
+A method is a function of two pictures (H, W) uint8 that returns the flow from the first to the second, (H, W, 2) px.
+What each is worth on flames, and costs, is in docs/reconstruction.md.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ def dis(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def deepflow(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """DeepFlow's variational part (Weinzaepfel et al. 2013), as OpenCV has it: direction right, small motions up to a third too short."""
+    """DeepFlow's variational part (Weinzaepfel et al. 2013), as OpenCV has it.
+
+    Its directions are right, small motions come out up to a third too short.
+    """
     return cv2.optflow.createOptFlow_DeepFlow().calc(first, second, None)
 
 
@@ -47,8 +50,8 @@ def memfof(folder: Path) -> Flow:
         from memfof import MEMFOF
     except ImportError as e:
         raise GofError(
-            f"--flow memfof needs PyTorch and the package memfof of its authors (github.com/msu-video-group/memfof), which are not "
-            f"installed here ({e}); --flow dis needs nothing"
+            "--flow memfof needs PyTorch and the package memfof of its authors (github.com/msu-video-group/memfof), "
+            f"which are not installed here ({e}); --flow dis needs nothing"
         ) from e
     missing = [name for name in ("config.json", "model.safetensors") if not (folder / name).is_file()]
     if missing:

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+PresetName = Literal["preview", "draft", "standard", "paper"]
+MethodName = Literal["gof", "paper"]
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,7 @@ class Effort:
     longest_side: int
 
 
-PRESETS = {
+PRESETS: dict[PresetName, Effort] = {
     "preview": Effort(2500, 60_000, 72, 320),
     "draft": Effort(10_000, 100_000, 72, 320),
     "standard": Effort(15_000, 120_000, 96, 640),
@@ -31,7 +35,8 @@ PRESETS = {
 def step_ms(gaussians: int, pixels: int) -> float:
     """Expected ms of an optimisation step on two free CPU cores.
 
-    Linear fit to four runs on a demo clip of 32 training frames (15 000 and 60 000 Gaussians; 90x160 and 180x320 pixels).
+    Linear fit to four runs on a demo clip of 32 training frames (15 000 and 60 000 Gaussians; 90x160 and 180x320
+    pixels).
     """
     return 5.9 + 0.41e-3 * gaussians + 0.155e-3 * pixels
 
@@ -65,7 +70,7 @@ class Method:
     plate_rate: float
 
 
-METHODS = {
+METHODS: dict[MethodName, Method] = {
     "gof": Method(
         lit_plates=True,
         round_flame=True,

@@ -1,4 +1,4 @@
-"""The voxel grid a flame lives in: its box from the masks, its hull, and its emission by tomography."""
+"""The voxel grid a flame lives in: its box from the masks, its hull, and how wide its light is at every height."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from gof.cameras import Camera
 from gof.errors import DataFormatError
 
 LAYERS_POOLED = 2.0  # std-dev in voxels: a flame's middle and width change slowly with height
-FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; nothing in the hull is ruled out
 
 
-@dataclass
+@dataclass(frozen=True)
 class FlameVoxels:
     """Voxels that at least one frame's masks leave standing.
 
@@ -33,7 +32,10 @@ class FlameVoxels:
     jacobian: np.ndarray
 
     def sample(self, images: np.ndarray, outside=0) -> np.ndarray:
-        """Nearest-pixel values of images (C, H, W, ...) at every voxel: (C, V, ...); `outside` where a voxel has no pixel."""
+        """Nearest-pixel values of images (C, H, W, ...) at every voxel: (C, V, ...).
+
+        `outside` where a voxel has no pixel.
+        """
         height, width = images.shape[1:3]
         result = np.full((len(images), len(self.center), *images.shape[3:]), outside, images.dtype)
         for c, image in enumerate(images):
@@ -47,7 +49,8 @@ class FlameVoxels:
 def flame_box(cameras: list[Camera], masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A world box (min (3,), max (3,)) that surely holds the flame.
 
-    The rays through the masks' centroids meet (least squares) at the flame; the masks' extent at that depth gives its size.
+    The rays through the masks' centroids meet (least squares) at the flame; the masks' extent at that depth gives its
+    size.
 
     Args:
         cameras: at least 2.
@@ -84,19 +87,21 @@ def flame_box(cameras: list[Camera], masks: np.ndarray) -> tuple[np.ndarray, np.
     return center - 0.75 * size, center + 0.75 * size
 
 
-def carve(cameras: list[Camera], masks: np.ndarray, voxels_along_height: int, min_views: int = 2) -> FlameVoxels:
-    """Voxels whose image lies in the union-over-time mask of every camera that has them in view, and of at least `min_views`.
+def carve(cameras: list[Camera], masks: np.ndarray, longest_side: int, min_views: int = 2) -> FlameVoxels:
+    """Voxels whose image lies in the union-over-time mask of every camera that has them in view.
+
+    At least `min_views` of those masks must hold it.
 
     Args:
         cameras: C cameras.   masks: (F, C, H, W) bool.
-        voxels_along_height: voxels along the longest side of the flame's own box (sets the voxel size).
+        longest_side: voxels along the longest side of the flame's own box (sets the voxel size).
     Raises:
         DataFormatError: see `flame_box`; or the hull is empty (masks or poses disagree).
     """
     union = masks.any(0)
     low, high = flame_box(cameras, union)
-    for side in (48, None):  # first coarse, for the flame's own box, then at the asked size
-        voxel = (high - low).max() / (side or voxels_along_height)
+    for side in (48, longest_side):  # first coarse, for the flame's own box, then at the asked size
+        voxel = (high - low).max() / side
         resolution = np.maximum(np.ceil((high - low) / voxel - 1e-6).astype(int), 1)
         index = np.stack(np.meshgrid(*map(np.arange, resolution), indexing="ij"), -1).reshape(-1, 3)
         center = low + (index + 0.5) * voxel
@@ -115,81 +120,31 @@ def carve(cameras: list[Camera], masks: np.ndarray, voxels_along_height: int, mi
     return FlameVoxels(kept, voxels.voxel_size, index[keep], resolution, voxels.pixel[:, keep], jacobian)
 
 
-def tomography(
-    voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, rounded: bool = True, iterations: int = 12
-) -> np.ndarray:
-    """Emission per voxel of one frame by multiplicative expectation maximisation (Shepp & Vardi 1982).
+@dataclass(frozen=True)
+class FlameLayers:
+    """Axis (Z, 2) and RMS radius (Z,) of the light in every layer of voxels, m."""
 
-    Few views leave the shape along the rays open; EM fills it with the product closest to its start that the views agree on, and
-    is never negative. From an even start that is the whole hull, with its corners that no camera looks past. A flame is about as
-    deep as it is wide, so it is done again from a round one (`round_flame`; +z is up). Pixels are pooled to about the
-    voxel's own size, so every voxel meets one cell per view.
+    axis: np.ndarray
+    radius: np.ndarray
 
-    Args:
-        intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.   rounded: do it again from a round flame.
-    Returns:
-        (V,) float64 emission >= 0, mean 1 over the voxels of the frame's hull, 0 outside it; all 0 for an empty mask.
-    """
-    hit = voxels.sample(mask.astype(np.int8), outside=-1)
-    hull = (hit != 0).all(0) & (hit == 1).any(0)
-    if not hull.any():
-        return np.zeros(len(hull))
-    views = _pooled_views(voxels, intensity, hit == 1)
-    emission = _maximise(hull.astype(np.float64), views, iterations)
-    if rounded and emission.any():
-        emission = _maximise(hull * round_flame(voxels, emission), views, iterations)
-    total = emission.sum()
-    return emission * (np.count_nonzero(emission) / total) if total > 0 else np.zeros_like(emission)
+    @classmethod
+    def of(cls, voxels: FlameVoxels, emission: np.ndarray) -> FlameLayers:
+        """Emission (V,) must not be all 0. Dark layers take the nearest lit ones' values."""
+        layer, xy = voxels.index[:, 2], voxels.center[:, :2]
+
+        def per_layer(values: np.ndarray) -> np.ndarray:
+            return gaussian_filter1d(np.bincount(layer, values, voxels.resolution[2]), LAYERS_POOLED)
+
+        light = per_layer(emission)
+        lit = np.flatnonzero(light > 1e-6 * light.max())
+        at = np.arange(len(light))
+        axis = np.stack([np.interp(at, lit, per_layer(emission * xy[:, i])[lit] / light[lit]) for i in (0, 1)], -1)
+        spread = per_layer(emission * ((xy - axis[layer]) ** 2).sum(1))[lit] / light[lit]
+        radius = np.interp(at, lit, np.sqrt(np.maximum(spread, 0)))
+        return cls(axis, np.maximum(radius, 0.5 * voxels.voxel_size))
 
 
-def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
-    """(V,) in (0, 1]: a flame with a round Gaussian cross-section at every height, as wide as the views say it is.
-
-    Emission that reproduces the views has the right mean and variance across every viewing direction, whatever its shape
-    along it; the mean over the views of those variances is the round flame's. All 1 where fewer than two views are from the side.
-    """
-    layer, layers = voxels.index[:, 2], int(voxels.resolution[2])
-    axis = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1]).mean(1)  # viewing directions, any length
-    across = np.stack([axis[:, 1], -axis[:, 0]], -1)
-    side = np.linalg.norm(across, axis=-1) > 0.1 * np.linalg.norm(axis, axis=-1)
-    if side.sum() < 2:
-        return np.ones(len(emission))
-    across = across[side] / np.linalg.norm(across[side], axis=-1, keepdims=True)
-
-    def per_layer(values: np.ndarray) -> np.ndarray:
-        return gaussian_filter1d(np.bincount(layer, emission * values, layers), LAYERS_POOLED, mode="nearest")
-
-    weight = np.maximum(per_layer(np.ones(len(emission))), np.finfo(np.float32).tiny)
-    place = voxels.center[:, :2] @ across.T
-    mean = np.stack([per_layer(x) for x in place.T]) / weight
-    variance = np.stack([per_layer(x**2) for x in place.T]) / weight - mean**2
-    middle = np.linalg.lstsq(across, mean, rcond=None)[0].T
-    width2 = np.maximum(variance.mean(0), voxels.voxel_size**2)
-    distance2 = ((voxels.center[:, :2] - middle[layer]) ** 2).sum(-1)
-    return np.exp(-0.5 * np.minimum(distance2 / width2[layer], FAINTEST))
-
-
-def _pooled_views(voxels: FlameVoxels, intensity: np.ndarray, seen: np.ndarray) -> list[tuple]:
-    """Per view: voxels with flame behind them (V,) bool, the cell each of those falls into, the light of every cell."""
-    footprint = max(1, int(np.ceil(voxels.voxel_size * float(np.nanmedian(np.abs(voxels.jacobian).max((-1, -2)))))))
-    cells_per_row = intensity.shape[2] // footprint + 1
-    rows, columns = (np.arange(n) // footprint for n in intensity.shape[1:])
-    pixel_cell = (rows[:, None] * cells_per_row + columns[None]).ravel()
-    pixels = np.maximum(np.bincount(pixel_cell), 1)
-    views = []
-    for c in range(len(intensity)):
-        column, row = (voxels.pixel[c][seen[c]] // footprint).astype(np.int64).T
-        views.append((seen[c], row * cells_per_row + column, np.bincount(pixel_cell, intensity[c].ravel()) / pixels))
-    return views
-
-
-def _maximise(emission: np.ndarray, views: list[tuple], iterations: int) -> np.ndarray:
-    for _ in range(iterations):
-        ratio, count = np.zeros_like(emission), np.zeros_like(emission)
-        for seen, cell, light in views:
-            projected = np.bincount(cell, emission[seen], len(light))
-            # A cell without any standing voxel explains nothing and asks for nothing.
-            ratio[seen] += (light / np.where(projected > 0, projected, np.inf))[cell]
-            count[seen] += 1
-        emission = emission * ratio / np.maximum(count, 1)
-    return emission
+def flame_radius(voxels: FlameVoxels, emission: np.ndarray) -> float:
+    """RMS distance, m, of the light from the axis of its layer; emission (V,) >= 0 must not be all 0."""
+    light = np.bincount(voxels.index[:, 2], emission, voxels.resolution[2])
+    return float(np.sqrt((light * FlameLayers.of(voxels, emission).radius ** 2).sum() / light.sum()))

@@ -1,4 +1,7 @@
-"""A textured column of Gaussians rising at a constant velocity through a few small views: truth for position, speed and picture."""
+"""A textured column of Gaussians rising at a constant velocity through a few small views.
+
+Truth for position, speed and picture.
+"""
 
 import json
 from dataclasses import replace
@@ -6,9 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.commands.reconstruct import ReconstructConfig
+from gof.dataset import Dataset
 from gof.fields import VelocityField
 from gof.gaussians import TransientGaussians
+from gof.reconstruct import pipeline
+from gof.reconstruct.curve import Curve, HeldOutScores
+from gof.reconstruct.settings import ReconstructionSettings
 from gof.render import render
 from tests.conftest import arc, write_dataset
 
@@ -43,7 +49,12 @@ def write_flame(
     change=lambda images: images,
     test_frames=(4,),
 ) -> Path:
-    """The dataset. late: {camera: seconds by which its clock is behind}; change: (T, C, H, W, 3) pictures -> pictures."""
+    """The dataset.
+
+    Args:
+        late: {camera: seconds by which its clock is behind}.
+        change: (T, C, H, W, 3) pictures -> pictures.
+    """
     times = dt * np.arange(frames)
     views = [replace(camera, row_time_s=row_time_s) for camera in arc(cameras, width=48, height=96, focal_px=focal_px)]
     flame = column(times)
@@ -71,15 +82,16 @@ def edit(folder: Path, change) -> Path:
     return folder
 
 
-def config(dataset, out, **changes) -> ReconstructConfig:
-    return ReconstructConfig(
-        dataset, out, **{"gaussians": 1500, "iterations": 200, "voxels": 32, "flow_prior": False} | changes
-    )
+def reconstruct(folder: Path, out: Path, **changes) -> Path:
+    """Reconstruct a dataset with little effort and changed settings; the path of the result."""
+    small = {"gaussians": 1500, "iterations": 200, "voxels": 32, "longest_side": 320, "flow_prior": False}
+    settings = ReconstructionSettings(dataset=folder.name, **(small | changes))
+    return pipeline.reconstruct(Dataset.open(folder), settings, out).path
 
 
-def held_out(result: Path) -> dict:
+def held_out(result: Path) -> HeldOutScores:
     """Scores of the last step on held-out pictures."""
-    return json.loads((result.parent / "curve.json").read_text())[-1]
+    return Curve.read(result.parent).points[-1].scores
 
 
 def mean_velocity(gaussians: TransientGaussians) -> np.ndarray:

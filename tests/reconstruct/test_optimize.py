@@ -1,25 +1,27 @@
 """The optimiser's parts: shutter, checkpoints on a full disk, ablations, held-out scores, presets."""
 
-import json
+import itertools
 import resource
-from dataclasses import replace
+from dataclasses import asdict, astuple, replace
 
 import numpy as np
 import pytest
 
-from gof.commands.reconstruct import ReconstructConfig, reconstruct
+from gof.commands.reconstruct import ReconstructConfig
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr
 from gof.gaussians import TransientGaussians
 from gof.plates import background
 from gof.reconstruct import ablations, optimize
+from gof.reconstruct.curve import Curve, HeldOutScores
 from gof.reconstruct.heldout import HeldOut
-from gof.reconstruct.motion import estimate_motion
-from gof.reconstruct.presets import PRESETS
+from gof.reconstruct.observation import observe
+from gof.reconstruct.parameters import splats, to_raw
+from gof.reconstruct.presets import PRESETS, Effort
 from gof.reconstruct.shrink import shrink
 from gof.render import render, render_splats
 from tests.conftest import arc
-from tests.reconstruct.rising_flame import DT, column, config, edit, held_out, write_flame
+from tests.reconstruct.rising_flame import DT, column, edit, held_out, reconstruct, write_flame
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +44,7 @@ def test_the_optimiser_sees_what_the_renderer_draws(row_time_s):
     gaussians.t_sigma[:] = 0.05
     gaussians.scale = np.clip(gaussians.scale, 0.011, 0.2)
     camera = replace(arc(1, width=48, height=96, focal_px=110.0)[0], row_time_s=row_time_s)
-    splats = optimize.activate(optimize._to_raw(gaussians, 0.1, 0.01), 0.1, 0.06 - 0.01, camera)
-    frame = render_splats(splats, camera)
+    frame = render_splats(splats(to_raw(gaussians, 0.1, 0.01), 0.1, 0.06 - 0.01, camera), camera)
     drawn = np.stack([c.numpy() for c in frame.color], -1).reshape(96, 48, 3)
     np.testing.assert_allclose(drawn, render(gaussians, camera, 0.06)["color"], atol=2e-3)
     still = render(gaussians, replace(camera, row_time_s=0.0), 0.06)["color"]
@@ -51,13 +52,13 @@ def test_the_optimiser_sees_what_the_renderer_draws(row_time_s):
 
 
 def test_rolling_shutter_is_undone(tmp_path):
-    """Pictures read over a whole frame time: fitting them as read explains held-out ones better than fitting snapshots."""
+    """Pictures read over a whole frame time: fitting them as read explains held-out ones better than as snapshots."""
     folder = write_flame(tmp_path / "rolling", row_time_s=DT / 96)
     small = {"gaussians": 1000, "iterations": 150, "voxels": 24}
-    rolling = TransientGaussians.load(reconstruct(config(folder, tmp_path / "rolling_out", **small)))
+    rolling = TransientGaussians.load(reconstruct(folder, tmp_path / "rolling_out", **small))
     truth = Dataset.open(write_flame(tmp_path / "global"))
     edit(folder, lambda meta: [camera.update(row_time_s=0.0) for camera in meta["cameras"]])
-    ignored = TransientGaussians.load(reconstruct(config(folder, tmp_path / "ignored_out", **small)))
+    ignored = TransientGaussians.load(reconstruct(folder, tmp_path / "ignored_out", **small))
 
     def error(gaussians):  # against snapshots, which no rolling shutter has touched
         return np.mean(
@@ -76,7 +77,7 @@ def test_rolling_shutter_is_undone(tmp_path):
 def test_a_full_disk_costs_the_checkpoint_not_the_run(flame, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(optimize, "CHECKPOINT_EVERY", 20)
     small = {"gaussians": 3000, "iterations": 40, "voxels": 24}
-    real = optimize._save_checkpoint
+    real = optimize.save_checkpoint
 
     def save_with_little_room(path, *args):
         """The operating system refuses to write more than 64 kB to a file, as a full disk does."""
@@ -87,8 +88,8 @@ def test_a_full_disk_costs_the_checkpoint_not_the_run(flame, tmp_path, monkeypat
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
-    monkeypatch.setattr(optimize, "_save_checkpoint", save_with_little_room)
-    result = reconstruct(config(flame, tmp_path, **small))
+    monkeypatch.setattr(optimize, "save_checkpoint", save_with_little_room)
+    result = reconstruct(flame, tmp_path, **small)
     message = capsys.readouterr().err
     assert "checkpoint.npz: no checkpoint at step 20 (File too large)" in message and result.exists()
     assert not list(tmp_path.glob("*partial*")), "no half-written file stays"
@@ -117,45 +118,49 @@ def test_ablations_change_what_they_say(flame):
 
 def test_plates_move_as_the_method_says_and_are_kept_beside_the_result(flame, tmp_path, monkeypatch):
     scored = {}
-    monkeypatch.setattr(HeldOut, "score", lambda self, g, p, near: scored.update({name: p[0]}) or {"psnr_flame": None})
+
+    def note_plates(self, gaussians, plates):
+        scored[name] = plates[0]
+        return HeldOutScores()
+
+    monkeypatch.setattr(HeldOut, "score", note_plates)
     for name, change in {"paper": {"method": "paper"}, "ours": {}, "joint": {"ablation": "joint-opt"}}.items():
-        reconstruct(config(flame, tmp_path / name, iterations=30, gaussians=500, voxels=24, **change))
+        reconstruct(flame, tmp_path / name, iterations=30, gaussians=500, voxels=24, **change)
         stored = background(Dataset.open(flame), 0, tmp_path / name)
         assert np.abs(stored - np.clip(scored[name], 0, 1)).max() < 1e-4
-    motion = estimate_motion(Dataset.open(flame))
-    assert np.abs(scored["paper"] - motion.static[0]).max() < 1e-6, "fixed"
-    assert 0.002 < np.abs(scored["ours"] - motion.plate[0]).max() < 0.1, "moves a little"
-    mean = motion.image[:, 0].mean(0)
-    assert 0.005 < np.abs(scored["joint"] - mean).max() < 0.2 < np.abs(scored["joint"] - motion.plate[0]).max(), (
-        "starts from the mean picture"
-    )
+    seen = observe(Dataset.open(flame))
+    assert np.abs(scored["paper"] - seen.static[0]).max() < 1e-6, "fixed"
+    assert 0.002 < np.abs(scored["ours"] - seen.plate[0]).max() < 0.1, "moves a little"
+    mean = seen.image[:, 0].mean(0)
+    assert 0.005 < np.abs(scored["joint"] - mean).max() < 0.2, "starts from the mean picture"
+    assert 0.2 < np.abs(scored["joint"] - seen.plate[0]).max()
 
 
 def test_held_out_scores_are_those_of_the_pictures(flame, with_novel_view):
     gaussians, data = column(DT * np.arange(10)), Dataset.open(with_novel_view)
-    held_out_pictures = HeldOut(data, 96)
     plates = [data.static(c) for c in range(2)]
-    perfect = held_out_pictures.score(gaussians, plates, near=0.01)
-    assert perfect["psnr_flame"] > 45 and perfect["psnr_flame_novel"] > 45, "only 8-bit rounding is between them"
-    nothing = held_out_pictures.score(gaussians[:1], plates, near=0.01)
-    assert nothing["psnr_flame"] < 20 and nothing["psnr_flame_novel"] < 20
+    held_out_pictures = HeldOut(data, plates, near=0.01)
+    perfect = held_out_pictures.score(gaussians, plates)
+    assert perfect.psnr_flame > 45 and perfect.psnr_flame_novel > 45, "only 8-bit rounding is between them"
+    nothing = held_out_pictures.score(gaussians[:1], plates)
+    assert nothing.psnr_flame < 20 and nothing.psnr_flame_novel < 20
     expected = np.mean(
         [
             psnr(render(gaussians[:1], cam, data.times_s[4], background=plates[c])["color"], data.image(c, 4))
             for c, cam in enumerate(data.cameras)
         ]
     )
-    assert nothing["psnr"] == pytest.approx(expected, abs=1e-3)
+    assert nothing.psnr == pytest.approx(expected, abs=1e-3)
 
 
 def test_the_curve_follows_the_optimisation(with_novel_view, tmp_path, monkeypatch):
     monkeypatch.setattr(optimize, "EVALUATE_AT", (10, 40))
-    result = reconstruct(config(with_novel_view, tmp_path, iterations=80, gaussians=1000, voxels=24))
-    curve = json.loads((tmp_path / "curve.json").read_text())
-    assert [row["step"] for row in curve] == [10, 40, 80]
-    assert curve[0]["psnr_flame"] < curve[1]["psnr_flame"] < curve[2]["psnr_flame"]
-    assert curve[0]["seconds"] < curve[1]["seconds"] < curve[2]["seconds"]
-    assert held_out(result)["psnr_flame_novel"] > curve[0]["psnr_flame_novel"]
+    result = reconstruct(with_novel_view, tmp_path, iterations=80, gaussians=1000, voxels=24)
+    points = Curve.read(tmp_path).points
+    assert [point.step for point in points] == [10, 40, 80]
+    assert points[0].scores.psnr_flame < points[1].scores.psnr_flame < points[2].scores.psnr_flame
+    assert points[0].seconds < points[1].seconds < points[2].seconds
+    assert held_out(result).psnr_flame_novel > points[0].scores.psnr_flame_novel
 
 
 def test_shrunk_datasets_see_the_same_scene(flame):
@@ -169,12 +174,29 @@ def test_shrunk_datasets_see_the_same_scene(flame):
     assert half.camera_times_s(0) is half.times_s and half.test_frames == [4]
 
 
+def test_shrunk_datasets_shrink_the_views_kept_for_scores_too(with_novel_view):
+    full = Dataset.open(with_novel_view)
+    view = shrink(full, 48).evaluation_view()
+    assert [camera.name for camera in view.cameras] == ["cam_1"] and view.image(0, 3).shape == (48, 24, 3)
+    assert view.image(0, 3).mean() == pytest.approx(full.evaluation_view().image(0, 3).mean(), abs=1e-4)
+    entries = full.description.cameras
+    larger = replace(entries[1], width=96, height=192)
+    only_novel_is_large = replace(full, description=replace(full.description, cameras=(entries[0], larger, entries[2])))
+    assert shrink(only_novel_is_large, 96).evaluation_view().cameras[0].height == 96
+
+
 def test_presets_fill_what_is_not_given(tmp_path):
     config = ReconstructConfig(tmp_path, preset="draft", iterations=7)
-    assert (config.iterations, config.gaussians, config.voxels) == (
-        7,
-        PRESETS["draft"].gaussians,
-        PRESETS["draft"].voxels,
-    )
-    work = [(p.iterations, p.gaussians, p.voxels, p.longest_side) for p in PRESETS.values()]
-    assert work == sorted(work), "every preset does at least as much as the one before"
+    assert asdict(config.effort()) == asdict(PRESETS["draft"]) | {"iterations": 7}
+
+
+def does_at_least_as_much(more: Effort, less: Effort) -> bool:
+    return all(a >= b for a, b in zip(astuple(more), astuple(less), strict=True))
+
+
+def test_every_preset_does_at_least_as_much_as_the_one_before():
+    for less, more in itertools.pairwise(PRESETS.values()):
+        assert does_at_least_as_much(more, less)
+    draft = PRESETS["draft"]
+    for name, value in asdict(PRESETS["preview"]).items():  # one field too small is noticed, whichever it is
+        assert not does_at_least_as_much(replace(draft, **{name: value - 1}), PRESETS["preview"])

@@ -1,15 +1,21 @@
 """The whole reconstruction on a cloud of Gaussians whose motion we chose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from gof.commands.reconstruct import main, reconstruct
+from gof.commands.reconstruct import main
 from gof.dataset import Dataset
 from gof.errors import GofError, NonFiniteError
 from gof.evaluate import dve
 from gof.gaussians import TransientGaussians
+from gof.io.records import read_record
+from gof.reconstruct import pipeline
+from gof.reconstruct.curve import Curve
+from gof.reconstruct.settings import ReconstructionSettings
 from gof.render import render
-from tests.reconstruct.rising_flame import RISE, config, mean_velocity, write_flame
+from tests.reconstruct.rising_flame import RISE, mean_velocity, reconstruct, write_flame
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +25,7 @@ def rising_flame(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(rising_flame, tmp_path_factory):
-    return reconstruct(config(rising_flame, tmp_path_factory.mktemp("out")))
+    return reconstruct(rising_flame, tmp_path_factory.mktemp("out"))
 
 
 def test_velocity_is_recovered(rising_flame, result):
@@ -78,10 +84,25 @@ def test_files_pictures_and_costs_are_left(result):
 
 def test_a_finished_result_is_kept_and_other_settings_are_refused(rising_flame, result):
     before = result.stat().st_mtime_ns
-    assert reconstruct(config(rising_flame, result.parent)) == result
+    assert reconstruct(rising_flame, result.parent) == result
     assert result.stat().st_mtime_ns == before
     with pytest.raises(GofError, match=r"iterations differ"):
-        reconstruct(config(rising_flame, result.parent, iterations=7))
+        reconstruct(rising_flame, result.parent, iterations=7)
+
+
+def test_what_is_returned_is_what_is_on_disk(rising_flame, result):
+    """Also when everything was finished before."""
+    settings = read_record(ReconstructionSettings, result.parent / "settings.json")
+    again = pipeline.reconstruct(Dataset.open(rising_flame), settings, result.parent)
+    assert again.path == result and again.count == len(TransientGaussians.load(result))
+    assert [stage.name for stage in again.stages] == ["motion", "flow_field", "seeds", "optimize"]
+    assert again.held_out == Curve.read(result.parent).points[-1] and again.held_out.step == 200
+
+
+def test_a_finished_run_returns_what_it_would_find(rising_flame, tmp_path):
+    settings = ReconstructionSettings("flame", iterations=5, gaussians=300, voxels=24, longest_side=96)
+    made = pipeline.reconstruct(Dataset.open(rising_flame), settings, tmp_path)
+    assert made == pipeline.Reconstruction.find(tmp_path)
 
 
 def test_stages_one_by_one(rising_flame, tmp_path, capsys):
@@ -111,19 +132,18 @@ def test_interrupted_optimisation_resumes_from_its_checkpoint(rising_flame, tmp_
 
     monkeypatch.setattr(optimize, "render_splats", stop_after_50)
     with pytest.raises(KeyboardInterrupt):
-        reconstruct(config(rising_flame, tmp_path, iterations=60))
+        reconstruct(rising_flame, tmp_path, iterations=60)
     assert (tmp_path / "checkpoint.npz").exists() and not (tmp_path / "result.npz").exists()
-    reconstruct(config(rising_flame, tmp_path, iterations=60))
+    reconstruct(rising_flame, tmp_path, iterations=60)
     assert len(steps) == 50 + 20, "20 of 60 steps were left after the checkpoint at 40"
     assert steps[40:50] == steps[50:60], "and they draw the same pictures"
 
 
 def test_nan_is_caught_and_named(rising_flame, tmp_path, monkeypatch):
-    from gof.reconstruct import optimize
+    from gof.reconstruct import optimize, presets
 
     monkeypatch.setattr(optimize, "CHECK_EVERY", 5)
-    original = optimize.Schedule
-    monkeypatch.setattr(optimize, "Schedule", lambda n, velocity, plate: original(n, float("inf"), plate))
+    monkeypatch.setitem(presets.METHODS, "gof", replace(presets.METHODS["gof"], velocity_rate=float("inf")))
     with pytest.raises(NonFiniteError, match="velocity"):
-        reconstruct(config(rising_flame, tmp_path, iterations=10))
+        reconstruct(rising_flame, tmp_path, iterations=10)
     assert not (tmp_path / "result.npz").exists()

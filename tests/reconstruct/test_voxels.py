@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from gof.errors import DataFormatError
-from gof.reconstruct import voxels as voxels_module
-from gof.reconstruct.voxels import carve, flame_box, round_flame, tomography
+from gof.reconstruct import tomography as tomography_module
+from gof.reconstruct.tomography import round_flame, tomography
+from gof.reconstruct.voxels import carve, flame_box
 from tests.conftest import arc
 
 
@@ -75,7 +76,7 @@ def test_a_flame_is_about_as_deep_as_it_is_wide(monkeypatch):
     assert [depth, width] == pytest.approx([radius / np.sqrt(5)] * 2, rel=0.05)
     best = voxels.center[np.argmax(round_flame(voxels, emission))]
     assert np.abs(best[:2] - middle[:2]).max() < 2 * voxels.voxel_size, "its axis is found, off the centre"
-    monkeypatch.setattr(voxels_module, "round_flame", lambda v, emission: np.ones(len(emission)))
+    monkeypatch.setattr(tomography_module, "round_flame", lambda v, emission: np.ones(len(emission)))
     depth, width = depth_and_width(voxels, tomography(voxels, lengths, masks), cameras[1], middle)
     assert depth > 1.08 * width, "an even start stretches it along the view"
 

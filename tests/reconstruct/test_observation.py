@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.colour import srgb_to_linear
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
-from gof.reconstruct.motion import consistency, estimate_motion, flame_mask, light_above
+from gof.flame_mask import flame_mask
+from gof.reconstruct.observation import consistency, light_above, observe
 from gof.reconstruct.optical_flow import flow_method
 from tests.conftest import arc, write_dataset
 
@@ -41,10 +41,10 @@ def make(tmp_path, frames, plate, test_frames=(), dt=0.01):
 )  # DeepFlow smooths small motion away
 def test_flow_is_in_pixels_per_second_of_the_dataset_clock(tmp_path, method, off):
     frames, plate = moving_texture(4, (0.5, -2.0))
-    motion = estimate_motion(make(tmp_path, frames, plate, dt=0.02), flow=flow_method(method))
-    inner = motion.flow[1, 0, 12:-12, 8:-8]
+    seen = observe(make(tmp_path, frames, plate, dt=0.02), flow=flow_method(method))
+    inner = seen.flow[1, 0, 12:-12, 8:-8]
     np.testing.assert_allclose(np.nanmedian(inner, (0, 1)), [0.5 / 0.02, -2.0 / 0.02], atol=2 * off / 0.02)
-    assert motion.mask[1, 0].mean() > 0.8
+    assert seen.mask[1, 0].mean() > 0.8
 
 
 def test_a_learned_flow_without_its_weights_or_package_says_what_is_missing(tmp_path):
@@ -59,24 +59,24 @@ def test_held_out_frames_are_never_read(tmp_path):
     dataset = make(tmp_path, frames, plate, test_frames=[2])
     for c in range(2):
         dataset.file(c, "rgb", 2).unlink()
-    motion = estimate_motion(dataset)
-    assert motion.frames.tolist() == [0, 1, 3, 4]
-    assert np.isfinite(motion.flow).all(-1).mean() > 0.5, "neighbours of a held-out frame use their other side"
+    seen = observe(dataset)
+    assert seen.frames.tolist() == [0, 1, 3, 4]
+    assert np.isfinite(seen.flow).all(-1).mean() > 0.5, "neighbours of a held-out frame use their other side"
 
 
 def test_lonely_frame_has_no_flow(tmp_path):
     frames, plate = moving_texture(4, (0, -1))
-    motion = estimate_motion(make(tmp_path, frames, plate, test_frames=[0, 2]))
-    assert np.isnan(motion.flow).all()
+    seen = observe(make(tmp_path, frames, plate, test_frames=[0, 2]))
+    assert np.isnan(seen.flow).all()
 
 
 def test_still_black_and_saturated_pictures(tmp_path):
     plate = np.zeros((64, 36, 3), np.float32)
     with pytest.raises(DataFormatError, match="no flame found"):
-        estimate_motion(make(tmp_path, np.zeros((3, 64, 36, 3)), plate))
+        observe(make(tmp_path, np.zeros((3, 64, 36, 3)), plate))
     saturated = np.ones((64, 36, 3)) * [1, 1, 0.3]
-    motion = estimate_motion(make(tmp_path / "s", np.repeat(saturated[None], 3, 0), plate))
-    assert motion.mask.all() and np.nanmax(np.abs(motion.flow)) < 1, "no texture, no motion"
+    seen = observe(make(tmp_path / "s", np.repeat(saturated[None], 3, 0), plate))
+    assert seen.mask.all() and np.nanmax(np.abs(seen.flow)) < 1, "no texture, no motion"
 
 
 def test_light_thrown_on_a_wall_is_not_flame():
@@ -93,9 +93,3 @@ def test_consistency_of_exact_and_wrong_flow():
     error = consistency(there, -there)
     assert error[:, :16].max() == 0 and np.isinf(error[:, 18:]).all(), "leaves the picture"
     assert consistency(there, there)[10, 5] == 6
-
-
-def test_srgb_decoding_end_points():
-    np.testing.assert_allclose(
-        srgb_to_linear(np.array([0, 0.04045, 0.5, 1.0])), [0, 0.0031308, 0.2140411, 1], atol=1e-6
-    )

@@ -1,28 +1,34 @@
-"""What moves in the pictures: flame intensity, motion masks, and dense optical flow on the dataset clock.
+"""What the cameras saw: pictures, flame masks, light above the plates, and dense optical flow on the dataset clock.
 
 Held-out frames are never read here, and no flow uses one (paper, "Results": every 8th frame is held out).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from gof.cameras import Camera
 from gof.colour import srgb_to_linear
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
+from gof.flame_mask import flame_mask
 from gof.reconstruct.lit_plate import lit_plate
 from gof.reconstruct.optical_flow import Flow, dis
 
 
-@dataclass
-class Motion:
-    """Motion of the training frames, per frame and camera.
+@dataclass(frozen=True)
+class Observation:
+    """What C cameras saw in the F training frames, pictures of H x W pixels.
 
     Attributes:
+        cameras: C.
         frames: (F,) dataset frame numbers, all from the training split.
+        time_s: (F,) of the frames on the dataset clock, s.
+        camera_time_s: (C, F) when each camera took them (began to read their first line), s.
         image: (F, C, H, W, 3) float32 display sRGB; the plate where a sync board is.
         static: (C, H, W, 3) float32 display sRGB, the views without fire, in the dark.
         plate: (C, H, W, 3) float32 display sRGB, the views without flame, but in its light.
@@ -32,7 +38,10 @@ class Motion:
         delivered: (F, C) bool, False where a camera gave no picture (a black frame in its place).
     """
 
+    cameras: list[Camera]
     frames: np.ndarray
+    time_s: np.ndarray
+    camera_time_s: np.ndarray
     image: np.ndarray
     static: np.ndarray
     plate: np.ndarray
@@ -48,22 +57,6 @@ def light_above(image: np.ndarray, static: np.ndarray) -> np.ndarray:
     Fire adds light, so the difference in linear light is the fire without the background behind it.
     """
     return np.maximum(srgb_to_linear(image) - srgb_to_linear(static), 0)
-
-
-def flame_mask(
-    image: np.ndarray, static: np.ndarray, weak: float = 0.15, strong: float = 0.35, grow_px: int = 2
-) -> np.ndarray:
-    """(H, W) bool: where flame may be, closed and grown by `grow_px`.
-
-    Flame raises red most, and so does the light it throws on its surroundings, only less. Hence hysteresis: regions whose
-    rise in red, and in red over blue, is above `weak` everywhere and above `strong` somewhere.
-    """
-    rise = image - static
-    rise = np.minimum(rise[..., 0], rise[..., 0] - rise[..., 2])
-    _, region = cv2.connectedComponents((rise > weak).astype(np.uint8))
-    flame = np.isin(region, np.unique(region[rise > strong])) & (region > 0)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow_px + 1, 2 * grow_px + 1))
-    return cv2.dilate(cv2.morphologyEx(flame.astype(np.uint8), cv2.MORPH_CLOSE, disc), disc) > 0
 
 
 def was_delivered(images: np.ndarray, static: np.ndarray) -> np.ndarray:
@@ -119,20 +112,20 @@ def _frame_velocity(
 
 
 def _without_board(dataset: Dataset, camera: int, images: np.ndarray, static: np.ndarray) -> np.ndarray:
-    """(F, H, W, 3) pictures, on the sync board like the plate: its LEDs are no fire, and nothing of the flame is seen there."""
+    """(F, H, W, 3) pictures, on the sync board like the plate: its LEDs are no fire and hide the flame behind them."""
     weight = dataset.board_weight(camera)
     return images if weight is None else static + weight[..., None] * (images - static)
 
 
-def estimate_motion(
+def observe(
     dataset: Dataset,
     lit_plates: bool = True,
     max_error_px: float = 1.0,
-    picture=flow_picture,
+    picture: Callable[[np.ndarray, np.ndarray], np.ndarray] = flow_picture,
     flow: Flow = dis,
-    progress=lambda done, total: None,
-) -> Motion:
-    """Masks, intensity and flow of every training frame and camera.
+    progress: Callable[..., None] | None = None,
+) -> Observation:
+    """Read the training frames; find masks, intensity and flow of every camera in each.
 
     Args:
         dataset: opened dataset; its test frames are not read.
@@ -145,9 +138,12 @@ def estimate_motion(
     Raises:
         DataFormatError: no training frame, or no flame in any picture.
     """
-    frames, cameras = np.array(sorted(dataset.train_frames)), range(len(dataset.cameras))
+    frames = np.array(sorted(dataset.train_frames))
     if not len(frames):
         raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
+    cameras = range(len(dataset.cameras))
+
+    # What is there without flame, and where the flame is.
     static = [dataset.static(c) for c in cameras]
     images = [_without_board(dataset, c, np.stack([dataset.image(c, k) for k in frames]), static[c]) for c in cameras]
     masks = [np.stack([flame_mask(image, static[c]) for image in images[c]]) for c in cameras]
@@ -159,24 +155,29 @@ def estimate_motion(
     plates = static
     if lit_plates:
         plates = [lit_plate(static[c], images[c], masks[c] | ~delivered[c][:, None, None]) for c in cameras]
+
+    # How its light moves in each picture.
+    intensity = [np.stack([light_above(image, plates[c]).mean(-1) for image in images[c]]) for c in cameras]
     pictures = [
         {int(k): picture(image, plates[c]) for k, image in zip(frames, images[c], strict=True)} for c in cameras
     ]
+    times = [dataset.camera_times_s(c) for c in cameras]
     velocity = []
     for i, k in enumerate(frames):
-        velocity.append(
-            [_frame_velocity(pictures[c], dataset.camera_times_s(c), int(k), max_error_px, flow) for c in cameras]
-        )
-        progress(i + 1, len(frames))
-    light = [np.stack([light_above(image, plates[c]).mean(-1) for image in images[c]]) for c in cameras]
-    image, intensity, mask, taken = (np.stack(x, axis=1) for x in (images, light, masks, delivered))
-    return Motion(
-        frames,
-        image,
-        np.stack(static),
-        np.stack(plates),
-        intensity,
-        mask,
-        np.stack([np.stack(v) for v in velocity]),
-        taken,
+        velocity.append([_frame_velocity(pictures[c], times[c], int(k), max_error_px, flow) for c in cameras])
+        if progress:
+            progress(i + 1, len(frames))
+
+    return Observation(
+        cameras=list(dataset.cameras),
+        frames=frames,
+        time_s=dataset.times_s[frames],
+        camera_time_s=np.stack([times[c][frames] for c in cameras]),
+        image=np.stack(images, axis=1),
+        static=np.stack(static),
+        plate=np.stack(plates),
+        intensity=np.stack(intensity, axis=1),
+        mask=np.stack(masks, axis=1),
+        flow=np.stack([np.stack(v) for v in velocity]),
+        delivered=np.stack(delivered, axis=1),
     )

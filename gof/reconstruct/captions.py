@@ -1,0 +1,43 @@
+"""`stages/captions.json`: what each picture of a stage shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from gof.io.records import read_record, write_record
+
+FILE = "captions.json"
+
+
+@dataclass(frozen=True)
+class Caption:
+    """The text under a picture; `file` is its name in the folder."""
+
+    file: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Captions:
+    """The pictures of a folder, in the order of the stages."""
+
+    SCHEMA: ClassVar[str] = "gof-captions"
+    VERSION: ClassVar[int] = 1
+
+    images: tuple[Caption, ...] = ()
+
+    @classmethod
+    def read(cls, folder: Path) -> Captions:
+        """The captions of a folder; none when it has no captions.json. Raises DataFormatError as `read_record`."""
+        return read_record(cls, folder / FILE) if (folder / FILE).exists() else cls()
+
+    def write(self, folder: Path) -> None:
+        write_record(folder / FILE, self)
+
+    def with_caption(self, caption: Caption) -> Captions:
+        """A picture that has one already keeps its place and gets the new text."""
+        if any(old.file == caption.file for old in self.images):
+            return Captions(tuple(caption if old.file == caption.file else old for old in self.images))
+        return Captions((*self.images, caption))

@@ -1,0 +1,77 @@
+"""`curve.json`: scores on held-out pictures along the optimisation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from gof.io.records import read_record, write_record
+
+FILE = "curve.json"
+
+
+@dataclass(frozen=True)
+class HeldOutScores:
+    """Means over held-out pictures; None where there is no such picture, or the score is not finite.
+
+    Attributes:
+        psnr, ssim: of whole pictures, PSNR in dB.     psnr_flame, ssim_flame: of the flame in them.
+        psnr_flame_novel: of the flame seen by the cameras kept for novel views, dB.
+    """
+
+    psnr: float | None = None
+    ssim: float | None = None
+    psnr_flame: float | None = None
+    ssim_flame: float | None = None
+    psnr_flame_novel: float | None = None
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """The scores after `step` steps and `seconds` of optimisation (the scoring's own time left out)."""
+
+    step: int
+    seconds: float
+    scores: HeldOutScores
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The points, in order of steps."""
+
+    SCHEMA: ClassVar[str] = "gof-curve"
+    VERSION: ClassVar[int] = 1
+
+    points: tuple[CurvePoint, ...] = ()
+
+    @classmethod
+    def read(cls, folder: Path) -> Curve:
+        """Raises DataFormatError: the folder has no curve.json, or it is not of this version."""
+        return read_record(cls, folder / FILE)
+
+    def with_point(self, point: CurvePoint) -> Curve:
+        """`point` comes last; those at its step and after it, of a run that was interrupted, are dropped."""
+        return Curve((*(p for p in self.points if p.step < point.step), point))
+
+
+class CurveLog:
+    """Keeps a folder's curve.json while the optimisation runs. Its clock stands still while scores are made."""
+
+    def __init__(self, folder: Path, resumed: bool):
+        """resumed: go on with the curve that is there; else begin a new one."""
+        self._path = folder / FILE
+        self.curve = Curve.read(folder) if resumed and self._path.exists() else Curve()
+        worked_s = self.curve.points[-1].seconds if self.curve.points else 0.0
+        self._start = time.perf_counter() - worked_s
+
+    def add(self, step: int, score: Callable[[], HeldOutScores]) -> CurvePoint:
+        """Call `score`, write what it returns, and return it as a point."""
+        begin = time.perf_counter()
+        point = CurvePoint(step, round(begin - self._start, 2), score())
+        self.curve = self.curve.with_point(point)
+        write_record(self._path, self.curve)
+        self._start += time.perf_counter() - begin
+        return point

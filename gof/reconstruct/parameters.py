@@ -1,0 +1,88 @@
+"""Transient Gaussians as numbers without bounds, which an optimiser may move freely, and back.
+
+Raw parameters: "x0", "velocity", "color" as they are; "t_mu" after the clip's start; "log_t_sigma"; the logits
+"opacity" and "scale" (between 0.1 and 3 voxels); "rotation", a quaternion of any length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from gof.cameras import Camera
+from gof.gaussians import TransientGaussians
+from gof.reconstruct.seeds import SCALE_MAX, SCALE_MIN
+from gof.render import Splats, shutter_delay, transient_state
+from gof.render.backend import Array3f, Array4f, Float
+
+OPACITY_EPS = 1e-4  # logits stay finite
+
+Raw = Mapping[str, Any]  # name -> Dr.Jit array
+
+
+def columns(x: np.ndarray) -> Array3f:
+    """(N, 3) to Dr.Jit."""
+    return Array3f(np.ascontiguousarray(x.T, np.float32))
+
+
+def rows(x: Array3f | Array4f | Float) -> np.ndarray:
+    """Dr.Jit to (N, 3), (N, 4) or (N,)."""
+    return np.array(dr.detach(x)).T if dr.depth_v(x) > 1 else np.array(dr.detach(x))
+
+
+def to_raw(gaussians: TransientGaussians, voxel_size: float, start_s: float) -> dict[str, Any]:
+    """The raw parameters of Gaussians; voxel_size in m, start_s of the clip."""
+    scale = (gaussians.scale / voxel_size - SCALE_MIN) / (SCALE_MAX - SCALE_MIN)
+    return {
+        "x0": columns(gaussians.position),
+        "velocity": columns(gaussians.velocity),
+        "t_mu": Float(gaussians.t_mu - np.float32(start_s)),
+        "log_t_sigma": Float(np.log(gaussians.t_sigma)),
+        "scale": columns(_logit(scale)),
+        "rotation": Array4f(np.ascontiguousarray(gaussians.rotation.T)),
+        "opacity": Float(_logit(gaussians.opacity)),
+        "color": columns(gaussians.color),
+    }
+
+
+def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
+    """The Gaussians of raw parameters, all of them dynamic; args as `to_raw`."""
+    return TransientGaussians(
+        position=rows(raw["x0"]),
+        velocity=rows(raw["velocity"]),
+        t_mu=rows(raw["t_mu"]) + np.float32(start_s),
+        t_sigma=rows(dr.exp(raw["log_t_sigma"])),
+        scale=rows(_scale(raw, voxel_size)),
+        rotation=rows(raw["rotation"]),
+        opacity=rows(_sigmoid(raw["opacity"])),
+        color=rows(raw["color"]),
+        dynamic=np.ones(dr.width(raw["t_mu"]), bool),
+    )
+
+
+def splats(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> Splats:
+    """What a camera sees in a frame whose first line it reads at `time_s` after the clip's start; differentiable."""
+    motion = raw["x0"], raw["velocity"], raw["t_mu"], dr.exp(raw["log_t_sigma"]), _sigmoid(raw["opacity"])
+    position, opacity = transient_state(*motion, time_s)
+    if camera.row_time_s > 0:
+        delay = shutter_delay(position, raw["velocity"], camera, near=voxel_size)
+        position, opacity = transient_state(*motion, delay + time_s)
+    color = raw["color"]
+    return Splats(position, raw["rotation"], _scale(raw, voxel_size), opacity, [color.x, color.y, color.z])
+
+
+def _scale(raw: Raw, voxel_size: float) -> Array3f:
+    # A sigmoid instead of an exponential keeps flame Gaussians small (paper, "Implementation Details").
+    return voxel_size * (SCALE_MIN + (SCALE_MAX - SCALE_MIN) / (1 + dr.exp(-raw["scale"])))
+
+
+def _sigmoid(x: Float) -> Float:
+    return 1 / (1 + dr.exp(-x))
+
+
+def _logit(x: np.ndarray) -> np.ndarray:
+    x = np.clip(x.astype(np.float64), OPACITY_EPS, 1 - OPACITY_EPS)
+    return (np.log(x) - np.log1p(-x)).astype(np.float32)

@@ -1,0 +1,256 @@
+"""A dataset's videos to transient flame Gaussians: stages, each a function of what those before it found.
+
+    observe -> flow field -> seeds -> optimise -> save
+
+Every stage leaves pictures of what it did in OUT/stages and its cost in OUT/costs.json.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from gof.costs import StageCost, StageLog
+from gof.dataset import Dataset
+from gof.errors import GofError
+from gof.gaussians import TransientGaussians
+from gof.io.files import only_run_in
+from gof.plates import save_plates
+from gof.progress import progress_bar
+from gof.reconstruct import ablations, stage_images
+from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
+from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_prior import FlowPrior
+from gof.reconstruct.heldout import HeldOut
+from gof.reconstruct.observation import Observation, observe
+from gof.reconstruct.optical_flow import Flow, flow_method
+from gof.reconstruct.optimize import Schedule, Units, optimize
+from gof.reconstruct.presets import METHODS, Method, step_ms
+from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
+from gof.reconstruct.settings import ReconstructionSettings, Until
+from gof.reconstruct.shrink import shrink
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """A finished reconstruction.
+
+    Attributes:
+        path: of result.npz; result.ply and plates/ lie beside it.
+        count: of Gaussians.
+        stages: what each cost.
+        held_out: the scores of the result on held-out pictures.
+    """
+
+    path: Path
+    count: int
+    stages: tuple[StageCost, ...]
+    held_out: CurvePoint
+
+    @classmethod
+    def find(cls, folder: Path) -> Reconstruction | None:
+        """The one that was finished in a folder before; None without one."""
+        path = folder / "result.npz"
+        if not (path.exists() and (folder / "result.ply").exists()):
+            return None
+        stages = StageLog(folder / "costs.json").stages()
+        return cls(path, len(TransientGaussians.load(path)), stages, Curve.read(folder).points[-1])
+
+
+def reconstruct(
+    dataset: Dataset,
+    settings: ReconstructionSettings,
+    out: Path,
+    until: Until = "result",
+    flow_weights: Path | None = None,
+) -> Reconstruction | None:
+    """Run the stages up to `until`; a finished result is kept, an interrupted optimisation resumed.
+
+    Args:
+        dataset: as it was opened, at full size.
+        out: folder of the reconstruction, for these settings alone.
+        flow_weights: folder of a MEMFOF checkpoint, for the flow "memfof".
+    Returns:
+        None when stopped before the result.
+    Raises:
+        GofError: `out` holds a reconstruction made with other settings, another run is at work there, or the dataset
+            has a single training frame; or see the stages.
+    """
+    with only_run_in(out):
+        settings.claim(out)
+        finished = Reconstruction.find(out)
+        if finished is not None:
+            return finished
+        small = shrink(dataset, settings.longest_side)
+        flow = flow_method(settings.flow, flow_weights)
+        run = _Run(small, settings, METHODS[settings.method], flow, out, StageLog(out / "costs.json"))
+        return _run_stages(run, until)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What all stages work with: the dataset at the size that is reconstructed, and where things go."""
+
+    dataset: Dataset
+    settings: ReconstructionSettings
+    method: Method
+    flow: Flow
+    out: Path
+    log: StageLog
+
+    @property
+    def source(self) -> str:
+        """What the files say of where they come from."""
+        return f"gof reconstruct {self.dataset.description.name}"
+
+
+def _run_stages(run: _Run, until: Until) -> Reconstruction | None:
+    _require_motion(run.dataset)
+    _announce(run)
+    observation = _observe(run)
+    if until == "motion":
+        return None
+    field = _flow_field(run, observation)
+    if until == "flow-field":
+        return None
+    held_out = HeldOut(run.dataset, observation.static, near=field.voxels.voxel_size)
+    seeds = _seeds(run, observation, field, held_out)
+    if until == "seeds":
+        return None
+    gaussians, plates, curve = _optimise(run, observation, field, seeds, held_out)
+    return _save(run, gaussians, plates, curve, held_out)
+
+
+def _require_motion(dataset: Dataset) -> None:
+    if len(dataset.train_frames) < 2:
+        raise GofError(
+            f"{dataset.path}: a single frame has no motion; at least 2 training frames are needed, "
+            f"splits.train has {len(dataset.train_frames)}"
+        )
+
+
+def _announce(run: _Run) -> None:
+    """Say how long it will take, before the time is spent."""
+    steps = run.settings.iterations
+    camera = run.dataset.cameras[0]
+    seconds = steps * step_ms(run.settings.gaussians, camera.width * camera.height) / 1e3
+    print(f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores", file=sys.stderr)
+
+
+# ---- Motion: what the cameras saw, and how it moves in their pictures ------------------------------------------------
+
+
+def _observe(run: _Run) -> Observation:
+    with run.log.measure("motion") as figures, progress_bar("motion") as progress:
+        observation = observe(run.dataset, run.method.lit_plates, flow=run.flow, progress=progress)
+        observation = ablations.change_plates(run.settings.ablation, observation)
+        stage_images.save_observation(run.out / "stages", observation)
+        figures.update(frames=len(observation.frames), cameras=len(observation.cameras))
+    return observation
+
+
+# ---- Flow field: where the flame is in space, and how fast it moves there --------------------------------------------
+
+
+def _flow_field(run: _Run, observation: Observation) -> FlowField:
+    with run.log.measure("flow_field") as figures, progress_bar("flow field") as progress:
+        field = seen_flow_field(observation, run.method, run.settings.voxels, progress)
+        if run.settings.flow_prior and run.method.flow_prior:
+            field = FlowPrior.load().correct(field)
+        stage_images.save_flow_field(run.out / "stages", field)
+        voxels = field.voxels
+        figures.update(
+            voxels=len(voxels.center), voxel_size_m=round(voxels.voxel_size, 5), resolution=voxels.resolution.tolist()
+        )
+    return field
+
+
+# ---- Seeds: the Gaussians that the optimisation starts from ----------------------------------------------------------
+
+
+def _seeds(run: _Run, observation: Observation, field: FlowField, held_out: HeldOut) -> TransientGaussians:
+    settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
+    rng = np.random.default_rng(settings.seed)
+    with run.log.measure("seeds") as figures:
+        t_sigma = lifetime_s(field, dt) if method.short_lives else LIFETIME_FRAMES[1] * dt
+        seeds = sample_seeds(field, method.seed_emission, t_sigma, settings.gaussians, method.opacity, rng)
+        seeds = ablations.change_seeds(settings.ablation, seeds, rng)
+        seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
+        figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
+    _show(run, held_out, "4_seeds", "the seeds before any optimisation", seeds, list(observation.plate))
+    return seeds
+
+
+# ---- Optimise: fit the pictures, from the last checkpoint if there is one --------------------------------------------
+
+
+def _optimise(
+    run: _Run, observation: Observation, field: FlowField, seeds: TransientGaussians, held_out: HeldOut
+) -> tuple[TransientGaussians, list[np.ndarray], Curve]:
+    settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
+    schedule = Schedule(settings.iterations, method.velocity_rate, method.plate_rate, seed=settings.seed)
+    schedule = ablations.change_schedule(settings.ablation, schedule)
+    believed_s = ablations.change_times(settings.ablation, observation.camera_time_s, dt)
+    observation = replace(observation, camera_time_s=believed_s)
+    units = Units(field.voxels.voxel_size, dt)
+    checkpoint = _checkpoint(run)
+    curve = CurveLog(run.out, resumed=checkpoint.exists())
+    with (
+        run.log.measure("optimize", iterations=settings.iterations, gaussians=len(seeds)),
+        progress_bar("optimise") as progress,
+    ):
+        monitor = _Monitor(_snapshot(run), held_out, curve, progress)
+        gaussians, plates = optimize(seeds, observation, schedule, units, checkpoint, monitor)
+    return gaussians, plates, curve.curve
+
+
+@dataclass(frozen=True)
+class _Monitor:
+    """Along the optimisation: its progress, a snapshot for `gof view`, and the curve of held-out scores."""
+
+    snapshot: Path
+    held_out: HeldOut
+    curve: CurveLog
+    progress: Callable[..., None]
+
+    def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
+        gaussians.save(self.snapshot, source=f"gof reconstruct, step {step}")
+        point = self.curve.add(step, partial(self.held_out.score, gaussians, plates))
+        return point.scores.psnr_flame
+
+
+# ---- Save: the result, the plates it is drawn over, and nothing that was only on the way -----------------------------
+
+
+def _save(
+    run: _Run, gaussians: TransientGaussians, plates: list[np.ndarray], curve: Curve, held_out: HeldOut
+) -> Reconstruction:
+    _show(run, held_out, "5_result", "the result", gaussians, plates)
+    save_plates(run.out, [camera.name for camera in run.dataset.cameras], plates)
+    gaussians.save(run.out / "result.ply", source=run.source)
+    path = gaussians.save(run.out / "result.npz", source=run.source)
+    _checkpoint(run).unlink(missing_ok=True)
+    _snapshot(run).unlink(missing_ok=True)
+    return Reconstruction(path, len(gaussians), run.log.stages(), curve.points[-1])
+
+
+def _checkpoint(run: _Run) -> Path:
+    return run.out / "checkpoint.npz"
+
+
+def _snapshot(run: _Run) -> Path:
+    return run.out / "snapshot.npz"
+
+
+def _show(
+    run: _Run, held_out: HeldOut, name: str, caption: str, gaussians: TransientGaussians, plates: list[np.ndarray]
+) -> None:
+    """A held-out frame beside what the Gaussians make of it, where there is one."""
+    image = held_out.side_by_side(gaussians, plates)
+    if image is not None:
+        stage_images.save_image(run.out / "stages", name, f"A held-out frame, above {caption}", image)

@@ -1,0 +1,102 @@
+"""How brightly each voxel of a flame shines: tomography of one frame from a few views."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from gof.reconstruct.voxels import LAYERS_POOLED, FlameVoxels
+
+FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; nothing in the hull is ruled out
+
+
+def tomography(
+    voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, rounded: bool = True, iterations: int = 12
+) -> np.ndarray:
+    """Emission per voxel of one frame by multiplicative expectation maximisation (Shepp & Vardi 1982).
+
+    Few views leave the shape along the rays open; EM fills it with the product closest to its start that the views
+    agree on, and is never negative. From an even start that is the whole hull, with its corners that no camera looks
+    past. A flame is about as deep as it is wide, so it is done again from a round one (`round_flame`; +z is up). Pixels
+    are pooled to about the voxel's own size, so every voxel meets one cell per view.
+
+    Args:
+        intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.   rounded: do it again from a round flame.
+    Returns:
+        (V,) float64 emission >= 0, mean 1 over the voxels of the frame's hull, 0 outside it; all 0 for an empty mask.
+    """
+    hit = voxels.sample(mask.astype(np.int8), outside=-1)
+    hull = (hit != 0).all(0) & (hit == 1).any(0)
+    if not hull.any():
+        return np.zeros(len(hull))
+    views = _pooled_views(voxels, intensity, hit == 1)
+    emission = _maximise(hull.astype(np.float64), views, iterations)
+    if rounded and emission.any():
+        emission = _maximise(hull * round_flame(voxels, emission), views, iterations)
+    total = emission.sum()
+    return emission * (np.count_nonzero(emission) / total) if total > 0 else np.zeros_like(emission)
+
+
+def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
+    """(V,) in (0, 1]: a flame with a round Gaussian cross-section at every height, as wide as the views say it is.
+
+    Emission that reproduces the views has the right mean and variance across every viewing direction, whatever its
+    shape along it; the mean over the views of those variances is the round flame's. All 1 where fewer than two views
+    are from the side.
+    """
+    layer, layers = voxels.index[:, 2], int(voxels.resolution[2])
+    axis = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1]).mean(1)  # viewing directions, any length
+    across = np.stack([axis[:, 1], -axis[:, 0]], -1)
+    side = np.linalg.norm(across, axis=-1) > 0.1 * np.linalg.norm(axis, axis=-1)
+    if side.sum() < 2:
+        return np.ones(len(emission))
+    across = across[side] / np.linalg.norm(across[side], axis=-1, keepdims=True)
+
+    def per_layer(values: np.ndarray) -> np.ndarray:
+        return gaussian_filter1d(np.bincount(layer, emission * values, layers), LAYERS_POOLED, mode="nearest")
+
+    weight = np.maximum(per_layer(np.ones(len(emission))), np.finfo(np.float32).tiny)
+    place = voxels.center[:, :2] @ across.T
+    mean = np.stack([per_layer(x) for x in place.T]) / weight
+    variance = np.stack([per_layer(x**2) for x in place.T]) / weight - mean**2
+    middle = np.linalg.lstsq(across, mean, rcond=None)[0].T
+    width2 = np.maximum(variance.mean(0), voxels.voxel_size**2)
+    distance2 = ((voxels.center[:, :2] - middle[layer]) ** 2).sum(-1)
+    return np.exp(-0.5 * np.minimum(distance2 / width2[layer], FAINTEST))
+
+
+class _PooledView(NamedTuple):
+    seen: np.ndarray  # (V,) bool, voxels with flame behind them
+    cell: np.ndarray  # the cell that each of those falls into
+    light: np.ndarray  # of every cell
+
+
+def _pooled_views(voxels: FlameVoxels, intensity: np.ndarray, seen: np.ndarray) -> list[_PooledView]:
+    """The views of one frame, their pixels pooled to cells of about a voxel's size. seen: (C, V) bool."""
+    pixels_per_m = float(np.nanmedian(np.abs(voxels.jacobian).max((-1, -2))))
+    footprint = max(1, int(np.ceil(voxels.voxel_size * pixels_per_m)))
+    cells_per_row = intensity.shape[2] // footprint + 1
+    rows, columns = (np.arange(n) // footprint for n in intensity.shape[1:])
+    pixel_cell = (rows[:, None] * cells_per_row + columns[None]).ravel()
+    pixels = np.maximum(np.bincount(pixel_cell), 1)
+    views = []
+    for c in range(len(intensity)):
+        column, row = (voxels.pixel[c][seen[c]] // footprint).astype(np.int64).T
+        light = np.bincount(pixel_cell, intensity[c].ravel()) / pixels
+        views.append(_PooledView(seen[c], row * cells_per_row + column, light))
+    return views
+
+
+def _maximise(emission: np.ndarray, views: list[_PooledView], iterations: int) -> np.ndarray:
+    for _ in range(iterations):
+        ratio = np.zeros_like(emission)
+        count = np.zeros_like(emission)
+        for view in views:
+            projected = np.bincount(view.cell, emission[view.seen], len(view.light))
+            # A cell without any standing voxel explains nothing and asks for nothing.
+            ratio[view.seen] += (view.light / np.where(projected > 0, projected, np.inf))[view.cell]
+            count[view.seen] += 1
+        emission = emission * ratio / np.maximum(count, 1)
+    return emission
