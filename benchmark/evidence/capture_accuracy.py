@@ -31,6 +31,7 @@ from gof.capture.template import BoardTemplate
 from gof.errors import GofError
 from gof.io.files import write_json
 
+SHOWN = ("frame_interval_us", "rms_us", "max_residual_us", "outliers", "row_time_us", "readout", "faults")
 GOAL_US, GOAL_COMPRESSED_US, GOAL_REAL_US = 5.0, 15.0, 9.0
 
 # What varies, around SyntheticShot's defaults: 720 x 1280, 400 fps, 3 us rows, 1 ms exposure, 60 px marker.
@@ -243,39 +244,28 @@ def real(captures: Path, plots: Path | None) -> list[dict[str, Any]]:
         videos = sorted(folder.glob("cam_*.mp4"))
         target = plots / scene.replace("/", "_") if plots else None
         result = synchronise(videos, BoardTemplate.load("paper_rig"), [DecodeOptions()] * len(videos), target)
-        for camera in result["cameras"]:
-            row = {"clip": scene, "camera": camera["name"]}
-            if "error" in camera:
-                row["error"] = camera["error"]
-                cells = " | " * 7 + camera["error"].split(":")[0]
+        for camera in result.cameras:
+            row, times = {"clip": scene, "camera": camera.name}, camera.times
+            if times is None:
+                row["error"] = camera.error
+                cells = " | " * 7 + camera.error.split(":")[0]
             else:
-                offset = result["nearest_frames"][camera["name"]]["offset_us"]
-                known = KNOWN_OFFSETS_US.get(scene, {}).get(camera["name"])
-                row |= {
-                    k: camera[k]
-                    for k in (
-                        "frame_interval_us",
-                        "rms_us",
-                        "max_residual_us",
-                        "outliers",
-                        "row_time_us",
-                        "readout",
-                        "faults",
-                    )
-                }
+                offset = result.nearest_frames[camera.name].offset_us
+                known = KNOWN_OFFSETS_US.get(scene, {}).get(camera.name)
+                row |= {key: getattr(times, key) for key in SHOWN}
                 row |= {
                     "offset_us": offset,
                     "known_offset_us": known,
-                    "met": camera["rms_us"] <= GOAL_REAL_US,
-                    "frames_per_second": camera["cost"]["frames_per_second"],
+                    "met": times.rms_us <= GOAL_REAL_US,
+                    "frames_per_second": times.cost.frames_per_second,
                 }
                 cells = (
-                    f"{camera['frame_interval_us']:.2f} | {camera['rms_us']:.2f} | {camera['max_residual_us']:.1f} | {camera['outliers']} | "
-                    f"{camera['row_time_us']:.3f} {camera['readout']} | {offset:+.0f} | {'' if known is None else f'{known:+.0f}'} | "
-                    f"{'; '.join(camera['faults']) or 'none'}"
+                    f"{times.frame_interval_us:.2f} | {times.rms_us:.2f} | {times.max_residual_us:.1f} | "
+                    f"{times.outliers} | {times.row_time_us:.3f} {times.readout} | {offset:+.0f} | "
+                    f"{'' if known is None else f'{known:+.0f}'} | {'; '.join(times.faults) or 'none'}"
                 )
             rows.append(row)
-            print(f"| {scene} | {camera['name']} | {cells} |", flush=True)
+            print(f"| {scene} | {camera.name} | {cells} |", flush=True)
     return rows
 
 

@@ -1,23 +1,20 @@
-"""`gof capture calibrate`: footage of a ChArUco board -> intrinsics of every camera, the file that `gof static --cameras` reads."""
+"""Footage of the ChArUco target -> intrinsics of a camera mode, and how well they are known."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-import tyro
 
-from gof.capture.charuco import Charuco
+from gof.capture.charuco import MINIMUM_CORNERS, Charuco
 from gof.errors import GofError
-from gof.footage import distinct_names, stated_frames, stored_frames
-from gof.io.files import write_json
-from gof.lens import Lens
-from gof.progress import progress_bar
+from gof.lens import CalibratedCamera, Lens
 
 MINIMUM_VIEWS = 8
+BAD_VIEW = 3.0  # times the median reprojection error; such a view was blurred, or the target bent
+MINIMUM_TILT_DEG = 4.0  # mean, below which the focal length is OpenCV's first guess (tests: views from one direction)
+MAXIMUM_FOCAL_SPREAD = 0.02  # of the focal length
 GRID = (8, 6)  # cells of the picture for the coverage, across and down
 
 
@@ -38,25 +35,37 @@ class Calibration:
     focal_sigma_px: float
     coverage: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-ready camera entry; `Lens.from_dict` reads it."""
-        figures = {"rms_px": self.rms_px, "focal_sigma_px": self.focal_sigma_px, "coverage": self.coverage}
-        return self.lens.to_dict() | {k: round(v, 4) for k, v in figures.items()} | {"views": self.views}
+    def camera(self, name: str) -> CalibratedCamera:
+        """The entry of cameras.json."""
+        return CalibratedCamera(
+            self.lens.width,
+            self.lens.height,
+            tuple(map(tuple, self.lens.K.tolist())),
+            tuple(self.lens.distortion.tolist()),
+            name,
+            rms_px=round(self.rms_px, 4),
+            focal_sigma_px=round(self.focal_sigma_px, 4),
+            coverage=round(self.coverage, 4),
+            views=self.views,
+        )
 
     def warnings(self) -> list[str]:
         """What could be better, and how."""
         out = []
         if self.coverage < 0.7:
             out.append(
-                f"corners were seen in {self.coverage:.0%} of the picture only; bring the target to its borders and corners"
+                f"corners were seen in {self.coverage:.0%} of the picture only; bring the target to its borders and "
+                "corners"
             )
         if self.rms_px > 0.7:
             out.append(
-                f"the corners miss the model by {self.rms_px:.2f} px; is the target flat, the footage sharp, the zoom fixed?"
+                f"the corners miss the model by {self.rms_px:.2f} px; is the target flat, the footage sharp, the zoom "
+                "fixed?"
             )
         if self.focal_sigma_px > 0.003 * self.lens.K[0, 0]:
             out.append(
-                f"the focal length is known to {self.focal_sigma_px:.1f} px only; tilt the target more (30 to 45 degrees, all ways)"
+                f"the focal length is known to {self.focal_sigma_px:.1f} px only; tilt the target more (30 to 45 "
+                "degrees, all ways)"
             )
         return out
 
@@ -90,106 +99,101 @@ def calibrate(
 ) -> Calibration:
     """Intrinsics and distortion (k1, k2, p1, p2, k3) from grey pictures (H, W) uint8 of the target.
 
-    Views whose reprojection error is above three times the median are left out and the rest is fitted again (Zhang's method,
-    `cv2.calibrateCameraExtended`).
+    Views whose reprojection error is above three times the median are left out and the rest is fitted again (Zhang's
+    method, `cv2.calibrateCameraExtended`).
 
     Raises:
         GofError: pictures of different sizes; too few show the target; they do not determine the focal length.
     """
-    import cv2
-
-    object_points, image_points, size, seen = [], [], None, 0
-    for seen, grey in enumerate(pictures, 1):
-        if size not in (None, grey.shape[::-1]):
-            raise GofError(
-                f"picture {seen} is {grey.shape[::-1]}, the ones before {size} pixels; calibrate one camera mode at a time"
-            )
-        size = grey.shape[::-1]
-        if found := target.corners(grey):
-            object_points.append(found[0])
-            image_points.append(found[1])
-        progress(seen)
-    if len(object_points) < MINIMUM_VIEWS:
+    views, size = _find_corners(pictures, target, progress)
+    fit = _fit(views, size)
+    focal, spread = fit.K[[0, 1], [0, 1]], fit.focal_sigma_px
+    tilt = _mean_tilt_deg(fit.turns)
+    finite = np.isfinite(fit.K).all() and np.isfinite(fit.distortion).all()
+    if not finite or tilt < MINIMUM_TILT_DEG or (spread > MAXIMUM_FOCAL_SPREAD * focal).any():
         raise GofError(
-            f"{len(object_points)} of {seen} pictures show at least 8 corners of the {target.columns} x {target.rows} target, "
-            f"{MINIMUM_VIEWS} are needed. Show it whole, sharp and evenly lit, from many angles; check --columns and --rows"
+            f"the views do not determine the focal length: their directions differ by {tilt:.0f} degrees on average "
+            f"(focal length {focal[0]:.0f} +- {spread[0]:.0f} px). Tilt the target by 30 to 45 degrees, left, right, "
+            "up "
+            "and down"
         )
-    for _ in range(3):
-        rms, K, distortion, turns, _, sigma, _, per_view = cv2.calibrateCameraExtended(
-            object_points, image_points, size, None, None
-        )
-        good = per_view.ravel() <= 3 * np.median(per_view)
-        if good.all() or good.sum() < MINIMUM_VIEWS:
-            break
-        object_points = [o for o, g in zip(object_points, good, strict=True) if g]
-        image_points = [i for i, g in zip(image_points, good, strict=True) if g]
-    focal, spread = K[[0, 1], [0, 1]], sigma.ravel()[:2]
-    # Parallel views leave the focal length open; OpenCV then keeps its first guess and calls it certain.
-    normals = np.stack([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
-    tilt = np.degrees(np.arccos(np.clip(normals @ normals.mean(0) / np.linalg.norm(normals.mean(0)), -1, 1)).mean())
-    if not np.isfinite(K).all() or not np.isfinite(distortion).all() or tilt < 4 or (spread > 0.02 * focal).any():
-        raise GofError(
-            f"the views do not determine the focal length: their directions differ by {tilt:.0f} degrees on average (focal length "
-            f"{focal[0]:.0f} +- {spread[0]:.0f} px). Tilt the target by 30 to 45 degrees, left, right, up and down"
-        )
-    cells = np.floor(np.concatenate(image_points)[:, 0] / size * GRID).astype(int)
-    inside = cells[((cells >= 0) & (cells < GRID)).all(1)]
-    coverage = len(np.unique(inside, axis=0)) / (GRID[0] * GRID[1])
-    return Calibration(
-        Lens(*size, K, distortion.ravel()), float(rms), len(object_points), float(spread.max()), coverage
-    )
+    lens = Lens(*size, fit.K, fit.distortion)
+    return Calibration(lens, fit.rms_px, len(fit.views), float(spread.max()), _coverage(fit.views, size))
 
 
 @dataclass(frozen=True)
-class CalibrateConfig:
-    """Intrinsics of every camera from footage of the ChArUco target (`gof capture target` draws it).
+class _View:
+    """Corners seen in one picture: (N, 1, 3) metres on the target and (N, 1, 2) pixels."""
 
-    Film in the mode the fire will be filmed in: same resolution, rate, zoom and stabilisation off. Move the target slowly
-    for about 20 seconds: near, far, tilted all ways, out to the corners of the picture. The file goes to gof static --cameras.
-    """
-
-    footage: tyro.conf.Positional[list[Path]]
-    """One video or folder of photos per camera, in the order of the fire's videos."""
-    out: Path
-    """JSON file to write."""
-    target: tyro.conf.OmitArgPrefixes[Charuco] = field(default_factory=Charuco)
-    views: int = 40
-    """Use 1 to 2 times so many frames of a video, the sharpest of equal stretches; photos are all used."""
-    json: Path | None = None
-    """Also write the figures to this file."""
+    target: np.ndarray
+    pixels: np.ndarray
 
 
-def main(argv: list[str]) -> int:
-    """Calibrate every camera and write the file."""
-    config = tyro.cli(CalibrateConfig, prog="gof capture calibrate", args=argv)
-    if config.out.exists():
-        raise GofError(f"{config.out}: exists; remove it or choose another --out")
-    if not config.footage:
-        raise GofError("name the footage of the target, one video or folder of photos per camera")
-    config.target.board()  # impossible sizes are said before anything is read
-    cameras = []
-    for name, path in zip(distinct_names(config.footage), config.footage, strict=True):
-        frames = stated_frames(path) or 0
-        with progress_bar(f"read {name}") as update:
-            stream = (update(k, max(k, frames)) or frame for k, frame in enumerate(stored_frames(path), 1))
-            pictures = sharpest(stream, frames if path.is_dir() else config.views)
-        with progress_bar(f"find the target in {name}") as update:
-            total = len(pictures)
-            try:
-                found = calibrate(pictures, config.target, lambda done, u=update, n=total: u(done, n))
-            except GofError as e:
-                raise GofError(f"{path}: {e}") from e
-        lens = found.lens
-        print(
-            f"{name}: focal {lens.K[0, 0]:.1f}, {lens.K[1, 1]:.1f} +- {found.focal_sigma_px:.1f} px, centre {lens.K[0, 2]:.1f}, "
-            f"{lens.K[1, 2]:.1f}, corners within {found.rms_px:.3f} px rms in {found.views} views over {found.coverage:.0%} of the picture"
+@dataclass(frozen=True)
+class _Fit:
+    """OpenCV's result: K (3, 3), distortion, turns of the target (V, 3) as axis times angle, (2,) standard errors of
+    the focal lengths, rms reprojection error, and the views it rests on."""
+
+    K: np.ndarray
+    distortion: np.ndarray
+    turns: np.ndarray
+    focal_sigma_px: np.ndarray
+    rms_px: float
+    views: list[_View]
+
+
+def _find_corners(
+    pictures: Iterable[np.ndarray], target: Charuco, progress: Callable[[int], None]
+) -> tuple[list[_View], tuple[int, int]]:
+    """The views that show enough of the target, and the pictures' (width, height)."""
+    views, size, seen = [], None, 0
+    for seen, grey in enumerate(pictures, 1):
+        if size not in (None, grey.shape[::-1]):
+            raise GofError(
+                f"picture {seen} is {grey.shape[::-1]}, the ones before {size} pixels; calibrate one camera mode at a "
+                "time"
+            )
+        size = grey.shape[::-1]
+        if corners := target.corners(grey):
+            views.append(_View(*corners))
+        progress(seen)
+    if len(views) < MINIMUM_VIEWS:
+        raise GofError(
+            f"{len(views)} of {seen} pictures show at least {MINIMUM_CORNERS} corners of the {target.columns} x "
+            f"{target.rows} target, {MINIMUM_VIEWS} are needed. Show it whole, sharp and evenly lit, from many angles; "
+            "check --columns and --rows"
         )
-        for warning in found.warnings():
-            print(f"warning: {name}: {warning}")
-        cameras.append({"name": name} | found.to_dict())
-    result = {"schema": "gof-cameras", "version": 1, "cameras": cameras}
-    write_json(config.out, result)
-    print(f"wrote {config.out}; next: gof static VIDEO... --cameras {config.out}")
-    if config.json:
-        write_json(config.json, result)
-    return 0
+    return views, size
+
+
+def _fit(views: list[_View], size: tuple[int, int]) -> _Fit:
+    """Fit, leave bad views out, fit again, until all agree or too few are left."""
+    import cv2
+
+    for _ in range(3):
+        rms, K, distortion, turns, _, sigma, _, per_view = cv2.calibrateCameraExtended(
+            [v.target for v in views], [v.pixels for v in views], size, None, None
+        )
+        fit = _Fit(K, distortion.ravel(), np.squeeze(turns, 2), sigma.ravel()[:2], float(rms), views)
+        good = per_view.ravel() <= BAD_VIEW * np.median(per_view)
+        if good.all() or good.sum() < MINIMUM_VIEWS:
+            break
+        views = [view for view, is_good in zip(views, good, strict=True) if is_good]
+    return fit
+
+
+def _mean_tilt_deg(turns: np.ndarray) -> float:
+    """How far the target's normals are from their mean, on average. Parallel views leave the focal length open; OpenCV
+    then keeps its first guess and calls it certain."""
+    import cv2
+
+    normals = np.stack([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
+    mean = normals.mean(0)
+    return float(np.degrees(np.arccos(np.clip(normals @ mean / np.linalg.norm(mean), -1, 1)).mean()))
+
+
+def _coverage(views: list[_View], size: tuple[int, int]) -> float:
+    """Share of the picture's cells in which a corner was seen."""
+    cells = np.floor(np.concatenate([v.pixels for v in views])[:, 0] / size * GRID).astype(int)
+    inside = cells[((cells >= 0) & (cells < GRID)).all(1)]
+    return len(np.unique(inside, axis=0)) / (GRID[0] * GRID[1])

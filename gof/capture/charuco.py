@@ -1,23 +1,21 @@
-"""The calibration target: a ChArUco board, its drawing at true size (`gof capture target`), its corners in pictures."""
+"""The calibration target: a ChArUco pattern, its drawing at true size, its corners in pictures."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
-import tyro
 
 from gof.errors import GofError
-from gof.io.files import atomic_path, write_json
 
 PAPERS_MM = {"A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841)}
 POINTS_PER_MM = 72 / 25.4
+MINIMUM_CORNERS = 8  # of a view; a homography needs 4
 
 
 @dataclass(frozen=True)
 class Charuco:
-    """A ChArUco board of DICT_4X4_50; the paper's is the default."""
+    """A ChArUco target of DICT_4X4_50; the paper's is the default."""
 
     columns: int = 7
     """Squares across."""
@@ -28,16 +26,16 @@ class Charuco:
     marker_mm: float = 30.0
     """Side of a marker."""
 
-    def board(self):
-        """OpenCV's board, in metres.
+    def pattern(self):
+        """OpenCV's `CharucoBoard`, in metres.
 
         Raises:
-            GofError: sizes that make no board.
+            GofError: sizes that make no pattern.
         """
         import cv2
 
         if not (self.columns >= 3 and self.rows >= 3 and 0 < self.marker_mm < self.square_mm):
-            raise GofError("a ChArUco board needs at least 3 x 3 squares, and markers smaller than its squares")
+            raise GofError("a ChArUco target needs at least 3 x 3 squares, and markers smaller than its squares")
         if self.columns * self.rows // 2 > 50:
             raise GofError(f"{self.columns} x {self.rows} squares need more than the dictionary's 50 markers")
         size = (self.columns, self.rows)
@@ -45,13 +43,13 @@ class Charuco:
 
     def corners(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Inner corners in a grey picture: board points (N, 1, 3) in metres and continuous pixel coordinates (N, 1, 2);
-        None when fewer than 8 are seen."""
+        None when fewer than MINIMUM_CORNERS are seen."""
         import cv2
 
-        board = self.board()
+        pattern = self.pattern()
         # OpenCV 4.11 gives these corners with pixel centres at integer + 0.5, unlike its other corner finders.
-        found, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
-        return board.matchImagePoints(found, ids) if ids is not None and len(ids) >= 8 else None
+        found, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
+        return pattern.matchImagePoints(found, ids) if ids is not None and len(ids) >= MINIMUM_CORNERS else None
 
     def squares(self) -> list[tuple[float, float, float, bool]]:
         """Squares to paint in this order on white: x, y (down), side in mm, True = black."""
@@ -60,7 +58,7 @@ class Charuco:
         s = self.square_mm
         out = [(c * s, r * s, s, True) for r in range(self.rows) for c in range(self.columns) if (r + c) % 2 == 0]
         cell = self.marker_mm / 6
-        for corners, marker in zip(self.board().getObjPoints(), np.ravel(self.board().getIds()), strict=True):
+        for corners, marker in zip(self.pattern().getObjPoints(), np.ravel(self.pattern().getIds()), strict=True):
             x0, y0 = (1000 * np.asarray(corners)[0, :2]).tolist()
             out.append((x0, y0, self.marker_mm, True))
             white = np.argwhere(cv2.aruco.generateImageMarker(_dictionary(), int(marker), 6) > 0)
@@ -92,11 +90,13 @@ def draw_svg(target: Charuco) -> str:
     _, width, height = page(target)
     x0, y0, note = _place(target)
     out = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm" viewBox="0 0 {width} {height}">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm" '
+        f'viewBox="0 0 {width} {height}">',
         f'<rect width="{width}" height="{height}" fill="#fff"/>',
     ]
     out += [
-        f'<rect x="{x0 + x:.4f}" y="{y0 + y:.4f}" width="{side:.4f}" height="{side:.4f}" fill="{"#000" if black else "#fff"}"/>'
+        f'<rect x="{x0 + x:.4f}" y="{y0 + y:.4f}" width="{side:.4f}" height="{side:.4f}" '
+        f'fill="{"#000" if black else "#fff"}"/>'
         for x, y, side, black in target.squares()
     ]
     out.append(f'<text x="{x0:.2f}" y="{height - 1.8:.2f}" font-size="2.5" font-family="sans-serif">{note}</text>')
@@ -109,7 +109,8 @@ def draw_pdf(target: Charuco) -> bytes:
     x0, y0, note = _place(target)
     k = POINTS_PER_MM
     paint = [
-        f"{0 if black else 1} g {k * (x0 + x):.4f} {k * (height - y0 - y - side):.4f} {k * side:.4f} {k * side:.4f} re f"
+        f"{0 if black else 1} g {k * (x0 + x):.4f} {k * (height - y0 - y - side):.4f} {k * side:.4f} {k * side:.4f} re "
+        "f"
         for x, y, side, black in target.squares()
     ]
     paint.append(f"0 g BT /F 7 Tf {k * x0:.2f} {k * 1.8:.2f} Td ({note}) Tj ET")
@@ -133,40 +134,13 @@ def draw_pdf(target: Charuco) -> bytes:
     return text.encode("ascii")
 
 
-def _place(target):
+def _place(target: Charuco) -> tuple[float, float, str]:
+    """Where the pattern's corner is on the page, mm, and the note below it."""
     name, width, height = page(target)
     (w, h) = target.size_mm
     note = (
-        f"ChArUco DICT_4X4_50, {target.columns} x {target.rows}, squares {target.square_mm:g} mm, markers {target.marker_mm:g} mm. "
+        f"ChArUco DICT_4X4_50, {target.columns} x {target.rows}, squares {target.square_mm:g} mm, markers "
+        f"{target.marker_mm:g} mm. "
         f"Print on {name} at 100 %: the pattern must measure {w:g} x {h:g} mm"
     )
     return (width - w) / 2, (height - h) / 2, note
-
-
-@dataclass(frozen=True)
-class TargetConfig:
-    """Draw the ChArUco calibration target as a PDF or SVG at true size.
-
-    Print at 100 %, measure it with a ruler, glue it on something flat and stiff (glass, composite board).
-    """
-
-    out: tyro.conf.Positional[Path]
-    """File to write, .pdf or .svg."""
-    target: tyro.conf.OmitArgPrefixes[Charuco] = field(default_factory=Charuco)
-    json: Path | None = None
-    """Also write the drawn size to this file."""
-
-
-def main(argv: list[str]) -> int:
-    """Write the drawing."""
-    config = tyro.cli(TargetConfig, prog="gof capture target", args=argv)
-    if config.out.suffix.lower() not in (".pdf", ".svg"):
-        raise GofError(f"{config.out}: the drawing is a .pdf or an .svg file")
-    pdf = config.out.suffix.lower() == ".pdf"
-    with atomic_path(config.out) as temporary:
-        temporary.write_bytes(draw_pdf(config.target) if pdf else draw_svg(config.target).encode())
-    name, width, height = page(config.target)
-    print(f"{config.out}: {name}, {width:g} x {height:g} mm; print at 100 % and measure it")
-    if config.json:
-        write_json(config.json, asdict(config.target) | {"paper": name, "width_mm": width, "height_mm": height})
-    return 0

@@ -9,13 +9,14 @@ import numpy as np
 
 from gof.capture.strips import NotDecodable
 
+# Costs of `link`; tests/capture/test_clock.py holds them to any pattern of drops, repeats and wrong single times.
 MISS = 0.06  # part of the period by which a time misses its place entirely; costs 1
-DROP_COST = 0.5
+DROP_COST = 0.5  # less than the misses of the frames after a drop, more than one small miss
 
 
 def estimate_interval(count: np.ndarray, phase_us: np.ndarray, period: float) -> float:
-    """Time between frames from counter and strips, by the median over pairs eight frames apart: single wrong reads, drops
-    and repeats do not move it.
+    """Time between frames from counter and strips, by the median over pairs eight frames apart: single wrong reads,
+    drops and repeats do not move it.
 
     Raises:
         NotDecodable: fewer than four frames, or the counter stands still.
@@ -53,10 +54,10 @@ def link(
 ) -> np.ndarray:
     """(T,) position of every frame on a steady clock of the given interval.
 
-    A repeated picture has the position of the one before; every other step is one more, or several after a drop. Of all such
-    sequences the cheapest is taken (Viterbi), where a frame costs up to one for missing its time, and a drop half of that: drops
-    are told from wrong single times because all frames after a drop agree with it. Half of a window is settled at a time, and
-    the clock followed from window to window, so small errors of the interval do not add up.
+    A repeated picture has the position of the one before; every other step is one more, or several after a drop. Of all
+    such sequences the cheapest is taken (Viterbi), where a frame costs up to one for missing its time, and a drop half
+    of that: drops are told from wrong single times because all frames after a drop agree with it. Half of a window is
+    settled at a time, and the clock followed from window to window, so small errors of the interval do not add up.
 
     Args:
         time: (T,) right modulo `period`, single ones may be wrong.
@@ -89,8 +90,8 @@ def link(
 
 
 def _cheapest_shifts(error, repeated, interval, period, counted, start):
-    """Non-decreasing shifts (in intervals) that explain `error` (T,) us best, and their cost. start: shift before the first
-    frame; None = any."""
+    """Non-decreasing shifts (in intervals) that explain `error` (T,) us best, and their cost. start: shift before the
+    first frame; None = any."""
     if counted:
         seen = np.rint(np.append(error / interval, [] if start is None else start)).astype(int)
         shifts = np.unique(seen[:, None] + np.arange(-2, 3))  # a frame between two drops may be misread

@@ -169,6 +169,21 @@ def find_boards(timeout_s: float = 0.3) -> list[tuple[str, Identity]]:
     return found
 
 
+def only_board() -> str:
+    """Port of the one board that is plugged in.
+
+    Raises:
+        BoardError: none, or several (names them).
+    """
+    boards = find_boards()
+    if not boards:
+        raise BoardError("no LED board found; plug it in, or name its port with --port")
+    if len(boards) > 1:
+        names = ", ".join(port for port, _ in boards)
+        raise BoardError(f"{len(boards)} boards are plugged in ({names}); choose with --port")
+    return boards[0][0]
+
+
 def candidate_ports() -> list[str]:
     """USB serial ports that could be a board."""
     _pyserial()

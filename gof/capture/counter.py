@@ -7,6 +7,8 @@ change of the Gray code, and so tells which change it is.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from gof.capture.strips import NotDecodable
@@ -78,9 +80,24 @@ def resolve(count: np.ndarray, phase: np.ndarray, disambiguation: np.ndarray | N
     return count + np.where(wrong & near_start, 1, 0) - np.where(wrong & near_end, 1, 0)
 
 
+@dataclass(frozen=True)
+class CountVote:
+    """What the LEDs of all frames say together.
+
+    Attributes:
+        candidates: periods to add to the frames' times; all agree equally well, smallest first.
+        agreement: share of clean readings that agree with them.
+        readings: number of clean readings.
+    """
+
+    candidates: np.ndarray
+    agreement: float
+    readings: int
+
+
 def vote(
     template: BoardTemplate, on: np.ndarray, known: np.ndarray, led_time: np.ndarray, period: float, exposure: float
-) -> tuple[np.ndarray, float, int]:
+) -> CountVote:
     """The count at which the clip starts, from all frames together.
 
     Every frame's time is known up to one common number of periods, so one integer explains all LEDs of all frames; each
@@ -90,9 +107,6 @@ def vote(
     Args:
         led_time: (T, L) mid-exposure board time of each LED in each frame, us, up to that number of periods.
         exposure: us, with a margin.
-    Returns:
-        candidates (in periods to add to `led_time`) that agree equally well, smallest first; share of clean readings that
-        agree with them; number of clean readings.
     Raises:
         NotDecodable: no reading lies inside one period.
     """
@@ -122,9 +136,10 @@ def vote(
         wrong += np.tile(cost, wrap // cycle)
     readings = int(clean.sum())
     candidates = np.flatnonzero(wrong <= wrong.min() + 0.5) - origin
-    return candidates, 1 - float(wrong.min()) / readings, readings
+    return CountVote(candidates, 1 - float(wrong.min()) / readings, readings)
 
 
-def _tally(offset, seen):
+def _tally(offset: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Each distinct (offset, reading) and how often it occurs."""
     pairs, counts = np.unique(np.stack([offset, seen.astype(np.int64)], 1), axis=0, return_counts=True)
     return pairs[:, 0], pairs[:, 1], counts

@@ -7,10 +7,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gof.capture import clock, counter, strips
+from gof.capture.counter import CountVote
 from gof.capture.signals import Signals
-from gof.capture.strips import NotDecodable
+from gof.capture.strips import NotDecodable, StripFit, StripReadings
 from gof.capture.template import BoardTemplate
 
+MIN_WEIGHT = 0.05  # in the robust line; frames below are outliers
+MIN_AGREEMENT = 0.97  # of the LEDs with the count; sharp footage has above 0.99
+MIN_SPAN_PX = 60  # of a strip along the readout, to measure the row time from
+CLEAR_DELAY_US = 40.0  # along a strip: two bins of the learned curves, enough to tell a direction
+USUAL_EXPOSURE = 0.35  # of the period, where the strips do not show it
+EXPOSURE_MARGIN, EXPOSURE_ADD_US = 1.15, 100.0  # the estimate is good to about 15 %
 READOUT = {(0, 1): "right", (0, -1): "left", (1, 1): "down", (1, -1): "up"}
 
 
@@ -25,11 +32,15 @@ class DecodeOptions:
     clock: str = "steady"  # "steady" or "free"
     iterations: int = 6  # rounds of learning the strips' curves and the frames' times from each other
 
+    @property
+    def steady(self) -> bool:
+        return self.clock == "steady"
+
 
 @dataclass
 class CameraTimes:
-    """Times of one camera. Times are mid-exposure at the picture's centre; a pixel's own time adds row_time_us times its
-    distance from the centre line in the readout direction.
+    """Times of one camera. Times are mid-exposure at the picture's centre; a pixel's own time adds row_time_us times
+    its distance from the centre line in the readout direction.
 
     Args:
         time_us: (T,) fused board time; sigma_us (T,) its standard error.
@@ -74,141 +85,242 @@ def decode(signals: Signals, template: BoardTemplate, options: DecodeOptions) ->
     Raises:
         NotDecodable: the signals do not determine the time (says why, and what to give or change).
     """
-    period = options.period_us
-    slot = template.strip_slot
-    value, usable = strips.normalise(signals.strip, signals.board.strip_visible)
-    phase = strips.coarse_phase(value, usable, slot, period)
-    axis, position, led_position = _readout_axis(signals, options)
+    seen, led_position = _strip_readings(signals, template, options)
+    phase = strips.coarse_phase(seen, options.period_us)
+    counter_read = _read_counter(signals, template, phase / options.period_us)
+    start = _link_frames(seen, phase, counter_read, signals.duplicate, options)
+    fit, index = _learn(seen, start, signals.duplicate, options)
+    fused = _fuse(fit, index, start.interval_us, signals.duplicate, options)
 
+    exposure = strips.estimate_exposure(fit.curve, fit.slots, options.period_us)
+    led_time = fused.time_us[:, None] + fit.row_time * led_position
+    vote = _vote(template, counter_read, led_time, exposure, options.period_us)
+
+    residual = (fused.measured_us - fused.time_us)[fused.used] if options.steady else np.zeros(1)
+    sigma = _line_sigma(index, fused.used, residual, len(index)) if options.steady else fit.sigma
+    strips_of_use = max(1, np.isfinite(fit.centre_error).sum())
+    systematic = float(np.nanstd(fit.centre_error) / np.sqrt(strips_of_use))
+    shift = int(vote.candidates[0]) * options.period_us
+    return CameraTimes(
+        time_us=fused.time_us + shift,
+        sigma_us=np.hypot(sigma, systematic),
+        measured_us=fused.measured_us + shift,
+        used=fused.used,
+        clock_index=index,
+        interval_us=fused.interval_us,
+        rms_us=float(np.sqrt(np.mean(residual**2))),
+        max_us=float(np.abs(residual).max()),
+        row_time_us=abs(fit.row_time),
+        readout=READOUT[seen.axis, 1 if fit.row_time >= 0 else -1],
+        exposure_us=exposure[0] if exposure else None,
+        saturation=exposure[1] if exposure else None,
+        count_candidates=vote.candidates,
+        count_agreement=vote.agreement,
+        count_readings=vote.readings,
+        systematic_us=systematic,
+        curve=fit.curve,
+        faults=fit.faults,
+        warnings=_warnings(counter_read, vote, fused.used, signals.duplicate, template),
+    )
+
+
+@dataclass(frozen=True)
+class _CounterRead:
+    """The counter as the LEDs show it.
+
+    Attributes:
+        on: (T, L) brightness 0..1.   known: (L,) False for LEDs out of view.
+        count: (T,) of the lowest `bits` bits.
+        whole: whether every bit is in view, so that `count` is of the periods.
+    """
+
+    on: np.ndarray
+    known: np.ndarray
+    count: np.ndarray
+    bits: int
+    whole: bool
+
+
+@dataclass(frozen=True)
+class _LinkedFrames:
+    """Frames on the camera's clock.
+
+    Attributes:
+        index: (T,) positions.
+        time_us: (T,) times there, to a fraction of a slot.
+        interval_us: of the clock.
+        counted_us: (T,) times by each frame's own count, single ones wrong by whole periods; None without a whole
+            count.
+    """
+
+    index: np.ndarray
+    time_us: np.ndarray
+    interval_us: float
+    counted_us: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class _FusedTimes:
+    """(T,) times on the camera's clock, (T,) each frame's own, (T,) which count, and the clock's interval."""
+
+    time_us: np.ndarray
+    measured_us: np.ndarray
+    used: np.ndarray
+    interval_us: float
+
+
+def _read_counter(signals: Signals, template: BoardTemplate, phase: np.ndarray) -> _CounterRead:
+    """Read the LEDs; where all are in view, settle reads next to a change. phase: (T,) in periods."""
     on, known = counter.lit(signals.led, signals.board.led_visible)
-    read, bits = counter.read_count(on, known, template.led_bit)
-    warnings: list[str] = []
-    if bits < template.gray_bits:
-        warnings.append(f"only the lowest {bits} of {template.gray_bits} counter LEDs are in view")
-    d_at = int(np.flatnonzero(template.led_bit < 0)[0]) if (template.led_bit < 0).any() else None
-    d = on[:, d_at] if d_at is not None and known[d_at] else None
-    full = bits == template.gray_bits
-    if full:
-        read = counter.resolve(read, phase / period, d, template.disambiguation_lead)
-    interval = _interval(options, read, bits, phase, period)
-    counted = read * period + phase
-    index = clock.link(counted if full else phase, interval, signals.duplicate, period, full)
-    if full:
+    count, bits = counter.read_count(on, known, template.led_bit)
+    whole = bits == template.gray_bits
+    if whole:
+        at = np.flatnonzero((template.led_bit < 0) & known)
+        disambiguation = on[:, at[0]] if len(at) else None
+        count = counter.resolve(count, phase, disambiguation, template.disambiguation_lead)
+    return _CounterRead(on, known, count, bits, whole)
+
+
+def _link_frames(
+    seen: StripReadings, phase: np.ndarray, read: _CounterRead, repeated: np.ndarray, options: DecodeOptions
+) -> _LinkedFrames:
+    """Put the frames on the camera's clock, from count and phase: the cheapest sequence of drops and repeats."""
+    period = options.period_us
+    interval = _interval(options, read.count, read.bits, phase, period)
+    counted = read.count * period + phase
+    index = clock.link(counted if read.whole else phase, interval, repeated, period, read.whole)
+    if read.whole:
         # Single counts may still be wrong; the clock says which period is meant.
         line = strips.robust_line(index, counted)[0]
         time = line + clock.wrap(phase - line, period)
     else:
         time = clock.unwrap(phase, index, interval, period)
-    steady = options.clock == "steady"
-    if steady:
-        interval = strips.sharpen_interval(value, usable, index, interval, period)
+    if options.steady:
+        interval = strips.sharpen_interval(seen, index, interval, period)
         time = index * interval + np.median(time - index * interval)
+    return _LinkedFrames(index, time, interval, counted if read.whole else None)
 
-    row_time, free = _row_time(options, value, usable, position, time, period)
-    fit = strips.fit(value, usable, position, axis, slot, time, period, row_time, free, steady, options.iterations)
-    if steady:
-        exact = counted + clock.wrap(fit.time - counted, period) if full else fit.time
-        better = clock.link(exact, interval, signals.duplicate, period, full)
-        if (better != index).any():
-            index = better
-            line = strips.robust_line(index, clock.unwrap_to(fit.time, index, interval, period), fit.sigma)[0]
-            fit = strips.fit(
-                value, usable, position, axis, slot, line, period, fit.row_time, free, steady, options.iterations
-            )
-        line = strips.robust_line(index, fit.time, fit.sigma)[0]
-        measured = line + clock.wrap(fit.time - line, period)
-        line, interval, weight = strips.robust_line(index, measured, fit.sigma)
-    else:
-        line, weight, measured = fit.time, np.ones(len(fit.time)), fit.time
-    used = (weight > 0.05) & ~signals.duplicate
 
-    exposure = strips.estimate_exposure(fit.curve, fit.slots, period)
-    lead = exposure[0] if exposure else 0.35 * period
-    led_time = line[:, None] + fit.row_time * led_position
-    candidates, agreement, readings = counter.vote(template, on, known, led_time, period, 1.15 * lead + 100)
-    if agreement < 0.97:
-        warnings.append(
-            f"only {agreement:.1%} of the clean counter LED readings fit the counter; times may be off by whole periods"
-        )
-    residual = (measured - line)[used] if steady else np.zeros(1)
-    systematic = float(np.nanstd(fit.centre_error) / np.sqrt(max(1, np.isfinite(fit.centre_error).sum())))
-    sigma = _line_sigma(index, used, residual, len(line)) if steady else fit.sigma
-    if (~used & ~signals.duplicate).sum():
-        warnings.append(
-            f"{int((~used & ~signals.duplicate).sum())} of {len(line)} frames were left out of the fit as outliers"
-        )
-    sign = 1 if fit.row_time >= 0 else -1
-    out = CameraTimes(
-        line,
-        np.hypot(sigma, systematic),
-        measured,
-        used,
-        index,
-        interval,
-        float(np.sqrt(np.mean(residual**2))),
-        float(np.abs(residual).max()),
-        abs(fit.row_time),
-        READOUT[axis, sign],
-        exposure[0] if exposure else None,
-        exposure[1] if exposure else None,
-        candidates,
-        agreement,
-        readings,
-        systematic,
-        fit.curve,
-        fit.faults,
-        warnings,
+def _learn(
+    seen: StripReadings, start: _LinkedFrames, repeated: np.ndarray, options: DecodeOptions
+) -> tuple[StripFit, np.ndarray]:
+    """Learn the strips' curves and the frames' times; once more where the better times link the frames otherwise.
+
+    Returns:
+        the fit, and (T,) the frames' positions on the clock.
+    """
+    period = options.period_us
+    row_time, free = _row_time(options, seen, start.time_us, period)
+    fit = strips.fit(seen, start.time_us, period, row_time, free, options.steady, options.iterations)
+    if not options.steady:
+        return fit, start.index
+    times, counted = fit.time, start.counted_us
+    if counted is not None:
+        times = counted + clock.wrap(fit.time - counted, period)
+    index = clock.link(times, start.interval_us, repeated, period, counted is not None)
+    if (index == start.index).all():
+        return fit, index
+    near = clock.unwrap_to(fit.time, index, start.interval_us, period)
+    line = strips.robust_line(index, near, fit.sigma)[0]
+    return strips.fit(seen, line, period, fit.row_time, free, options.steady, options.iterations), index
+
+
+def _fuse(
+    fit: StripFit, index: np.ndarray, interval_us: float, repeated: np.ndarray, options: DecodeOptions
+) -> _FusedTimes:
+    """A robust line through all frames; each frame's own time where the clock is not steady."""
+    if not options.steady:
+        return _FusedTimes(fit.time, fit.time, ~repeated, interval_us)
+    line = strips.robust_line(index, fit.time, fit.sigma)[0]
+    measured = line + clock.wrap(fit.time - line, options.period_us)
+    line, interval_us, weight = strips.robust_line(index, measured, fit.sigma)
+    return _FusedTimes(line, measured, (weight > MIN_WEIGHT) & ~repeated, interval_us)
+
+
+def _vote(
+    template: BoardTemplate,
+    read: _CounterRead,
+    led_time: np.ndarray,
+    exposure: tuple[float, float] | None,
+    period: float,
+) -> CountVote:
+    """The LEDs of all frames vote on the count at which the clip starts."""
+    exposure_us = exposure[0] if exposure else USUAL_EXPOSURE * period
+    return counter.vote(
+        template, read.on, read.known, led_time, period, EXPOSURE_MARGIN * exposure_us + EXPOSURE_ADD_US
     )
-    out.shift_periods(int(candidates[0]), period)
-    return out
 
 
-def _readout_axis(signals: Signals, options: DecodeOptions):
-    """Image axis of the readout (0 = x), and strip and LED coordinates on it relative to the picture's centre."""
+def _warnings(
+    read: _CounterRead, vote: CountVote, used: np.ndarray, repeated: np.ndarray, template: BoardTemplate
+) -> list[str]:
+    warnings = []
+    if not read.whole:
+        warnings.append(f"only the lowest {read.bits} of {template.gray_bits} counter LEDs are in view")
+    if vote.agreement < MIN_AGREEMENT:
+        warnings.append(
+            f"only {vote.agreement:.1%} of the clean counter LED readings fit the counter; times may be off by whole "
+            "periods"
+        )
+    left_out = int((~used & ~repeated).sum())
+    if left_out:
+        warnings.append(f"{left_out} of {len(used)} frames were left out of the fit as outliers")
+    return warnings
+
+
+def _strip_readings(
+    signals: Signals, template: BoardTemplate, options: DecodeOptions
+) -> tuple[StripReadings, np.ndarray]:
+    """The strips' brightness along the readout, and (L,) the LEDs' places on that axis relative to the picture's
+    centre."""
+    value, usable = strips.normalise(signals.strip, signals.board.strip_visible)
     if options.readout:
         axis = 0 if options.readout in ("left", "right") else 1
-    else:
+    else:  # strips lie along the readout
         run = signals.board.strip[:, -1] - signals.board.strip[:, 0]
         axis = int(np.abs(run).mean(0).argmax())
     centre = signals.image_size[axis] / 2
-    return axis, signals.board.strip[..., axis] - centre, signals.board.led[:, axis] - centre
+    position = signals.board.strip[..., axis] - centre
+    return StripReadings(value, usable, axis, position, template.strip_slot), signals.board.led[:, axis] - centre
 
 
-def _row_time(options: DecodeOptions, value, usable, position, time, period) -> tuple[float, bool]:
+def _row_time(options: DecodeOptions, seen: StripReadings, time: np.ndarray, period: float) -> tuple[float, bool]:
     """Signed row time to start from, and whether to refine it."""
     sign = {"left": -1, "up": -1, "right": 1, "down": 1, None: 0}[options.readout]
     if options.row_time_us is not None and sign:
         return sign * options.row_time_us, False
-    along = strips.row_time_from_fundamental(value, usable, position, time, period)
-    span = max((np.ptp(position[s][usable[s]]) for s in range(len(usable)) if usable[s].sum() >= 8), default=0.0)
+    along = strips.row_time_from_fundamental(seen, time, period)
+    spans = [np.ptp(seen.position[s][seen.usable[s]]) for s in np.flatnonzero(seen.alive)]
+    span = max(spans, default=0.0)
     if along is None:
         raise NotDecodable(
             "the frames meet the board at too few phases of its period to measure the row time; set another tick "
             "(gof capture board set --tick-us 410), or give --row-time-us and --readout"
         )
-    if span < 60:
+    if span < MIN_SPAN_PX:
         raise NotDecodable(
             "the strips run across the readout direction; turn the board by 90 degrees, or give "
             "--row-time-us and --readout"
         )
     if options.row_time_us is not None:
         return float(np.sign(along)) * options.row_time_us, False
-    if sign and np.sign(along) != sign and abs(along) * span > 40:
+    if sign and np.sign(along) != sign and abs(along) * span > CLEAR_DELAY_US:
         raise NotDecodable(
             f"the strips show the opposite readout direction of '{options.readout}' ({along:+.2f} us per pixel)"
         )
     return along, True
 
 
-def _interval(options: DecodeOptions, read, bits, phase, period) -> float:
+def _interval(options: DecodeOptions, count: np.ndarray, bits: int, phase: np.ndarray, period: float) -> float:
+    """us between frames, as given or from the counter."""
     if options.fps:
         return 1e6 / options.fps
     if bits < 3:
         raise NotDecodable("too few counter LEDs are in view to measure the frame rate; give it with --fps")
-    return clock.estimate_interval(read, phase, period)
+    return clock.estimate_interval(count, phase, period)
 
 
-def _line_sigma(index, used, residual, count) -> np.ndarray:
+def _line_sigma(index: np.ndarray, used: np.ndarray, residual: np.ndarray, count: int) -> np.ndarray:
     """Standard error of the fitted line at each frame."""
     n = max(int(used.sum()), 2)
     i = index - index[used].mean() if used.any() else index - index.mean()

@@ -210,9 +210,10 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
     strength = best.max(0)
     if np.median(strength[inside]) < 12:
         raise BoardNotFound(
-            f"no flickering strips where the board should have them (contrast {np.median(strength[inside]):.0f} of 255): "
-            "is the board running, and are the strips in the picture? A frame rate that meets every period at the same moment "
-            "(25, 50 or 250 fps with 4 ms) freezes it: set another tick (gof capture board set --tick-us 410)"
+            f"no flickering strips where the board should have them (contrast {np.median(strength[inside]):.0f} of "
+            "255): is the board running, and are the strips in the picture? A frame rate that meets every period at "
+            "the same moment (25, 50 or 250 fps with 4 ms) freezes it: set another tick (gof capture board set "
+            "--tick-us 410)"
         )
     use = inside & (strength > 0.3 * np.median(strength[inside]))
     for _ in range(4):

@@ -14,8 +14,8 @@ COLOURS = ((40, 40, 220), (30, 140, 240), (60, 160, 60), (200, 120, 30), (170, 5
 
 
 def plot_camera(times: CameraTimes, title: str, slot: np.ndarray, period_us: float, path: Path) -> None:
-    """Write a PNG: measured minus fused time per frame (left-out frames hollow, at the border when beyond it), and below it
-    every strip's learned brightness over the board's period with its nominal slot."""
+    """Write a PNG: measured minus fused time per frame (left-out frames hollow, at the border when beyond it), and
+    below it every strip's learned brightness over the board's period with its nominal slot."""
     import cv2
 
     image = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
@@ -24,8 +24,9 @@ def plot_camera(times: CameraTimes, title: str, slot: np.ndarray, period_us: flo
         return cv2.putText(image, s, (int(x), int(y)), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
 
     text(
-        f"{title}: rms {times.rms_us:.2f} us, max {times.max_us:.1f} us over {int(times.used.sum())} of {len(times.used)} "
-        f"frames; {times.interval_us:.3f} us per frame; rows {times.row_time_us:.3f} us per pixel, {times.readout}",
+        f"{title}: rms {times.rms_us:.2f} us, max {times.max_us:.1f} us over {int(times.used.sum())} of "
+        f"{len(times.used)} frames; {times.interval_us:.3f} us per frame; "
+        f"rows {times.row_time_us:.3f} us per pixel, {times.readout}",
         LEFT,
         24,
         size=0.5,

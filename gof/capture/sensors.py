@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.resources import files
+from typing import ClassVar
 
 from gof.errors import DataFormatError
-from gof.io.files import read_json
+from gof.io.records import read_record
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A camera mode: native size in pixels, frames per second, time from sensor row to row in us, where that is from."""
+    """A camera mode.
+
+    Attributes:
+        width, height: native size in pixels.
+        row_time_us: from sensor row to sensor row.
+        source: where that is from.
+    """
 
     camera: str
     width: int
@@ -30,15 +37,24 @@ class Sensor:
         return self.row_time_us * self.height / lines
 
 
+@dataclass(frozen=True)
+class SensorTable:
+    """sensors.json, by name of the mode. What else it holds (measurements, notes) is for people."""
+
+    SCHEMA: ClassVar[str] = "gof-sensors"
+    VERSION: ClassVar[int] = 1
+
+    sensors: dict[str, Sensor]
+
+
 def sensor(name: str) -> Sensor:
     """A sensor of the table by name.
 
     Raises: DataFormatError: not in the table (names those that are).
     """
-    table = read_json(files("gof.capture") / "sensors.json")["sensors"]
+    table = read_record(SensorTable, files("gof.capture") / "sensors.json").sensors
     if name not in table:
         raise DataFormatError(
             f"no sensor '{name}' in the table; it has {', '.join(table)}. Or give the row time itself"
         )
-    d = table[name]
-    return Sensor(d["camera"], d["width"], d["height"], d["fps"], d["row_time_us"], d["source"])
+    return table[name]

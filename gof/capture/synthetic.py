@@ -1,7 +1,8 @@
 """Renders footage of an LED board with exact rolling shutter and exposure, and known times: the truth for the decoder.
 
 The render model shares nothing with the decoder but the template: brightness is the exact overlap of each image line's
-exposure with the firmware's pattern, then optics (blur), sensor (gain, saturation, noise, 8 bits) and, if asked, a codec.
+exposure with the firmware's pattern, then optics (blur), sensor (gain, saturation, noise, 8 bits) and, if asked, a
+codec.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ class SyntheticShot:
         width, height: of the picture.
         row_time: delay from line to line; readout: direction of later lines.
         exposure, fps, start: start is the mid-exposure of the centre in frame 0, on the board's clock.
-        marker_px: side of the marker in pixels; yaw_deg turns the board about its vertical axis, roll_deg in the picture.
+        marker_px: side of the marker in pixels; yaw_deg turns the board about its vertical axis, roll_deg in the
+            picture.
         centre: of the marker, as fractions of the picture.
         blur_px, noise: Gaussian, standard deviations in pixels and grey levels.
         gain: brightness of a fully exposed LED, of full scale (above 1 saturates).
@@ -78,8 +80,8 @@ class SyntheticShot:
 
 
 def lit_share(start: np.ndarray, exposure: float, on: np.ndarray, length: float, cycle: float) -> np.ndarray:
-    """Share of the exposure [start, start + exposure] in which something is lit that is lit from `on` for `length` in every
-    `cycle`. Exact for any lengths."""
+    """Share of the exposure [start, start + exposure] in which something is lit that is lit from `on` for `length` in
+    every `cycle`. Exact for any lengths."""
 
     def lit_until(t):
         n = np.floor((t - on) / cycle)

@@ -1,18 +1,70 @@
-"""Geometry of an LED board relative to its marker, as JSON; and a printable drawing of it (`gof capture draw`)."""
+"""Geometry of an LED board relative to its marker, as JSON; and a printable drawing of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
-import tyro
 
 from gof.errors import DataFormatError
-from gof.io.files import atomic_path, read_json, write_json
+from gof.io.records import read_record
 
 BUILT_IN = ("paper_rig", "gof_board")
+DISAMBIGUATION = -1  # instead of a Gray bit
+
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class MarkerEntry:
+    """The marker of a template file: ArUco number, light on dark, side in metres where it is known."""
+
+    id: int
+    inverted: bool
+    side_m: float | None = None
+
+
+@dataclass(frozen=True)
+class LedEntry:
+    """An LED of a template file: its Gray bit (null = the disambiguation LED) and place in marker sides."""
+
+    bit: int | None
+    xy: Point
+
+
+@dataclass(frozen=True)
+class StripEntry:
+    """A strip of a template file: its slot, and its first and last lit point in marker sides."""
+
+    slot: int
+    ends: tuple[Point, Point]
+
+
+@dataclass(frozen=True)
+class TemplateFile:
+    """A board template as JSON; see `BoardTemplate`. The built-in ones say in "origin" where they are from."""
+
+    SCHEMA: ClassVar[str] = "gof-led-board"
+    VERSION: ClassVar[int] = 1
+
+    name: str
+    marker: MarkerEntry
+    leds: tuple[LedEntry, ...]
+    strips: tuple[StripEntry, ...]
+    outline: tuple[Point, ...]
+    disambiguation_lead: float = 0.6
+    origin: str = ""
+
+    def __post_init__(self):
+        if sorted(strip.slot for strip in self.strips) != list(range(5)):
+            raise DataFormatError("'strips' must be five, with slots 0..4")
+        bits = sorted(led.bit for led in self.leds if led.bit is not None)
+        if not bits or bits != list(range(len(bits))):
+            raise DataFormatError("'leds' must hold each Gray bit from 0 up once")
 
 
 @dataclass(frozen=True)
@@ -30,7 +82,8 @@ class BoardTemplate:
         strip_slot: (S,) slot in which each strip is lit.
         outline: (N, 2) polygon around the board, for masks and drawings.
         marker_side_m: size of the printed marker, None when unknown.
-        disambiguation_lead: how many periods before the count the disambiguation LED turns, see firmware/core/gof_board.h.
+        disambiguation_lead: how many periods before the count the disambiguation LED turns, see
+            firmware/core/gof_board.h.
     """
 
     name: str
@@ -57,30 +110,19 @@ class BoardTemplate:
             DataFormatError: no such file, or a field is missing or malformed.
         """
         path = files("gof.capture") / f"{name}.json" if str(name) in BUILT_IN else Path(name)
-        d = read_json(path)
-        try:
-            if d["schema"] != "gof-led-board" or d["version"] != 1:
-                raise DataFormatError(f"{path}: not a gof-led-board file of version 1")
-            template = cls(
-                str(d["name"]),
-                int(d["marker"]["id"]),
-                bool(d["marker"]["inverted"]),
-                np.array([led["xy"] for led in d["leds"]], np.float64),
-                np.array([led["bit"] if led["bit"] is not None else -1 for led in d["leds"]]),
-                np.array([s["ends"] for s in d["strips"]], np.float64),
-                np.array([s["slot"] for s in d["strips"]]),
-                np.array(d["outline"], np.float64),
-                d["marker"].get("side_m"),
-                float(d.get("disambiguation_lead", 0.6)),
-            )
-        except (KeyError, TypeError, ValueError) as e:
-            raise DataFormatError(f"{path}: not a board template: field {e} is missing or malformed") from e
-        if sorted(template.strip_slot) != list(range(5)) or template.strip_ends.shape != (5, 2, 2):
-            raise DataFormatError(f"{path}: 'strips' must be five, with slots 0..4")
-        bits = sorted(b for b in template.led_bit if b >= 0)
-        if bits != list(range(len(bits))) or not bits:
-            raise DataFormatError(f"{path}: 'leds' must hold each Gray bit from 0 up once")
-        return template
+        file = read_record(TemplateFile, path)
+        return cls(
+            name=file.name,
+            marker_id=file.marker.id,
+            inverted=file.marker.inverted,
+            led_xy=np.array([led.xy for led in file.leds], np.float64),
+            led_bit=np.array([DISAMBIGUATION if led.bit is None else led.bit for led in file.leds]),
+            strip_ends=np.array([strip.ends for strip in file.strips], np.float64),
+            strip_slot=np.array([strip.slot for strip in file.strips]),
+            outline=np.array(file.outline, np.float64),
+            marker_side_m=file.marker.side_m,
+            disambiguation_lead=file.disambiguation_lead,
+        )
 
 
 def draw_svg(template: BoardTemplate, marker_side_mm: float) -> str:
@@ -125,28 +167,3 @@ def draw_svg(template: BoardTemplate, marker_side_mm: float) -> str:
             f"{'D' if bit < 0 else bit}</text>"
         )
     return "\n".join([*out, "</svg>", ""])
-
-
-@dataclass(frozen=True)
-class DrawConfig:
-    """Draw a board template as a printable SVG at true size."""
-
-    out: tyro.conf.Positional[Path]
-    template: str = "gof_board"
-    """Built-in name (gof_board, paper_rig) or a JSON file."""
-    marker_mm: float = 60.0
-    """Side of the marker in millimetres; everything scales with it."""
-    json: Path | None = None
-    """Also write the drawn size to this file."""
-
-
-def main(argv: list[str]) -> int:
-    """Write the SVG of a template."""
-    config = tyro.cli(DrawConfig, prog="gof capture draw", args=argv)
-    template = BoardTemplate.load(config.template)
-    with atomic_path(config.out) as temporary:
-        temporary.write_text(draw_svg(template, config.marker_mm))
-    print(f"{config.out}: board '{template.name}', marker side {config.marker_mm:g} mm; print at 100 %")
-    if config.json:
-        write_json(config.json, {"template": template.name, "marker_mm": config.marker_mm})
-    return 0

@@ -6,12 +6,15 @@ import importlib
 import sys
 
 PARTS = {
-    "board": ("gof.capture.board_command", "find, set, start, stop, test and monitor the LED board"),
-    "sync": ("gof.capture.sync", "footage of the board -> the time of every row of every frame (times.json, plots)"),
-    "calibrate": ("gof.capture.calibration", "footage of the ChArUco target -> intrinsics of every camera"),
-    "annotate": ("gof.capture.annotate", "dataset of gof static -> soft masks of the board, per-pixel row delays"),
-    "draw": ("gof.capture.template", "LED board template -> printable SVG"),
-    "target": ("gof.capture.charuco", "ChArUco target -> printable PDF or SVG"),
+    "board": ("gof.commands.capture_board", "find, set, start, stop, test and monitor the LED board"),
+    "sync": (
+        "gof.commands.capture_sync",
+        "footage of the board -> the time of every row of every frame (times.json, plots)",
+    ),
+    "calibrate": ("gof.commands.capture_calibrate", "footage of the ChArUco target -> intrinsics of every camera"),
+    "annotate": ("gof.commands.capture_annotate", "dataset of gof ingest -> soft masks of the board"),
+    "draw": ("gof.commands.capture_draw", "LED board template -> printable SVG"),
+    "target": ("gof.commands.capture_target", "ChArUco target -> printable PDF or SVG"),
 }
 
 HELP = """\
@@ -27,7 +30,7 @@ a session:
   gof capture board find
   gof capture board start                                     the board runs; film it with every camera
   gof capture sync cam_0.mp4 cam_1.mp4 cam_2.mp4 --out sync   sync/times.json, sync/residuals_cam_0.png ...
-  gof static cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json --out data/fire
+  gof ingest cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json --out data/fire
   gof capture annotate data/fire --footage cam_0.mp4 cam_1.mp4 cam_2.mp4 --cameras cameras.json
   gof reconstruct data/fire --out out/fire
 

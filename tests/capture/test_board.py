@@ -9,10 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gof.capture import board_command, controller
+from gof.capture import controller
 from gof.capture.controller import Board, BoardError
 from gof.capture.protocol import Identity, ProtocolError, State, encode_frame
 from gof.cli import main as gof
+from gof.commands import capture_board
 
 
 def test_a_session_with_the_emulator(start_emulator):
@@ -85,7 +86,7 @@ def test_a_board_pulled_out_in_the_middle(start_emulator):
 
 def test_no_board_no_port_no_permission(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(controller, "candidate_ports", lambda: [])
-    monkeypatch.setattr(board_command, "candidate_ports", lambda: [])
+    monkeypatch.setattr(capture_board, "candidate_ports", lambda: [])
     assert gof(["capture", "board", "find"]) == 1
     assert "no LED board found (no USB serial port is present)" in capsys.readouterr().err
     assert gof(["capture", "board", "start"]) == 1

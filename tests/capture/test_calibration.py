@@ -1,14 +1,16 @@
-"""Intrinsics from rendered ChArUco views and through the command, the printed target, the board's mask, the sensor table."""
+"""Intrinsics from rendered ChArUco views and through the command, the printed target, the board's mask, the sensor
+table."""
 
 import json
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from gof.capture.annotate import dataset_row_delay, straight_lines
+from gof.capture.annotate import annotate
 from gof.capture.calibration import calibrate, sharpest
 from gof.capture.charuco import POINTS_PER_MM, Charuco, draw_pdf, draw_svg, page
 from gof.capture.locate import Summary, locate
@@ -17,9 +19,10 @@ from gof.capture.sensors import sensor
 from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.cli import main as gof
-from gof.dataset import Dataset
+from gof.dataset import Dataset, DatasetDescription
 from gof.errors import DataFormatError, GofError
-from gof.lens import Lens
+from gof.io.records import write_record
+from gof.lens import CalibratedCamera, CamerasFile, Lens, read_cameras
 from tests.conftest import look_at, write_dataset
 
 TARGET = Charuco()
@@ -32,7 +35,7 @@ BOARD = BoardTemplate.load("gof_board")
 
 def charuco_views(count=16, tilt=0.8, fine=4):
     """(grey picture, R, t) of the target through TRUE: each of fine x fine points of a pixel is traced to its plane."""
-    texture = TARGET.board().generateImage((1400, 1000), marginSize=0)
+    texture = TARGET.pattern().generateImage((1400, 1000), marginSize=0)
     rng = np.random.default_rng(3)
     grid = (np.stack(np.meshgrid(np.arange(640 * fine), np.arange(360 * fine)), -1).reshape(-1, 1, 2) + 0.5) / fine
     rays = cv2.undistortPointsIter(grid, TRUE.K, TRUE.distortion, None, None, (3, 100, 1e-9)).reshape(-1, 2)
@@ -52,7 +55,8 @@ def views():
 
 
 def test_corners_have_pixel_centres_at_integer_and_a_half(views):
-    """OpenCV changed this convention between versions; half a pixel of it would be half a pixel of the principal point."""
+    """OpenCV changed this convention between versions; half a pixel of it would be half a pixel of the principal
+    point."""
     errors = []
     for picture, R, t in views:
         points, pixels = TARGET.corners(picture)
@@ -149,7 +153,9 @@ def test_command_writes_what_gof_static_reads(views, tmp_path, capsys):
         and 8 <= entries[1]["views"] < 18
     )
     for entry in entries:
-        assert Lens.from_dict(entry, "cameras.json").K[0, 0] == pytest.approx(560, abs=1) and entry["rms_px"] < 0.1
+        assert entry["K"][0][0] == pytest.approx(560, abs=1) and entry["rms_px"] < 0.1
+    first, second = read_cameras(out, 2)
+    assert first.name == "photos" and first.lens.width == 640 and len(second.lens.distortion) == 5
     assert gof(["capture", "calibrate", str(tmp_path / "photos"), "--out", str(out)]) == 1
     assert "exists" in capsys.readouterr().err
     other = str(tmp_path / "other.json")
@@ -164,10 +170,11 @@ def test_command_writes_what_gof_static_reads(views, tmp_path, capsys):
 
 @pytest.mark.parametrize("target", [TARGET, Charuco(5, 8, 24.0, 18.0), Charuco(11, 8, 60.0, 45.0)])
 def test_drawings_are_the_target_at_true_size(target, tmp_path):
-    """Paint the squares of PDF and SVG at one pixel per marker cell and compare with OpenCV's own picture of the board."""
+    """Paint the squares of PDF and SVG at one pixel per marker cell and compare with OpenCV's own picture of the
+    board."""
     cell = target.marker_mm / 6
     w, h = (round(s / cell) for s in target.size_mm)
-    truth = target.board().generateImage((w, h), marginSize=0)
+    truth = target.pattern().generateImage((w, h), marginSize=0)
     _, width, height = page(target)
     x0, y0 = (width - target.size_mm[0]) / 2, (height - target.size_mm[1]) / 2
 
@@ -219,10 +226,9 @@ def test_board_mask_covers_every_light_and_leaves_the_rest(pictures):
     assert (mask == 0).mean() > 0.3 and ((mask > 0) & (mask < 1)).any() and mask.dtype == np.float32
 
 
-def annotated(folder, pictures, row_time_s=0.0):
+def annotated(folder, pictures):
     """A dataset of one camera with board and one without."""
     cameras = [look_at(f"cam_{c}", (0.3 * c, -3, 1), (0, 0, 1), 400, 560, 500.0) for c in range(2)]
-    cameras = [type(c)(c.name, c.width, c.height, c.K, c.world_to_camera, row_time_s, "left") for c in cameras]
     grey = np.stack([[p, np.full_like(p, 90)] for p in pictures])[..., None].repeat(3, -1) / 255
     return write_dataset(folder, cameras, grey, grey[0], 0.0025 * np.arange(len(pictures)))
 
@@ -232,85 +238,60 @@ def test_annotate_with_the_datasets_own_pictures(pictures, tmp_path, capsys):
     assert gof(["capture", "annotate", str(folder), "--template", "gof_board"]) == 0
     text = capsys.readouterr().out
     assert "cam_0: board mask" in text and "cam_1: no board mask: marker 0" in text
-    with_board, without = Dataset.open(folder).meta["cameras"]
-    assert with_board["board_mask"] == "cameras/cam_0/board_mask.png" and "board_mask" not in without
-    mask = cv2.imread(str(folder / with_board["board_mask"]), cv2.IMREAD_UNCHANGED)
+    with_board, without = Dataset.open(folder).description.cameras
+    assert with_board.board_mask == "cameras/cam_0/board_mask.png" and without.board_mask is None
+    mask = cv2.imread(str(folder / with_board.board_mask), cv2.IMREAD_UNCHANGED)
     assert mask.shape == (560, 400) and mask.dtype == np.uint8 and mask.max() == 255 and mask.min() == 0
     flicker = np.ptp(np.stack(pictures).astype(np.int16), axis=0)
     assert mask[flicker > 30].min() == 255
 
 
-def test_annotate_with_distorted_footage(pictures, tmp_path):
+def test_annotate_with_distorted_footage(pictures, tmp_path, capsys):
     """The mask is found in the stored (landscape, distorted) pictures and prepared as they are."""
-    folder = annotated(tmp_path / "data", pictures, row_time_s=4e-6)
-    meta = json.loads((folder / "dataset.json").read_text())
-    for entry in meta["cameras"]:
-        entry["roll_deg"] = 90
-    (folder / "dataset.json").write_text(json.dumps(meta))
+    folder = annotated(tmp_path / "data", pictures)
+    description = DatasetDescription.read(folder)
+    turned = tuple(replace(entry, roll_deg=90.0) for entry in description.cameras)
+    replace(description, cameras=turned).write(folder)
     (tmp_path / "stored").mkdir()
     for k, p in enumerate(pictures):
         cv2.imwrite(str(tmp_path / f"stored/{k:02d}.png"), cv2.rotate(p, cv2.ROTATE_90_COUNTERCLOCKWISE))
-    lens = Lens(560, 400, np.array([[500.0, 0, 280], [0, 500, 200], [0, 0, 1]]), np.array([-0.2, 0.03, 0, 0]))
-    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": [lens.to_dict()]}))
-    stored = str(tmp_path / "stored")
-    assert (
-        gof(
-            [
-                "capture",
-                "annotate",
-                str(folder),
-                "--template",
-                "gof_board",
-                "--footage",
-                stored,
-                stored,
-                "--cameras",
-                str(tmp_path / "cameras.json"),
-            ]
-        )
-        == 0
+    camera = CalibratedCamera(560, 400, ((500, 0, 280), (0, 500, 200), (0, 0, 1)), (-0.2, 0.03, 0, 0))
+    write_record(tmp_path / "cameras.json", CamerasFile((camera,)))
+    command = ["capture", "annotate", str(folder), "--template", "gof_board"]
+    command += ["--footage", str(tmp_path / "stored"), str(tmp_path / "stored"), "--cameras"]
+    assert gof([*command, str(tmp_path / "cameras.json")]) == 0
+    # Where a pixel of the undistorted, upright picture was before undistortion, by OpenCV's camera model.
+    x, y = np.meshgrid(np.arange(560) + 0.5, np.arange(400) + 0.5)
+    rays = np.stack([(x - 280) / 500, (y - 200) / 500, np.ones_like(x)], -1).reshape(-1, 1, 3)
+    still = np.zeros(3)
+    stored_xy = cv2.projectPoints(rays, still, still, np.array(camera.K, float), np.array(camera.distortion))[0]
+    stored_xy = (stored_xy.reshape(400, 560, 2) - 0.5).astype(np.float32)
+    flicker = np.ptp(np.stack(pictures).astype(np.int16), axis=0).astype(np.float32)
+    flicker = cv2.rotate(flicker, cv2.ROTATE_90_COUNTERCLOCKWISE)
+    flicker = cv2.rotate(
+        cv2.remap(flicker, stored_xy[..., 0], stored_xy[..., 1], cv2.INTER_LINEAR), cv2.ROTATE_90_CLOCKWISE
     )
-    data = Dataset.open(folder)
-    for camera, entry in zip(data.cameras, data.meta["cameras"], strict=True):
-        mask = cv2.imread(str(folder / entry["board_mask"]), cv2.IMREAD_UNCHANGED)
-        at = lens.before_undistortion("clockwise").astype(np.float32)
-        flicker = cv2.remap(
-            np.ptp(np.stack(pictures).astype(np.int16), axis=0).astype(np.float32),
-            at[..., 0] - 0.5,
-            at[..., 1] - 0.5,
-            cv2.INTER_LINEAR,
-        )
-        assert mask.shape == flicker.shape and mask[flicker > 30].min() == 255
-        delay = np.load(folder / entry["row_delay"])
-        np.testing.assert_array_equal(delay, dataset_row_delay(lens, "clockwise", camera))
-        assert 20e-6 < np.abs(delay - straight_lines(camera)).max() < 500e-6
-    (tmp_path / "small.json").write_text(json.dumps({"cameras": [lens.to_dict() | {"width": 100}]}))
-    assert (
-        gof(
-            [
-                "capture",
-                "annotate",
-                str(folder),
-                "--template",
-                "gof_board",
-                "--footage",
-                stored,
-                stored,
-                "--cameras",
-                str(tmp_path / "small.json"),
-            ]
-        )
-        == 1
-    )
+    for entry in Dataset.open(folder).description.cameras:
+        mask = cv2.imread(str(folder / entry.board_mask), cv2.IMREAD_UNCHANGED)
+        assert mask.shape == flicker.shape and mask[flicker > 30].min() == 255 and (mask == 0).mean() > 0.3
+    write_record(tmp_path / "small.json", CamerasFile((replace(camera, width=100),)))
+    assert gof([*command, str(tmp_path / "small.json")]) == 1
+    assert "is 560x400, its lens 100x400" in capsys.readouterr().err
 
 
-def test_row_delay_of_a_smaller_dataset_is_the_same_in_seconds():
-    lens = Lens(560, 400, np.array([[500.0, 0, 280], [0, 500, 200], [0, 0, 1]]), np.array([-0.2, 0.03, 0, 0]))
-    full = look_at("c", (0, -3, 1), (0, 0, 1), 400, 560, 500.0)
-    full = type(full)(full.name, 400, 560, full.K, full.world_to_camera, 4e-6, "left")
-    large, small = (dataset_row_delay(lens, "clockwise", c) for c in (full, full.scaled(100, 140)))
-    assert small.shape == (140, 100)
-    np.testing.assert_allclose(small, large.reshape(140, 4, 100, 4).mean((1, 3)), atol=1e-8)
+def test_annotate_keeps_everything_else_in_the_description(pictures, tmp_path):
+    """Also what it does not know of: a novel view, provenance, own times."""
+    folder = annotated(tmp_path / "data", pictures)
+    before = DatasetDescription.read(folder)
+    late = replace(before.cameras[0], time_s=tuple(t + 0.001 for t in before.time_s))
+    novel = replace(before.cameras[1], name="novel", role="eval")
+    before = replace(before, cameras=(late, before.cameras[1], novel), provenance={"camera": "GoPro"})
+    before.write(folder)
+    notes = annotate(Dataset.open(folder), BOARD)
+    assert list(notes) == ["cam_0", "cam_1"]
+    after = DatasetDescription.read(folder)
+    first = replace(after.cameras[0], board_mask=None)
+    assert after.cameras[0].board_mask and replace(after, cameras=(first, *after.cameras[1:])) == before
 
 
 def test_sensor_table():

@@ -32,8 +32,8 @@ def test_fifteen_seconds_with_thirty_drops_a_pause_and_a_drifting_interval():
     np.testing.assert_array_equal(clock.link(time, 2500.0, repeated, PERIOD, counted=True), index)
 
 
-# Position steps of 120 frames: 1 as a rule, 0 repeated, 2 to 4 after drops. What happens beside the clip's ends is left open
-# to noise, so there is nothing.
+# Position steps of 120 frames: 1 as a rule, 0 repeated, 2 to 4 after drops. What happens beside the clip's ends is left
+# open to noise, so there is nothing.
 steps = st.lists(st.sampled_from([1] * 12 + [0, 2, 3, 4]), min_size=115, max_size=115).map(lambda s: [1, 1, *s, 1, 1])
 intervals = st.sampled_from([2500.0, 1e6 / 240, 1e6 / 120])
 

@@ -29,34 +29,36 @@ def sync(clips):
     [("capture_04/scene_0010", "left"), ("capture_05/scene_0006", "left"), ("capture_03/scene_0004", "right")],
 )
 def test_slope_residual_and_row_direction(sync, scene, readout):
-    for camera in sync(scene)["cameras"]:
-        assert camera["frame_interval_us"] == pytest.approx(2500.0, abs=0.1)
-        assert camera["rms_us"] <= 9 and camera["max_residual_us"] < 25
+    for camera in sync(scene).cameras:
+        times = camera.times
+        assert times.frame_interval_us == pytest.approx(2500.0, abs=0.1)
+        assert times.rms_us <= 9 and times.max_residual_us < 25
         # Tied strips leave some frames without an edge in view; they are marked, the clock carries on.
-        assert camera["outliers"] <= (10 if camera["faults"] else 2)
-        assert camera["readout"] == readout and camera["row_time_us"] == pytest.approx(4.08, abs=0.08)
-        assert camera["count"]["agreement"] > 0.995
+        assert times.outliers <= (10 if times.faults else 2)
+        assert times.readout == readout and times.row_time_us == pytest.approx(4.08, abs=0.08)
+        assert times.count.agreement > 0.995
 
 
 def test_well_wired_captures_have_no_fault_and_capture_03_names_its_own(sync):
     for scene in ("capture_04/scene_0010", "capture_05/scene_0006"):
-        assert all(c["faults"] == [] for c in sync(scene)["cameras"])
-    for camera in sync("capture_03/scene_0004")["cameras"]:
-        assert camera["faults"] == ["strips 1, 2, 3 are tied together: all are lit in slots 1..3"]
+        assert all(camera.times.faults == () for camera in sync(scene).cameras)
+    for camera in sync("capture_03/scene_0004").cameras:
+        assert camera.times.faults == ("strips 1, 2, 3 are tied together: all are lit in slots 1..3",)
 
 
 def test_counts_and_offsets_between_cameras(sync):
     """Counts were read off the LEDs before, offsets measured with another decoder (top row; up to 30 us systematic)."""
     result = sync("capture_05/scene_0006")
-    starts = [c["frames"][0]["time_s"] for c in result["cameras"]]
+    starts = [camera.times.frames[0].time_s for camera in result.cameras]
     assert [int(t / 0.004) for t in starts] == [6544, 6544, 6544]
-    offsets = [c["offset_us"] for c in result["nearest_frames"].values()]
+    offsets = [nearest.offset_us for nearest in result.nearest_frames.values()]
     np.testing.assert_allclose(offsets, [0, -646, 635], atol=30)
-    assert result["cameras"][1]["count"]["candidates"] > 1  # its lower LEDs are cut off; the count is cam_0's
-    c10 = [c["offset_us"] for c in sync("capture_04/scene_0010")["nearest_frames"].values()]
+    assert result.cameras[1].times.count.candidates > 1  # its lower LEDs are cut off; the count is cam_0's
+    c10 = [nearest.offset_us for nearest in sync("capture_04/scene_0010").nearest_frames.values()]
     assert c10[2] - c10[0] == pytest.approx(904, abs=30)
 
 
 def test_half_a_marker_is_an_error_for_that_camera_only(sync):
-    cameras = sync("capture_04/scene_0005", (0, 1))["cameras"]
-    assert cameras[0]["rms_us"] <= 9 and "marker 0" in cameras[1]["error"]
+    whole, cut = sync("capture_04/scene_0005", (0, 1)).cameras
+    assert whole.times.rms_us <= 9 and whole.error is None
+    assert cut.times is None and "marker 0" in cut.error

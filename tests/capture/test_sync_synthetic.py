@@ -85,15 +85,17 @@ def test_compressed_video_through_the_command(tmp_path):
     assert code == 0
     result = json.loads((tmp_path / "out/times.json").read_text())
     for camera in result["cameras"]:
-        shot = shots[camera["name"]]
+        shot, times = shots[camera["name"]], camera["times"]
         truth = shot.times(64) * 1e-6
-        got = np.array([f["time_s"] for f in camera["frames"]])
+        got = np.array([f["time_s"] for f in times["frames"]])
         assert np.sqrt(np.mean((got - truth) ** 2)) < 5e-6
-        assert camera["fps"] == pytest.approx(shot.fps, rel=1e-5) and camera["readout"] == shot.readout
+        assert times["fps"] == pytest.approx(shot.fps, rel=1e-5) and times["readout"] == shot.readout
+        assert (times["width"], times["height"]) == (shot.width, shot.height)
         assert (tmp_path / f"out/residuals_{camera['name']}.png").stat().st_size > 5000
     assert result["nearest_frames"]["b"]["offset_us"] == pytest.approx(1357.9, abs=5)
     assert result["warnings"] == []
-    assert "frames" not in json.loads((tmp_path / "figures.json").read_text())["cameras"][0]
+    figures = json.loads((tmp_path / "figures.json").read_text())["cameras"][0]["times"]
+    assert figures["rms_us"] < 5 and figures["frames"] == []
 
 
 def test_row_time_from_the_sensor_table(tmp_path, capsys):
@@ -111,9 +113,9 @@ def test_row_time_from_the_sensor_table(tmp_path, capsys):
         "gopro_hero13_720p400",
     ]
     assert gof(command) == 0
-    camera = json.loads((tmp_path / "out/times.json").read_text())["cameras"][0]
-    assert camera["row_time_us"] == pytest.approx(shot.row_time)
-    np.testing.assert_allclose([f["time_s"] for f in camera["frames"]], shot.times(40) * 1e-6, atol=5e-6)
+    times = json.loads((tmp_path / "out/times.json").read_text())["cameras"][0]["times"]
+    assert times["row_time_us"] == pytest.approx(shot.row_time)
+    np.testing.assert_allclose([f["time_s"] for f in times["frames"]], shot.times(40) * 1e-6, atol=5e-6)
     assert gof([*command, "--overwrite", "--row-time-us", "3"]) == 1
     assert "either --sensor or --row-time-us" in capsys.readouterr().err
     assert gof([*command, "--overwrite", "--sensor", "gopro"]) == 1
@@ -126,7 +128,8 @@ def test_finished_times_are_replaced_only_when_asked(tmp_path, capsys):
     command = ["capture", "sync", str(tmp_path / "a.mp4"), "--out", str(target.parent), "--template", "gof_board"]
     assert gof(command) == 0
     # Without the table's or a given row time, it is the footage's own.
-    assert json.loads(target.read_text())["cameras"][0]["row_time_us"] == pytest.approx(SMALL.row_time, abs=0.03)
+    times = json.loads(target.read_text())["cameras"][0]["times"]
+    assert times["row_time_us"] == pytest.approx(SMALL.row_time, abs=0.03)
     target.write_text("mine")
     assert gof(command) == 1
     error = capsys.readouterr().err

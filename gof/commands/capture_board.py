@@ -9,7 +9,7 @@ from typing import Literal
 
 import tyro
 
-from gof.capture.controller import Board, BoardError, candidate_ports, find_boards
+from gof.capture.controller import Board, BoardError, candidate_ports, find_boards, only_board
 from gof.capture.protocol import State, Status
 from gof.io.files import write_json
 
@@ -18,8 +18,8 @@ from gof.io.files import write_json
 class BoardConfig:
     """Talk to the LED board over USB.
 
-    find: list boards.  set: write --tick-us and --count.  start, stop: the clock (stop goes dark).  monitor: watch counter
-    and jitter until Ctrl-C.  test: light --pattern.  self-test: name stuck and bridged outputs.
+    find: list boards.  set: write --tick-us and --count.  start, stop: the clock (stop goes dark).  monitor: watch
+    counter and jitter until Ctrl-C.  test: light --pattern.  self-test: name stuck and bridged outputs.
     """
 
     action: tyro.conf.Positional[Literal["find", "set", "start", "stop", "monitor", "test", "self-test"]]
@@ -63,7 +63,7 @@ def _find() -> dict:
 
 
 def _act(config: BoardConfig) -> dict:
-    port = config.port or _only_board()
+    port = config.port or only_board()
     with Board(port) as board:
         outcome: dict = {"port": port, **asdict(board.identity)}
         match config.action:
@@ -92,18 +92,6 @@ def _act(config: BoardConfig) -> dict:
         if config.action not in ("find", "monitor", "self-test"):
             print(describe(status))
     return outcome
-
-
-def _only_board() -> str:
-    boards = find_boards()
-    if len(boards) != 1:
-        names = ", ".join(port for port, _ in boards)
-        raise BoardError(
-            f"{len(boards)} boards are plugged in ({names}); choose with --port"
-            if boards
-            else "no LED board found; plug it in, or name its port with --port"
-        )
-    return boards[0][0]
 
 
 def describe(status: Status) -> str:

@@ -1,0 +1,129 @@
+"""times.json: when every frame of every video was exposed. Written by `gof capture sync`, read by `gof ingest`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+FILE = "times.json"
+Readout = Literal["down", "up", "left", "right"]
+
+
+@dataclass(frozen=True)
+class FrameTime:
+    """One stored frame.
+
+    Attributes:
+        time_s: mid-exposure of the picture's centre on the board's clock, fused from all frames.
+        sigma_us: its standard error.
+        measured_s: the frame's own measurement.
+        used: False for outliers, which the fused times leave out.
+    """
+
+    time_s: float
+    sigma_us: float
+    measured_s: float
+    used: bool
+
+
+@dataclass(frozen=True)
+class CounterReading:
+    """How many counts the visible LEDs allow, and which share of `readings` clean LED readings agrees with the one
+    taken."""
+
+    candidates: int
+    agreement: float
+    readings: int
+
+
+@dataclass(frozen=True)
+class DecodingCost:
+    """Seconds spent on reading the video and on decoding it, and frames per second of both together."""
+
+    read_s: float
+    decode_s: float
+    frames_per_second: float
+
+
+@dataclass(frozen=True)
+class VideoTimes:
+    """What was read from one video.
+
+    Attributes:
+        width, height: of the stored picture, px.
+        fps, frame_interval_us: of the camera's clock.
+        row_time_us, readout: a pixel's own time adds row_time_us times its distance from the centre line in this
+            direction.
+        frames: one per stored frame.
+        repeated_frames: stored frames that show the one before again.
+        dropped_before: how many frames are missing before a stored frame, by its number.
+        rms_us, max_residual_us: of measured minus fused times of used frames.
+        systematic_us: uncertainty common to all frames.
+        outliers: frames left out that are no repeats.
+        exposure_us, saturation: estimated; None where no strip shows them.
+        count: of the periods, by the LEDs.
+        container_fps: what the file states; None when it states none.
+        marker_px: mean side of the marker.
+        faults: of the board's wiring.   warnings: what else is doubtful.
+    """
+
+    width: int
+    height: int
+    fps: float
+    frame_interval_us: float
+    row_time_us: float
+    readout: Readout
+    frames: tuple[FrameTime, ...]
+    repeated_frames: tuple[int, ...]
+    dropped_before: dict[str, int]
+    rms_us: float
+    max_residual_us: float
+    systematic_us: float
+    outliers: int
+    exposure_us: float | None
+    saturation: float | None
+    count: CounterReading
+    container_fps: float | None
+    marker_px: float
+    faults: tuple[str, ...]
+    warnings: tuple[str, ...]
+    cost: DecodingCost
+
+
+@dataclass(frozen=True)
+class SyncedVideo:
+    """One video: its times, or why it has none."""
+
+    name: str
+    video: str
+    times: VideoTimes | None = None
+    error: str | None = None
+
+
+@dataclass(frozen=True)
+class NearestFrame:
+    """The frame of a video that is nearest to the first video's first one, and its time after that one."""
+
+    frame: int
+    offset_us: float
+
+
+@dataclass(frozen=True)
+class FrameTimesFile:
+    """times.json: all videos of one take, in the order given, on the board's clock (count 0 = 0 s).
+
+    Attributes:
+        template: name of the board's.
+        period_us: of the board's counter.
+        nearest_frames: by the name of each video that has times.
+        warnings: those of all videos.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-times"
+    VERSION: ClassVar[int] = 2
+
+    template: str
+    period_us: float
+    cameras: tuple[SyncedVideo, ...]
+    nearest_frames: dict[str, NearestFrame]
+    warnings: tuple[str, ...]

@@ -1,0 +1,44 @@
+"""`gof capture annotate`: gives a dataset soft masks of the LED board."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from gof.capture.annotate import annotate
+from gof.capture.template import BoardTemplate
+from gof.dataset import Dataset
+from gof.io.files import write_json
+
+
+@dataclass(frozen=True)
+class AnnotateConfig:
+    """Add soft masks of the LED board to a dataset of `gof ingest`.
+
+    Every camera in which the board is found gets "board_mask", an 8-bit picture (255 = board), so that scores and
+    losses leave its flicker out.
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    footage: list[Path] | None = None
+    """The cameras' videos as given to gof ingest, to look for the board at full size; else the dataset's own
+    pictures."""
+    cameras: Path | None = None
+    """The file given to gof ingest --cameras, when the footage is not yet undistorted."""
+    template: str = "paper_rig"
+    """Board: gof_board, paper_rig, or a JSON file."""
+    json: Path | None = None
+    """Also write what was added to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """Annotate a dataset and say what was added."""
+    config = tyro.cli(AnnotateConfig, prog="gof capture annotate", args=argv)
+    notes = annotate(Dataset.open(config.dataset), BoardTemplate.load(config.template), config.footage, config.cameras)
+    for name, note in notes.items():
+        print(f"{name}: {note}")
+    if config.json:
+        write_json(config.json, notes)
+    return 0

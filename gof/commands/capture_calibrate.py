@@ -1,0 +1,81 @@
+"""`gof capture calibrate`: footage of the ChArUco target -> intrinsics of every camera, for `gof ingest --cameras`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+
+from gof.capture.calibration import Calibration, calibrate, sharpest
+from gof.capture.charuco import Charuco
+from gof.errors import GofError
+from gof.footage import distinct_names, stated_frames, stored_frames
+from gof.io.records import write_record
+from gof.lens import CamerasFile
+from gof.progress import progress_bar
+
+
+@dataclass(frozen=True)
+class CalibrateConfig:
+    """Intrinsics of every camera from footage of the ChArUco target (`gof capture target` draws it).
+
+    Film in the mode the fire will be filmed in: same resolution, rate, zoom and stabilisation off. Move the target
+    slowly for about 20 seconds: near, far, tilted all ways, out to the corners of the picture. The file goes to
+    gof ingest --cameras.
+    """
+
+    footage: tyro.conf.Positional[list[Path]]
+    """One video or folder of photos per camera, in the order of the fire's videos."""
+    out: Path
+    """JSON file to write."""
+    target: tyro.conf.OmitArgPrefixes[Charuco] = field(default_factory=Charuco)
+    views: int = 40
+    """Use 1 to 2 times so many frames of a video, the sharpest of equal stretches; photos are all used."""
+    json: Path | None = None
+    """Also write the figures to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """Calibrate every camera and write the file."""
+    config = tyro.cli(CalibrateConfig, prog="gof capture calibrate", args=argv)
+    if config.out.exists():
+        raise GofError(f"{config.out}: exists; remove it or choose another --out")
+    if not config.footage:
+        raise GofError("name the footage of the target, one video or folder of photos per camera")
+    config.target.pattern()  # impossible sizes are said before anything is read
+    cameras = []
+    for name, path in zip(distinct_names(config.footage), config.footage, strict=True):
+        found = calibrate_footage(name, path, config.target, config.views)
+        print(describe(name, found))
+        for warning in found.warnings():
+            print(f"warning: {name}: {warning}")
+        cameras.append(found.camera(name))
+    file = CamerasFile(tuple(cameras))
+    write_record(config.out, file)
+    print(f"wrote {config.out}; next: gof ingest VIDEO... --cameras {config.out}")
+    if config.json:
+        write_record(config.json, file)
+    return 0
+
+
+def calibrate_footage(name: str, path: Path, target: Charuco, views: int) -> Calibration:
+    """Calibrate one camera under progress bars. Raises GofError that names the footage."""
+    stated = stated_frames(path) or 0
+    with progress_bar(f"read {name}") as update:
+        frames = (update(k, max(k, stated)) or frame for k, frame in enumerate(stored_frames(path), 1))
+        pictures = sharpest(frames, stated if path.is_dir() else views)
+    with progress_bar(f"find the target in {name}") as update:
+        try:
+            return calibrate(pictures, target, lambda done: update(done, len(pictures)))
+        except GofError as e:
+            raise GofError(f"{path}: {e}") from e
+
+
+def describe(name: str, found: Calibration) -> str:
+    """One line of figures."""
+    (fx, _, cx), (_, fy, cy) = found.lens.K[:2]
+    return (
+        f"{name}: focal {fx:.1f}, {fy:.1f} +- {found.focal_sigma_px:.1f} px, centre {cx:.1f}, {cy:.1f}, "
+        f"corners within {found.rms_px:.3f} px rms in {found.views} views over {found.coverage:.0%} of the picture"
+    )

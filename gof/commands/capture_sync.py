@@ -1,0 +1,98 @@
+"""`gof capture sync`: footage of the board from any number of cameras -> the time of every row of every frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from gof.capture.decode import DecodeOptions
+from gof.capture.sensors import sensor
+from gof.capture.sync import synchronise
+from gof.capture.template import BoardTemplate
+from gof.capture.times import FILE, Readout, SyncedVideo
+from gof.errors import GofError
+from gof.io.records import write_record
+
+
+@dataclass(frozen=True)
+class SyncConfig:
+    """Read the time of every frame from footage of the LED board, for any number of cameras on one clock.
+
+    Writes OUT/times.json and one residual plot per camera.
+    """
+
+    videos: tyro.conf.Positional[list[Path]]
+    """The cameras' own files of one take, in the order gof ingest gets them."""
+    out: Path
+    """Folder for times.json and the plots."""
+    overwrite: bool = False
+    """Replace the times.json that is in the folder already."""
+    template: str = "paper_rig"
+    """Board: gof_board, paper_rig, or a JSON file."""
+    tick_us: float = 400.0
+    """Tick the board was set to; its period is 10 ticks."""
+    fps: list[float] | None = None
+    """True capture rate, one for all or one per video; read from the counter when not given."""
+    row_time_us: float | None = None
+    """Delay from one image line to the next; measured when not given."""
+    sensor: str | None = None
+    """Take the row time from the sensor table instead (gopro_hero13_720p400), for footage that shows all sensor
+    rows."""
+    readout: Readout | None = None
+    """Direction in which lines are read later, as the picture is stored; measured when not given."""
+    clock: Literal["steady", "free"] = "steady"
+    """steady: frames come at equal distances (action cameras, machine cameras); free: phones with a varying rate."""
+    json: Path | None = None
+    """Also write the figures (without the frames) to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """Decode all videos; fails, and writes nothing, only when no camera can be decoded."""
+    config = tyro.cli(SyncConfig, prog="gof capture sync", args=argv)
+    target = config.out / FILE
+    if target.exists() and not config.overwrite:
+        raise GofError(f"{target}: already there; choose another --out, or replace it with --overwrite")
+    if config.sensor and config.row_time_us is not None:
+        raise GofError("give either --sensor or --row-time-us")
+    known = sensor(config.sensor) if config.sensor else None
+    result = synchronise(config.videos, BoardTemplate.load(config.template), options(config), config.out, known)
+    if not any(camera.times for camera in result.cameras):
+        raise GofError("no camera could be decoded: " + "; ".join(camera.error for camera in result.cameras))
+    write_record(target, result)
+    for camera in result.cameras:
+        print(describe(camera))
+    for warning in result.warnings:
+        print(f"warning: {warning}")
+    print(f"wrote {target}")
+    if config.json:
+        write_record(config.json, replace(result, cameras=tuple(map(without_frames, result.cameras))))
+    return 0
+
+
+def options(config: SyncConfig) -> list[DecodeOptions]:
+    """One per video. Raises GofError: another number of rates than videos."""
+    count = len(config.videos)
+    rates = config.fps or [None]
+    if len(rates) not in (1, count):
+        raise GofError(f"--fps: give one rate or one per video ({count}), got {len(rates)}")
+    common = DecodeOptions(10 * config.tick_us, None, config.row_time_us, config.readout, config.clock)
+    return [replace(common, fps=rate) for rate in (rates * count if len(rates) == 1 else rates)]
+
+
+def without_frames(camera: SyncedVideo) -> SyncedVideo:
+    return replace(camera, times=camera.times and replace(camera.times, frames=()))
+
+
+def describe(camera: SyncedVideo) -> str:
+    """One line of figures, or why there are none."""
+    times = camera.times
+    if times is None:
+        return f"{camera.name:<16} not decoded: {camera.error}"
+    return (
+        f"{camera.name:<16} {times.fps:.4f} fps  rms {times.rms_us:.2f} us (max {times.max_residual_us:.1f}, "
+        f"{times.outliers} outliers)  rows {times.row_time_us:.3f} us/px {times.readout}  "
+        f"exposure {times.exposure_us or 0:.0f} us  {times.cost.frames_per_second:.0f} frames/s"
+    )
