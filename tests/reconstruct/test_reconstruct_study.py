@@ -6,7 +6,8 @@ import pytest
 
 from gof.cli import main
 from gof.commands.reconstruct import ReconstructConfig
-from gof_benchmark.studies.reconstruction import ABLATIONS
+from gof.reconstruct.presets import Effort
+from gof_benchmark.studies.ablations import ABLATIONS
 from tests.reconstruct.rising_flame import write_flame
 
 SMALL = ["--gaussians", "600", "--longest-side", "96"]
@@ -39,12 +40,11 @@ def test_ablations_study(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_settings_study(tmp_path, monkeypatch):
-    from gof_benchmark.studies import reconstruction as reconstruct_study
+    from gof_benchmark.studies import reconstruction
 
-    monkeypatch.setattr(reconstruct_study, "FACTORS", (0.5, 1))
-    monkeypatch.setattr(
-        reconstruct_study, "PRESETS", {"preview": reconstruct_study.PRESETS["preview"].__class__(20, 400, 24, 96)}
-    )
+    monkeypatch.setattr(reconstruction, "FACTORS", (0.5, 1))
+    monkeypatch.setattr(reconstruction, "PRESETS", {"preview": Effort(20, 400, 24, 96)})
+    monkeypatch.setattr("gof_benchmark.studies.variants.PRESETS", {"preview": Effort(20, 400, 24, 96)})
     folder = write_flame(tmp_path / "flame")
     assert (
         main(["study", "reconstruct", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]) == 0

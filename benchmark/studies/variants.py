@@ -1,0 +1,95 @@
+"""What the studies of the reconstruction share: one reconstruction with changed settings and its scores, and tables."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from gof.costs import StageLog
+from gof.dataset import Dataset
+from gof.evaluate import evaluate
+from gof.io.files import atomic_path, read_json, write_json
+from gof.reconstruct.curve import Curve
+from gof.reconstruct.presets import PRESETS, PresetName
+from gof.worker import run_worker
+
+Row = dict[str, Any]
+"""A reconstruction in a table: "name", the settings that were given, "seconds", and its scores by name."""
+
+
+@dataclass
+class VariantStudy:
+    """What every study of the reconstruction is asked."""
+
+    dataset: tyro.conf.Positional[Path]
+    """Dataset folder, with true velocity."""
+    out: Path = Path("out/study")
+    """Folder for the reconstructions, the tables (Markdown) and the charts."""
+    preset: PresetName = "preview"
+    """How much work every reconstruction is, before a setting is varied."""
+    gaussians: int | None = None
+    """Instead of the preset's."""
+    iterations: int | None = None
+    """Instead of the preset's."""
+    longest_side: int | None = None
+    """Instead of the preset's."""
+    json: Path | None = None
+    """Also write the figures to this file."""
+
+    def settings(self) -> dict[str, int]:
+        """Of every reconstruction, before something is varied: options of `gof reconstruct` by name."""
+        preset = asdict(PRESETS[self.preset])
+        given = {name: getattr(self, name, None) for name in preset}
+        return preset | {name: value for name, value in given.items() if value is not None}
+
+    def finish(self, name: str, rows: list[Row]) -> None:
+        """Write the figures, and show the tables in OUT/NAME.md."""
+        write_json(self.out / f"{name}.json", rows)
+        if self.json:
+            write_json(self.json, rows)
+        print((self.out / f"{name}.md").read_text())
+
+
+def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, int | str]) -> Row:
+    """One reconstruction in OUT/NAME and its scores; kept when it is there already."""
+    folder = study.out / name
+    row_file = folder / "study.json"
+    if not row_file.exists():
+        options = [word for key, value in settings.items() for word in (f"--{key.replace('_', '-')}", str(value))]
+        study.out.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, "-m", "gof", "reconstruct", str(study.dataset), "--out", str(folder), *options]
+        run_worker(command, name, study.out / f"{name}.log")
+        velocity = evaluate(folder / "result.npz", dataset, images=False).dve
+        seconds = sum(stage.seconds for stage in StageLog(folder / "costs.json").stages())
+        row = {"name": name, **settings, "seconds": round(seconds, 1)}
+        row |= {"l2": velocity.l2, "cos_sim": velocity.cos_sim}
+        write_json(row_file, row | asdict(Curve.read(folder).points[-1].scores))
+    return read_json(row_file)
+
+
+def table(header: list[str], labels: list[str], rows: list[Row], keys: list[str]) -> str:
+    """Markdown; columns that no row has a value for are left out."""
+    used = [k for k, key in enumerate(keys) if any(row.get(key) is not None for row in rows)]
+    lines = [[header[0], *(header[k + 1] for k in used)], ["---"] * (len(used) + 1)]
+    lines += [[label, *(_text(row.get(keys[k])) for k in used)] for label, row in zip(labels, rows, strict=True)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def write_page(path: Path, parts: list[str]) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n\n".join(parts) + "\n")
+
+
+def _text(value: float | int | str | None) -> str:
+    """A figure in a table: three decimals below 10, two below 100, none above."""
+    if value is None:
+        return "-"
+    if not isinstance(value, float):
+        return str(value)
+    if abs(value) < 10:
+        return f"{value:.3f}"
+    return f"{value:.2f}" if abs(value) < 100 else f"{value:.0f}"
