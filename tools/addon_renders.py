@@ -84,7 +84,7 @@ def side_by_side(result: Path, dataset: Path, folder: Path, frame: int, camera: 
     """The true frame, and the cloud in the same scene."""
     spec = import_result.read_spec(dataset)
     import_result.import_into_scene(gaussians_file.load(result), spec, "points")
-    bpy.context.scene.frame_set(spec.blender_frame(frame))
+    bpy.context.scene.frame_set(spec.timeline.blender_frame(frame))
     own, view = folder / "own.png", dataset / "cameras" / camera
     import_result.render_preview(own, camera, samples=16)
     true = view / "rgb" / f"{frame:06d}.png"

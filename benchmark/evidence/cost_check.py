@@ -92,7 +92,7 @@ def bare(path: Path, root: Path) -> None:
     domain.hide_render, scene.cycles.samples, scene.render.use_persistent_data = False, spec.render.samples, True
     render._leave_only_the_fire()
     for frame in range(spec.clip.frames):
-        scene.frame_set(spec.blender_frame(frame))
+        scene.frame_set(spec.timeline.blender_frame(frame))
         for camera in rig.find(spec):
             scene.camera, scene.render.filepath = camera, f"{root}/{camera.name}-{frame:06d}.exr"
             bpy.ops.render.render(write_still=True)

@@ -16,8 +16,8 @@ import numpy as np
 from gof.io.files import atomic_path, read_json, write_json
 from gof_benchmark.commands.generate import claim, load_scene
 from gof_benchmark.generator.blender_process import Renderer, run_stage
+from gof_blender.pure import effects
 from gof_blender.pure.layout import Layout
-from gof_blender.scene import effects
 
 OPTIONS = {"obstacles": {}, "smoke": {"amount": 0.5}}
 FRAMES, WARM_UP, RESOLUTION, PERCENTAGE = 4, 20, 48, 20

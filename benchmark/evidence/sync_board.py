@@ -17,9 +17,10 @@ import numpy as np
 from gof.capture.decode import DecodeOptions
 from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
+from gof_blender.pure.clip import Clip
+from gof_blender.pure.effects import clock, motion_blur, rolling_shutter, sensor_noise, sync_board, video_compression
 from gof_blender.pure.layout import Layout
-from gof_blender.pure.spec import Clip, Render, Rig, SceneSpec
-from gof_blender.scene.effects import clock, motion_blur, rolling_shutter, sensor_noise, sync_board, video_compression
+from gof_blender.pure.spec import Render, Rig, SceneSpec
 
 GREY, FRAMES = 0.1, 24
 BOARD = sync_board.Settings((0.0, 0.0, 0.25), marker_m=0.12)
@@ -51,7 +52,8 @@ def film(spec: SceneSpec, layout: Layout) -> list[dict]:
     """Write both cameras' pictures; returns the cameras' entries of dataset.json."""
     import bpy
 
-    from gof_blender.scene import build, effects, render, rig, video
+    from gof_blender.pure import effects
+    from gof_blender.scene import build, render, rig, video
 
     layout.hidden.mkdir(parents=True)
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -64,7 +66,7 @@ def film(spec: SceneSpec, layout: Layout) -> list[dict]:
         name, ground = camera["name"], np.full((camera["height"], camera["width"], 3), GREY, np.float32)
         for frame in range(spec.clip.frames):
             path = layout.uncompressed(name, frame) if codec else layout.frame(name, frame).rgb
-            render._write_png(path, effects.expose(ground, spec, number, frame))
+            render._write_png(path, render.seen(ground, spec, number, frame))
         if codec:
             video.through_codec(spec, layout, name, codec)
     return cameras
@@ -76,11 +78,12 @@ def errors(spec: SceneSpec, layout: Layout, camera: dict) -> tuple[float, np.nda
     jitters = any(isinstance(effect, clock.Settings) and effect.jitter_s for effect in spec.effects)
     options = DecodeOptions(10 * board.tick_us, clock="free" if jitters else "steady")
     pictures = layout.frame(camera["name"], 0).rgb.parent
-    (read,) = synchronise([pictures], BoardTemplate.load("gof_board"), [options])["cameras"]
+    (video,) = synchronise([pictures], BoardTemplate.load("gof_board"), [options]).cameras
+    read = video.times
     lines = camera["width" if spec.cameras.portrait else "height"]
     true = np.array(camera["time_s"]) + camera["row_time_s"] * (lines - 1) / 2 + board.start_s
-    error = 1e6 * (np.array([frame["time_s"] for frame in read["frames"]]) - true)
-    return read["marker_px"], error, read["row_time_us"] - 1e6 * camera["row_time_s"]
+    error = 1e6 * (np.array([frame.time_s for frame in read.frames]) - true)
+    return read.marker_px, error, read.row_time_us - 1e6 * camera["row_time_s"]
 
 
 def main() -> None:

@@ -40,6 +40,6 @@ def claim(layout: Layout, spec: SceneSpec) -> None:
         GofError: the folder was made from another spec, or holds other things.
     """
     try:
-        scene_spec.claim(layout, spec)
+        layout.claim(spec)
     except SpecError as error:
         raise GofError(f"{error} (--out)") from error

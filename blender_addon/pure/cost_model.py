@@ -5,22 +5,24 @@
     velocity start + frames * f * cells
 
 `gof generate --estimate` measures the coefficients and keeps them for this user; without that they are those of another
-machine. Never imports bpy. docs/costs.md compares predictions with runs.
+machine. docs/costs.md compares predictions with runs.
 """
 
 from __future__ import annotations
 
-import json
+import math
 import os
 import shutil
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
-from . import shutter
 from .checked_json import SpecError
+from .io import FileFormatError
+from .io.records import read_record, write_record
 from .spec import SceneSpec
 
 # Measured on Blender 4.5, see docs/costs.md.
@@ -30,14 +32,20 @@ CACHE_BYTES_PER_CELL_STEP, VELOCITY_BYTES_PER_CELL_FRAME = 14.0, 6.0
 PICTURE_BYTES_PER_PIXEL = 10.0
 NOISE_BAKE, NOISE_MEMORY = 0.22, 0.3  # of the coarse bake, per fine cell that a coarse cell is divided into
 CORES = os.cpu_count() or 1
-SMOKE_SAMPLE = (
-    20  # times a sample without smoke: all lamps, through the soot; 6 where it has just begun, 24 in a full domain
-)
+SMOKE_SAMPLE = 20  # times one without smoke: all lamps, through the soot; 6 where it has begun, 24 in a full domain
 
 
 @dataclass(frozen=True)
 class Machine:
-    """Coefficients of the model, processor seconds over cores; `error` is the relative prediction error measured with them."""
+    """Coefficients of the model, processor seconds over cores.
+
+    Attributes:
+        error: relative prediction error that was measured with them.
+        measured_on: name and date, for people.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-machine"
+    VERSION: ClassVar[int] = 1
 
     start: float
     bake_scale: float
@@ -75,8 +83,9 @@ class Prediction:
     def __str__(self) -> str:
         return (
             f"predicted: {duration(self.total_s)} +- {100 * self.error:.0f} % (bake {duration(self.bake_s)}, pictures "
-            f"{duration(self.render_s)}, ground truth {duration(self.ground_truth_s)}), {self.memory_mb / 1000:.1f} GB of "
-            f"memory, {self.disk_mb / 1000:.2f} GB of disk; measured on {self.measured_on}"
+            f"{duration(self.render_s)}, ground truth {duration(self.ground_truth_s)}), "
+            f"{self.memory_mb / 1000:.1f} GB of memory, {self.disk_mb / 1000:.2f} GB of disk; "
+            f"measured on {self.measured_on}"
         )
 
 
@@ -87,35 +96,33 @@ def cells(spec: SceneSpec) -> int:
 
 def predict(spec: SceneSpec, machine: Machine) -> Prediction:
     """Cost of a dataset made from nothing."""
-    count, cameras, frames = cells(spec), len(spec.cameras.names), spec.clip.frames
-    noise = next((e for e, name in zip(spec.effects, spec.effect_names, strict=True) if name == "fine_noise"), None)
-    fine = noise.scale**3 if noise else 0
+    count, fine = cells(spec), _fine_cells(spec)
+    cameras, frames, steps = len(spec.cameras.names), spec.clip.frames, spec.timeline.last_frame
     step = machine.bake_scale * count**machine.bake_power * (1 + NOISE_BAKE * fine)
     plates = cameras * _picture_s(spec, machine, 1.0, spec.render.plate_samples)
-    width, height = (side * spec.render.percentage // 100 for side in spec.cameras.sensor_px)
     grids = 1 + len(spec.ground_truth)
-    images = width * height * cameras * frames * PICTURE_BYTES_PER_PIXEL
-    stored = count * (
-        (1 + fine / 4) * spec.last_frame * CACHE_BYTES_PER_CELL_STEP + frames * grids * VELOCITY_BYTES_PER_CELL_FRAME
-    )
-    bake_mb = BAKE_MB + count * BAKE_BYTES_PER_CELL * (1 + NOISE_MEMORY * fine) / 2**20
-    render_mb = (
-        RENDER_MB + (count * RENDER_BYTES_PER_CELL * (1 + fine / 4) + width * height * RENDER_BYTES_PER_PIXEL) / 2**20
-    )
     return Prediction(
-        bake_s=machine.start + spec.last_frame * step,
+        bake_s=machine.start + steps * step,
         render_s=machine.start + plates + cameras * frames * _frame_s(spec, machine),
         ground_truth_s=machine.start + frames * count * machine.velocity * grids,
-        memory_mb=bake_mb + render_mb,  # both run at the same time
-        disk_mb=(images + stored) / 2**20,
+        memory_mb=_memory_mb(spec),
+        disk_mb=_disk_mb(spec),
         error=machine.error,
         measured_on=machine.measured_on,
     )
 
 
 def known_machine() -> Machine | None:
-    """Coefficients measured on this machine before, if any."""
-    return Machine(**json.loads(machine_file().read_text(encoding="utf-8"))) if machine_file().is_file() else None
+    """Coefficients measured on this machine before; None where there are none that this version can read."""
+    try:
+        return read_record(Machine, machine_file())
+    except FileFormatError:
+        return None
+
+
+def remember(machine: Machine) -> None:
+    """Keep coefficients for this user."""
+    write_record(machine_file(), machine)
 
 
 def machine_file() -> Path:
@@ -129,10 +136,8 @@ def require_room(spec: SceneSpec, root: Path) -> Prediction:
         SpecError: memory or disk of this machine do not suffice; says what would fit.
     """
     prediction = predict(spec, known_machine() or REFERENCE)
-    memory, disk = (
-        memory_mb(),
-        shutil.disk_usage(next(path for path in (root, *root.parents) if path.exists())).free / 2**20,
-    )
+    memory = memory_mb()
+    disk = shutil.disk_usage(next(path for path in (root, *root.parents) if path.exists())).free / 2**20
     if prediction.memory_mb > 0.9 * memory:
         smaller = spec.domain.resolution
         while smaller > 8 and predict(with_resolution(spec, smaller), REFERENCE).memory_mb > 0.8 * memory:
@@ -144,8 +149,8 @@ def require_room(spec: SceneSpec, root: Path) -> Prediction:
         )
     if prediction.disk_mb > disk:
         raise SpecError(
-            f"{spec.name}: needs about {prediction.disk_mb / 1000:.1f} GB of disk, {root} has {disk / 1000:.1f} GB free; "
-            "choose another output folder, or lower domain.resolution or clip.frames"
+            f"{spec.name}: needs about {prediction.disk_mb / 1000:.1f} GB of disk, {root} has {disk / 1000:.1f} GB "
+            "free; choose another output folder, or lower domain.resolution or clip.frames"
         )
     return prediction
 
@@ -165,7 +170,7 @@ def stage_settings(stage: str, spec: SceneSpec) -> dict:
     """The settings that explain a stage's cost, for costs.json."""
     frames, cameras = spec.clip.frames, len(spec.cameras.names)
     return {
-        "bake": {"resolution": spec.domain.resolution, "steps": spec.last_frame, "effects": spec.effect_names},
+        "bake": {"resolution": spec.domain.resolution, "steps": spec.timeline.last_frame, "effects": spec.effect_names},
         "render": {
             "images": frames * cameras,
             "percentage": spec.render.percentage,
@@ -177,29 +182,6 @@ def stage_settings(stage: str, spec: SceneSpec) -> dict:
         "flow": {"images": frames * cameras},
         "finish": {},
     }[stage]
-
-
-def record(path: Path, stage: str, seconds: float, peak_mb: float, settings: dict) -> None:
-    """Add what a stage has cost to a costs.json; a stage that was resumed adds up."""
-    stages = json.loads(path.read_text(encoding="utf-8"))["stages"] if path.is_file() else []
-    before = next(
-        (entry for entry in stages if entry["name"] == stage), {"seconds": 0.0, "peak_mb": 0.0, "settings": {}}
-    )
-    settings = settings | {"wall_s": round(before["settings"].get("wall_s", 0.0) + seconds, 3)}
-    entry = {
-        "name": stage,
-        "seconds": round(before["seconds"] + seconds, 3),
-        "peak_mb": round(max(before["peak_mb"], peak_mb), 1),
-        "settings": settings,
-    }
-    stages = [entry if old["name"] == stage else old for old in stages] + ([] if before in stages else [entry])
-    wall_s = round(sum(entry["settings"]["wall_s"] for entry in stages), 3)
-    draft = path.with_name(f".tmp-{path.name}")
-    draft.write_text(
-        json.dumps({"schema": "gof-costs", "version": 1, "stages": stages, "wall_s": wall_s}, indent=1) + "\n",
-        encoding="utf-8",
-    )
-    os.replace(draft, path)
 
 
 def picture_s(machine: Machine, pixels: float, samples: int, resolution: int) -> float:
@@ -218,9 +200,31 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
+def _fine_cells(spec: SceneSpec) -> int:
+    """Cells of detail per cell of the flow, 0 without fine noise."""
+    noise = next((e for e, name in zip(spec.effects, spec.effect_names, strict=True) if name == "fine_noise"), None)
+    return noise.scale**3 if noise else 0
+
+
+def _memory_mb(spec: SceneSpec) -> float:
+    """Of the bake and a renderer, which run at the same time."""
+    count, fine, pixels = cells(spec), _fine_cells(spec), math.prod(spec.picture_px)
+    bake_mb = BAKE_MB + count * BAKE_BYTES_PER_CELL * (1 + NOISE_MEMORY * fine) / 2**20
+    scene = count * RENDER_BYTES_PER_CELL * (1 + fine / 4)
+    return bake_mb + RENDER_MB + (scene + pixels * RENDER_BYTES_PER_PIXEL) / 2**20
+
+
+def _disk_mb(spec: SceneSpec) -> float:
+    """Of pictures, the solver's cache and the ground truth."""
+    frames, grids = spec.clip.frames, 1 + len(spec.ground_truth)
+    images = math.prod(spec.picture_px) * len(spec.cameras.names) * frames * PICTURE_BYTES_PER_PIXEL
+    cache = (1 + _fine_cells(spec) / 4) * spec.timeline.last_frame * CACHE_BYTES_PER_CELL_STEP
+    return (images + cells(spec) * (cache + frames * grids * VELOCITY_BYTES_PER_CELL_FRAME)) / 2**20
+
+
 def _frame_s(spec: SceneSpec, machine: Machine) -> float:
     """Seconds of one picture, with all the solver steps that its shutter sees."""
-    _, weights = shutter.step_weights(spec, 0, 0)
+    _, weights = spec.timeline.weights(0, 0)
     samples = max(1, round(spec.render.samples * float(weights.max())))
     samples *= SMOKE_SAMPLE if "smoke" in spec.effect_names else 1
     margin = 0 if len(weights) == 1 else 16
@@ -229,5 +233,4 @@ def _frame_s(spec: SceneSpec, machine: Machine) -> float:
 
 
 def _picture_s(spec: SceneSpec, machine: Machine, part: float, samples: int) -> float:
-    width, height = (side * spec.render.percentage // 100 for side in spec.cameras.sensor_px)
-    return picture_s(machine, part * width * height, samples, spec.domain.resolution)
+    return picture_s(machine, part * math.prod(spec.picture_px), samples, spec.domain.resolution)

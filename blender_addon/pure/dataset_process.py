@@ -1,7 +1,7 @@
 """A dataset in the making: the generator's stages one after another, each in a Blender process of its own.
 
 Nothing here waits: ``poll`` takes what the child has said since the last call, so that a user interface can go on.
-What a stopped job has finished stays, and the next job for the same folder goes on there. Never imports bpy.
+What a stopped job has finished stays, and the next job for the same folder goes on there.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import queue
 import subprocess
 import threading
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
-from ..scene import effects
-from . import cost_model as costs
-from . import report
+from . import cost_model, effects, report
+from .costs import Costs, StageCost
 from .layout import Layout
 from .spec import SceneSpec
 
@@ -34,21 +34,21 @@ def stages(spec: SceneSpec) -> list[str]:
     return ["bake", "render", *video, "ground-truth", *flow, "finish"]
 
 
-def expected_s(spec: SceneSpec, prediction: costs.Prediction) -> dict[str, float]:
+def expected_s(spec: SceneSpec, prediction: cost_model.Prediction) -> dict[str, float]:
     """Seconds on the clock that each stage should take when nothing else runs.
 
     The prediction is in processor seconds over cores; bake and export keep one core busy, not all.
     """
     known = {
-        "bake": prediction.bake_s * costs.CORES,
+        "bake": prediction.bake_s * cost_model.CORES,
         "render": prediction.render_s,
-        "ground-truth": prediction.ground_truth_s * costs.CORES,
+        "ground-truth": prediction.ground_truth_s * cost_model.CORES,
     }
     return {stage: known.get(stage, 2.0) for stage in stages(spec)}
 
 
 class Job:
-    """The work on one dataset folder that ``spec.claim`` has given to a spec.
+    """The work on one dataset folder that ``Layout.claim`` has given to a spec.
 
     Attributes:
         stage: the stage that runs, "" before the first and after the last.
@@ -59,27 +59,29 @@ class Job:
     def __init__(self, spec: SceneSpec, layout: Layout, python: list[str]):
         """``python``: a command that runs the Python code given as its next argument, in a Blender without a window."""
         self.spec, self.layout = spec, layout
+        self.stage = ""
         self._python = python
-        self._expected = expected_s(spec, costs.predict(spec, costs.known_machine() or costs.REFERENCE))
+        machine = cost_model.known_machine() or cost_model.REFERENCE
+        self._expected = expected_s(spec, cost_model.predict(spec, machine))
         self._waiting = stages(spec)
         self._process: subprocess.Popen | None = None
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._said = _Said()
         self._start = 0.0
-        self.stage, self._done, self._done_before, self._total, self._peak_mb = "", 0, None, 0, 0.0
+        self._counted = time.monotonic()  # until when costs.json counts this job's time by the clock
 
     @property
     def fraction(self) -> float:
         total = sum(self._expected.values())
-        now = self._expected[self.stage] * (1 - self._share()) if self.stage else 0.0
-        return 1.0 - (now + self._later()) / total
+        now = self._expected[self.stage] * (1 - self._said.share) if self.stage else 0.0
+        return max(1.0 - (now + self._later()) / total, 0.0)  # sums in another order differ by a rounding
 
     @property
     def seconds_left(self) -> float:
         return self._left_here() + self._later()
 
     def __str__(self) -> str:
-        here = f"{self.stage} {self._done} of {self._total}" if self._total else f"{self.stage or 'ready'}"
-        return f"{here}, {costs.duration(self.seconds_left)} left"
+        done = f" {self._said.done} of {self._said.total}" if self._said.total else ""
+        return f"{self.stage or 'ready'}{done}, {cost_model.duration(self.seconds_left)} left"
 
     def poll(self) -> bool:
         """Take note of progress and go on to the next stage. Returns whether there is more to do.
@@ -87,7 +89,7 @@ class Job:
         Raises:
             JobError: a stage failed; its last lines are in the message and in the log.
         """
-        self._read()
+        self._said.read()
         if self._process is not None:
             status = self._process.poll()
             if status is None:
@@ -125,8 +127,10 @@ class Job:
 
     def _begin(self) -> None:
         arguments = ["--spec", str(self.layout.spec), "--out", str(self.layout.root), "--stage", self.stage]
-        code = f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); from {PACKAGE.name}.worker.generate import run; run({arguments!r})"
-        self._done, self._done_before, self._total, self._peak_mb = 0, None, 0, 0.0
+        code = (
+            f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); "
+            f"from {PACKAGE.name}.worker.generate import run; run({arguments!r})"
+        )
         self._start = time.monotonic()
         self._note(f"{self.stage} ...")
         with open(self._errors(), "ab") as errors:
@@ -134,40 +138,30 @@ class Job:
             self._process = subprocess.Popen(
                 [*self._python, code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors
             )
-        threading.Thread(target=_forward, args=(self._process.stdout, self._lines), daemon=True).start()
-
-    def _read(self) -> None:
-        while not self._lines.empty():
-            try:
-                message = json.loads(self._lines.get())
-            except ValueError:
-                continue  # Blender's own greeting
-            if progress := message.get("progress"):
-                self._done, self._total = progress["done"], progress["total"]
-                self._done_before = self._done if self._done_before is None else self._done_before
-            self._peak_mb = message.get("cost", {}).get("peak_mb") or self._peak_mb
+        self._said = _Said(self._process.stdout)
 
     def _end_of_stage(self, status: int) -> None:
         self._process = None
-        seconds = time.monotonic() - self._start
+        self._said.read_rest()
+        now = time.monotonic()
         if status:
             message = f"{self.stage} failed with status {status}:\n{_last_lines(self._errors())}"
             self._note(message)
             raise JobError(message)
-        costs.record(self.layout.costs, self.stage, seconds, self._peak_mb, costs.stage_settings(self.stage, self.spec))
-        self._note(f"{self.stage}: {seconds:.0f} s, {self._peak_mb:.0f} MB")
-
-    def _share(self) -> float:
-        return min(self._done / self._total, 1.0) if self._total else 0.0
+        run = StageCost(
+            self.stage, now - self._start, self._said.peak_mb, cost_model.stage_settings(self.stage, self.spec)
+        )
+        Costs.read(self.layout.costs).adding(run, now - self._counted).write(self.layout.costs)
+        self._counted = now
+        self._note(f"{self.stage}: {run.seconds:.0f} s, {run.peak_mb:.0f} MB")
 
     def _left_here(self) -> float:
         """Seconds left in this stage: by its own pace as soon as there is one."""
         if not self.stage:
             return 0.0
-        made = self._done - (self._done_before or 0)
-        if made <= 0:
-            return self._expected[self.stage] * (1 - self._share())
-        return (time.monotonic() - self._start) * (self._total - self._done) / made
+        if self._said.made <= 0:
+            return self._expected[self.stage] * (1 - self._said.share)
+        return (time.monotonic() - self._start) * (self._said.total - self._said.done) / self._said.made
 
     def _later(self) -> float:
         return sum(self._expected[stage] for stage in self._waiting)
@@ -181,9 +175,54 @@ class Job:
             print(time.strftime("%Y-%m-%d %H:%M:%S"), text, file=file)
 
 
-def _forward(stream, lines: queue.SimpleQueue) -> None:
-    for line in stream:
-        lines.put(line.decode(errors="replace"))
+class _Said:
+    """What a stage's process has said so far; a thread listens to it, so that `read` never waits.
+
+    Attributes:
+        done, total: parts of the stage's work, 0 before it says anything.
+        peak_mb: its peak memory, known at its end.
+    """
+
+    def __init__(self, stream: Iterable[bytes] = ()):
+        self.done = 0
+        self.total = 0
+        self.peak_mb = 0.0
+        self._done_before: int | None = None
+        self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._listener = threading.Thread(target=self._listen, args=(stream,), daemon=True)
+        self._listener.start()
+
+    @property
+    def share(self) -> float:
+        """Done of all, 0..1."""
+        return min(self.done / self.total, 1.0) if self.total else 0.0
+
+    @property
+    def made(self) -> int:
+        """Parts that this very process has made: it began where the one before it was stopped."""
+        return self.done - (self._done_before or 0)
+
+    def read(self) -> None:
+        """Take note of what has been said since the last call."""
+        while not self._lines.empty():
+            try:
+                message = json.loads(self._lines.get().decode(errors="replace"))
+            except ValueError:
+                continue  # Blender's own greeting
+            if progress := message.get("progress"):
+                self.done = progress["done"]
+                self.total = progress["total"]
+                self._done_before = self.done if self._done_before is None else self._done_before
+            self.peak_mb = message.get("cost", {}).get("peak_mb") or self.peak_mb
+
+    def read_rest(self) -> None:
+        """Take note of all it has said; only once it has ended."""
+        self._listener.join()
+        self.read()
+
+    def _listen(self, stream: Iterable[bytes]) -> None:
+        for line in stream:
+            self._lines.put(line)
 
 
 def _last_lines(path: Path, count: int = 12) -> str:

@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from . import spec as scene_spec
+from .checked_json import SpecError
+from .spec import SceneSpec
+
 
 @dataclass(frozen=True)
 class FrameFiles:
@@ -88,6 +92,30 @@ class Layout:
         """What a job has done, stage by stage, for people."""
         return self.hidden / "job.log"
 
+    def claim(self, spec: SceneSpec) -> None:
+        """Make the folder this spec's, or check that it is.
+
+        Raises SpecError if the folder was made from another spec, or holds other things.
+        """
+        if self.spec.exists():
+            self._check_claim(spec)
+        elif self.root.is_dir() and any(self.root.iterdir()):
+            raise SpecError(f"{self.root} is not empty and holds no spec.json; choose a new output folder")
+        else:
+            self.root.mkdir(parents=True, exist_ok=True)
+            scene_spec.save(spec, self.spec)
+
+    def _check_claim(self, spec: SceneSpec) -> None:
+        try:
+            before = scene_spec.load(self.spec)
+        except SpecError as error:
+            raise SpecError(f"{error}; choose another output folder, or delete {self.root}") from error
+        if before != spec:
+            raise SpecError(
+                f"{self.root} was made from another spec ({', '.join(before.differences(spec))} differ); "
+                "choose another output folder, or delete that one"
+            )
+
     def frame(self, camera: str, frame: int) -> FrameFiles:
         return FrameFiles(
             **{kind: self.root / pattern.format(camera=camera, frame=frame) for kind, pattern in self.PATTERNS.items()}
@@ -121,7 +149,7 @@ class Layout:
         return self.root / self.BOARD_MASK.format(camera=camera)
 
     def patterns(self, camera: str, with_flow: bool = False, with_board: bool = False) -> dict[str, str]:
-        """File name patterns of a camera as written in dataset.json; ``{frame:06d}`` stays open."""
+        """File names of a camera as dataset.json has them; ``{frame:06d}`` stays open."""
         kinds = self.PATTERNS | {"static": self.STATIC}
         kinds |= ({"flow": self.FLOW} if with_flow else {}) | ({"board_mask": self.BOARD_MASK} if with_board else {})
         return {kind: pattern.replace("{camera}", camera) for kind, pattern in kinds.items()}

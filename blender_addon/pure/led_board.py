@@ -15,7 +15,7 @@ STRIPS, GRAY_BITS, OUTPUTS = 5, 15, 21
 TICKS_PER_SLOT, TICKS_PER_PERIOD, DISAMBIGUATION_TICK = 2, 10, 4
 
 BOXES = ((-0.7, -0.7, 1.7, 1.7), (-2.9, 1.7, 3.9, 3.5))
-"""Left, top, right and bottom of the two rectangles that the board consists of, round the marker and round the strips."""
+"""Left, top, right and bottom of the two rectangles that make the board: round the marker, and round the strips."""
 CENTRE = (0.5, 1.4)
 STRIP_X, STRIP_Y = (-2.7, 3.7), 2.0 + 0.3 * np.arange(STRIPS)
 LED_XY = 0.5 + 0.425 * np.clip(np.abs(np.arange(GRAY_BITS + 1)[:, None] - (6, 10)) - 4, -2, 2)
@@ -42,7 +42,7 @@ def lit(tick: np.ndarray) -> np.ndarray:
 
 
 def lit_share(start: np.ndarray, length: float, tick: float) -> np.ndarray:
-    """(21, N): for what share of the exposures [start, start + length], start (N,), each output is lit. One unit of time."""
+    """(21, N): for what share of the exposures [start, start + length] each output is lit; start (N,), all in s."""
     ticks = np.arange(np.floor(start.min() / tick), np.floor((start.max() + length) / tick) + 1).astype(np.int64)
     begin, end = np.maximum(start[:, None], ticks * tick), np.minimum(start[:, None] + length, (ticks + 1) * tick)
     return (np.clip(end - begin, 0, None) / length @ lit(ticks)).T
@@ -76,7 +76,12 @@ class Footprint:
 
 
 def footprint(to_image: np.ndarray, width: int, height: int) -> Footprint:
-    """Where the board is in a picture; to_image (3, 3) takes (x, y, 1) on the board to pixels times their depth (> 0)."""
+    """Where the board is in a picture.
+
+    Args:
+        to_image: (3, 3), takes (x, y, 1) on the board to pixels times their depth (> 0).
+        width, height: of the picture, pixels.
+    """
     mask, reach = np.zeros((height, width)), MASK_MARGIN + MASK_RAMP
     left, top, right, bottom = np.min(BOXES, 0)[:2].tolist() + np.max(BOXES, 0)[2:].tolist()
     x, y = np.meshgrid((left - reach, right + reach), (top - reach, bottom + reach))

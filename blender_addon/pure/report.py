@@ -1,12 +1,14 @@
-"""The page of a finished dataset: pictures of every camera, what it holds, and what each stage cost. Never imports bpy."""
+"""The page of a finished dataset: pictures of every camera, what it holds, and what each stage cost."""
 
 from __future__ import annotations
 
-import json
-import os
 from html import escape
 
+from .costs import Costs
+from .description import CameraEntry, DatasetDescription
+from .io.files import read_json, write_text
 from .layout import Layout
+from .spec import SceneSpec
 
 SHOWN = 4  # frames per camera
 
@@ -27,42 +29,46 @@ img {{ height: 15em; margin: 2px }} code {{ color: #fb8 }}
 """
 
 
+FILES = {
+    "dataset.json": "cameras, clock, splits; opened by <code>gof.dataset.Dataset.open</code>",
+    "cameras/": "pictures, flame masks, linear EXR with depth and the flame alone",
+    "static/": "the same views without the fire",
+    "velocity.zarr": "velocity of the gas in m/s at every frame",
+    "scene.blend": "the scene itself",
+    "spec.json": "how it was made: <code>gof generate spec.json --out DIR</code> makes it again",
+    ".cache/": "logs and the solver's cache; may be deleted",
+}
+
+
 def write(layout: Layout) -> None:
-    """Write the page of a dataset whose dataset.json is there; pictures are those of the dataset, not copies."""
-    data = json.loads(layout.description.read_text(encoding="utf-8"))
-    stages = json.loads(layout.costs.read_text(encoding="utf-8"))["stages"] if layout.costs.is_file() else []
-    spec, times, cameras = data["spec"], data["time_s"], data["cameras"]
-    effects = ", ".join(data["effects"]) or "none"
-    summary = (
-        f"{escape(spec['fire']['fuel'].replace('_', ' '))} in {escape(spec['background'].replace('_', ' '))}; effects: {escape(effects)}. "
-        f"{len(times)} frames at {spec['clip']['fps']:g} per second, {len(cameras)} cameras of {cameras[0]['width']} x {cameras[0]['height']} "
-        f"pixels, velocity on {' x '.join(map(str, data['domain']['resolution']))} cells of {1000 * data['domain']['voxel_size']:.1f} mm."
-    )
-    frames = sorted({round(k * (len(times) - 1) / max(SHOWN - 1, 1)) for k in range(SHOWN)})
-    files = {
-        "dataset.json": "cameras, clock, splits; opened by <code>gof.dataset.Dataset.open</code>",
-        "cameras/": "pictures, flame masks, linear EXR with depth and the flame alone",
-        "static/": "the same views without the fire",
-        "velocity.zarr": "velocity of the gas in m/s at every frame",
-        "scene.blend": "the scene itself",
-        "spec.json": "how it was made: <code>gof generate spec.json --out DIR</code> makes it again",
-        ".cache/": "logs and the solver's cache; may be deleted",
-    }
+    """Write the page of a finished dataset; pictures are those of the dataset, not copies."""
+    dataset, stages = DatasetDescription.read(layout.root), Costs.read(layout.costs).stages
+    times = dataset.time_s
+    shown = sorted({round(k * (len(times) - 1) / max(SHOWN - 1, 1)) for k in range(SHOWN)})
     page = PAGE.format(
-        name=escape(data["name"]),
-        summary=summary,
-        pictures="\n".join(_row(camera, frames, times) for camera in cameras),
-        costs="".join(f"<tr><td>{escape(s['name'])}<td>{s['seconds']:.1f}<td>{s['peak_mb']:.0f}</tr>" for s in stages),
-        files="".join(f"<tr><td><code>{name}</code><td>{text}</tr>" for name, text in files.items()),
+        name=escape(dataset.name),
+        summary=_summary(dataset, layout),
+        pictures="\n".join(_row(camera, shown, times) for camera in dataset.cameras),
+        costs="".join(f"<tr><td>{escape(s.name)}<td>{s.seconds:.1f}<td>{s.peak_mb:.0f}</tr>" for s in stages),
+        files="".join(f"<tr><td><code>{name}</code><td>{text}</tr>" for name, text in FILES.items()),
     )
-    draft = layout.report.with_name(f".tmp-{layout.report.name}")
-    draft.write_text(page, encoding="utf-8")
-    os.replace(draft, layout.report)
+    write_text(layout.report, page)
 
 
-def _row(camera: dict, frames: list[int], times: list[float]) -> str:
-    images = [(camera["static"], "without fire")] + [
-        (camera["rgb"].format(frame=k), f"{times[k]:.3f} s") for k in frames
-    ]
+def _summary(dataset: DatasetDescription, layout: Layout) -> str:
+    spec, first = SceneSpec.from_dict(dataset.spec), dataset.cameras[0]
+    store = read_json(layout.velocity / "zarr.json")
+    cells = " x ".join(map(str, store["shape"][1:4]))
+    effects = ", ".join(dataset.effects) or "none"
+    return (
+        f"{escape(spec.fire.fuel.replace('_', ' '))} in {escape(spec.background.replace('_', ' '))}; "
+        f"effects: {escape(effects)}. {len(dataset.time_s)} frames at {spec.clip.fps:g} per second, "
+        f"{len(dataset.cameras)} cameras of {first.width} x {first.height} pixels, "
+        f"velocity on {cells} cells of {1000 * store['attributes']['voxel_size']:.1f} mm."
+    )
+
+
+def _row(camera: CameraEntry, frames: list[int], times: tuple[float, ...]) -> str:
+    images = [(camera.static, "without fire")] + [(camera.rgb.format(frame=k), f"{times[k]:.3f} s") for k in frames]
     pictures = "".join(f'<img src="{escape(path)}" title="{text}" alt="{text}">' for path, text in images)
-    return f"<h2>{escape(camera['name'])}{' (evaluation)' if camera['role'] == 'eval' else ''}</h2><p>{pictures}</p>"
+    return f"<h2>{escape(camera.name)}{' (evaluation)' if camera.role == 'eval' else ''}</h2><p>{pictures}</p>"

@@ -1,8 +1,7 @@
-"""`gof evaluate` in a Python that has gof, beside Blender's own. Never imports bpy."""
+"""`gof evaluate` in a Python that has gof, beside Blender's own."""
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import tempfile
@@ -10,6 +9,8 @@ import time
 from pathlib import Path
 
 from .dataset_process import JobError
+from .io import FileFormatError
+from .scores import Scores
 
 INSTALL = (
     "install it there: in the folder of the Gaussians on Fire source run `make setup`, and choose its .venv/bin/python "
@@ -25,7 +26,7 @@ class Evaluation:
     """A running evaluation.
 
     Attributes:
-        scores: what `gof evaluate --json` has written, once `poll` is false.
+        scores: what `gof evaluate --json` has found, once `poll` is false.
 
     Raises:
         EvaluationError: that Python cannot be started.
@@ -33,26 +34,14 @@ class Evaluation:
 
     def __init__(self, python: Path, result: Path, dataset: Path, time_unit_s: float = 0.0):
         """``time_unit_s``: seconds per unit of a foreign result's time; 0 = the file says it."""
-        self.scores: dict = {}
+        self.scores = Scores()
         self._folder = Path(tempfile.mkdtemp(prefix="gof-score-"))
         self._started = time.monotonic()
-        python = (
-            python.absolute() if len(python.parts) > 1 else python
-        )  # not resolved: a virtual environment's is a link
-        command = [
-            str(python),
-            "-m",
-            "gof",
-            "evaluate",
-            str(result.absolute()),
-            "--truth",
-            str(dataset.absolute()),
-            "--no-images",
-            "--json",
-            str(self._folder / "scores.json"),
-        ]
-        if time_unit_s:
-            command += ["--time-unit", repr(time_unit_s)]
+        if len(python.parts) > 1:
+            python = python.absolute()  # not resolved: a virtual environment's is a link
+        command = [str(python), "-m", "gof", "evaluate", str(result.absolute()), "--truth", str(dataset.absolute())]
+        command += ["--no-images", "--json", str(self._folder / "scores.json")]
+        command += ["--time-unit", repr(time_unit_s)] if time_unit_s else []
         self._log = self._folder / "log.txt"
         try:
             with self._log.open("wb") as log:
@@ -77,7 +66,9 @@ class Evaluation:
         try:
             if status:
                 raise EvaluationError(self._reason())
-            self.scores = json.loads((self._folder / "scores.json").read_text(encoding="utf-8"))
+            self.scores = Scores.read(self._folder / "scores.json")
+        except FileFormatError as error:
+            raise EvaluationError(str(error)) from None
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
         return False
@@ -97,29 +88,6 @@ class Evaluation:
         text = self._log.read_text(encoding="utf-8", errors="replace").strip()
         if "No module named gof" in text:
             return f"{self._python}: this Python has no gof; {INSTALL}"
-        said = (
-            [line for line in text.splitlines() if line.startswith("gof evaluate:")]
-            or text.splitlines()[-3:]
-            or ["no message"]
-        )
+        lines = text.splitlines()
+        said = [line for line in lines if line.startswith("gof evaluate:")] or lines[-3:] or ["no message"]
         return "\n".join(said)
-
-
-def numbers(scores: dict) -> list[tuple[str, str]]:
-    """What the panel shows of scores: names and values."""
-    dve = scores.get("dve")
-    if not dve:
-        return [("DVE", "; ".join(scores.get("warnings", [])) or "undefined")]
-    rows = [
-        ("DVE L2", _number(dve["l2"])),
-        ("DVE CosSim", _number(dve["cos_sim"])),
-        ("Frames", str(dve.get("frames_scored", ""))),
-    ]
-    zero = scores.get("controls", {}).get("zero", {})
-    if zero:
-        rows.append(("L2 of no motion", _number(zero.get("l2"))))
-    return [*rows, ("Weight outside", f"{100 * dve.get('weight_outside', 0) / max(dve.get('weight', 0), 1e-12):.0f} %")]
-
-
-def _number(value: float | None) -> str:
-    return "undefined" if value is None else f"{value:.3f}"

@@ -15,13 +15,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-from ..scene import effects as effect_modules
-from . import checked_json as records
-from . import shutter
-from .checked_json import SpecError, require
+from . import effects as effect_modules
+from .checked_json import SpecError, from_dict, require
+from .clip import Clip
 from .fuels import FUELS, Fuel
-from .layout import Layout
+from .io.files import write_json
 from .presets import PRESETS
+from .timeline import Timeline
 
 SCHEMA = "gof-scene"
 VERSION = 1
@@ -29,29 +29,6 @@ MOST_PICTURES = 100_000
 LAST_FRAME = 1_048_574  # Blender counts no further
 
 Vector = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Clip:
-    """When the frames are taken: dataset frame k is at k / fps seconds."""
-
-    frames: int = 36
-    """Number of rendered instants."""
-    fps: float = 100.0
-    """Frames per second of the dataset clock."""
-    warm_up_frames: int = 90
-    """Frames simulated before the first rendered one, so that the flame is developed."""
-    time_scale: float = 1.0
-    """Simulated seconds per second of the dataset clock, below 1 for slow motion; velocities follow the clock."""
-    steps_per_frame: int = 1
-    """Solver steps from one frame to the next. An effect that looks between the frames may ask for more."""
-
-    def __post_init__(self):
-        require(self.frames >= 1, "clip.frames", "at least 1", self.frames)
-        require(1.0 <= self.fps <= 32767.0, "clip.fps", "between 1 and 32767", self.fps)
-        require(1 <= self.steps_per_frame <= 64, "clip.steps_per_frame", "between 1 and 64", self.steps_per_frame)
-        require(self.warm_up_frames >= 0, "clip.warm_up_frames", "0 or more", self.warm_up_frames)
-        require(0.0 < self.time_scale <= 100.0, "clip.time_scale", "in (0, 100]", self.time_scale)
 
 
 @dataclass(frozen=True)
@@ -225,62 +202,44 @@ class SceneSpec:
     blend_file: BlendFile | None = None
     """The user's scene, for the background "blend_file"."""
     effects: tuple[Any, ...] = ()
-    """Settings objects of modules in ``scene/effects``; in JSON ``{"name": "wind", ...its settings}``."""
+    """Settings objects of modules in ``pure/effects``; in JSON ``{"name": "wind", ...its settings}``."""
     ground_truth: tuple[Literal["grids", "flow", "vdb"], ...] = ()
     """What to write beside the velocity: grids (flame, heat, density), flow (optical flow), vdb (OpenVDB per frame)."""
     display: Display = field(default_factory=Display)
 
     def __post_init__(self):
-        require(
-            (self.background == "blend_file") == (self.blend_file is not None),
-            "blend_file",
-            'given exactly when background is "blend_file"',
-            self.blend_file,
-        )
-        repeated = len(set(self.ground_truth)) != len(self.ground_truth)
-        require(not repeated, "ground_truth", "listed once each", self.ground_truth)
         require(bool(self.name) and not set(self.name) & set('/\\:*?"<>|'), "name", "a plain file name", self.name)
         require(0 <= self.seed < 2**31, "seed", "in [0, 2^31)", self.seed)
-        small = min(self.cameras.sensor_px) * self.render.percentage // 100
+        with_file = self.background == "blend_file"
+        rule = 'given exactly when background is "blend_file"'
+        require(with_file == (self.blend_file is not None), "blend_file", rule, self.blend_file)
+        for name, listed in (("ground_truth", self.ground_truth), ("effects", self.effect_names)):
+            require(len(set(listed)) == len(listed), name, "listed once each", listed)
+        self._check_pictures()
+        self._check_timeline()
+        self._check_emitter()
+
+    def _check_pictures(self) -> None:
+        least = -(-400 // min(self.cameras.sensor_px))
         require(
-            small >= 4,
-            "render.percentage",
-            f"at least {-(-400 // min(self.cameras.sensor_px))} for this sensor",
-            self.render.percentage,
+            min(self.picture_px) >= 4, "render.percentage", f"at least {least} for this sensor", self.render.percentage
         )
         pictures = self.clip.frames * (self.cameras.count + self.cameras.eval_count)
-        require(
-            pictures <= MOST_PICTURES,
-            "clip.frames",
-            f"such that all cameras make at most {MOST_PICTURES} pictures",
-            pictures,
-        )
-        names = self.effect_names
-        require(len(set(names)) == len(names), "effects", "listed once each", names)
-        require(
-            self.first_frame + shutter.first_step(self) >= 1,
-            "clip.warm_up_frames",
-            "long enough for the shutter to open before frame 0",
-            self.clip.warm_up_frames,
-        )
-        require(
-            self.last_frame <= LAST_FRAME,
-            "clip.warm_up_frames",
-            f"such that the solver ends by step {LAST_FRAME}, Blender's last",
-            self.last_frame,
-        )
-        for axis, low, high in zip("xyz", self.domain.min, self.domain.max, strict=True):
-            i = "xyz".index(axis)
-            inside = (
-                low <= self.fire.position[i] - self.fire.half_size[i]
-                and self.fire.position[i] + self.fire.half_size[i] <= high
-            )
-            require(
-                inside,
-                "fire.position",
-                f"such that the emitter lies inside the domain along {axis}",
-                self.fire.position,
-            )
+        rule = f"such that all cameras make at most {MOST_PICTURES} pictures"
+        require(pictures <= MOST_PICTURES, "clip.frames", rule, pictures)
+
+    def _check_timeline(self) -> None:
+        rule = "long enough for the shutter to open before frame 0"
+        require(self.timeline.earliest_seen >= 1, "clip.warm_up_frames", rule, self.clip.warm_up_frames)
+        rule = f"such that the solver ends by step {LAST_FRAME}, Blender's last"
+        require(self.timeline.last_frame <= LAST_FRAME, "clip.warm_up_frames", rule, self.timeline.last_frame)
+
+    def _check_emitter(self) -> None:
+        sides = zip("xyz", self.fire.position, self.fire.half_size, self.domain.min, self.domain.max, strict=True)
+        for axis, centre, half, low, high in sides:
+            inside = low <= centre - half and centre + half <= high
+            rule = f"such that the emitter lies inside the domain along {axis}"
+            require(inside, "fire.position", rule, self.fire.position)
 
     @property
     def effect_names(self) -> list[str]:
@@ -290,41 +249,23 @@ class SceneSpec:
     def fuel(self) -> Fuel:
         return FUELS[self.fire.fuel]
 
-    @cached_property
-    def steps_per_frame(self) -> int:
-        """Solver steps, which are Blender frames, from one dataset frame to the next: what clip and effects need."""
-        return math.lcm(self.clip.steps_per_frame, *map(effect_modules.steps_per_frame, self.effects))
-
     @property
-    def steps_per_second(self) -> float:
-        """Blender frames per second of the dataset clock."""
-        return self.clip.fps * self.steps_per_frame
-
-    @property
-    def solver_step_s(self) -> float:
-        """Simulated seconds per solver step."""
-        return self.clip.time_scale / self.steps_per_second
-
-    def blender_frame(self, frame: int) -> int:
-        """Blender frame number of a dataset frame."""
-        return 1 + (self.clip.warm_up_frames + frame) * self.steps_per_frame
-
-    @property
-    def first_frame(self) -> int:
-        """Blender frame number of dataset frame 0."""
-        return self.blender_frame(0)
+    def picture_px(self) -> tuple[int, int]:
+        """Pixels of a rendered picture as the sensor has them: (along its rows, number of rows)."""
+        along_rows, rows = (side * self.render.percentage // 100 for side in self.cameras.sensor_px)
+        return along_rows, rows
 
     @cached_property
-    def last_frame(self) -> int:
-        """Last Blender frame that is simulated: that of the last dataset frame, or what its shutter still sees."""
-        return self.first_frame + max(shutter.last_step(self), (self.clip.frames - 1) * self.steps_per_frame)
+    def timeline(self) -> Timeline:
+        """When the solver steps and the pictures are."""
+        return Timeline(self.clip, self.effects, len(self.cameras.names), self.picture_px[1], self.seed)
 
     def resolved(self, folder: Path) -> SceneSpec:
         """This spec with the path of its .blend absolute; a relative one counts from the folder of the spec's file."""
         return self._with_blend_file((folder / self.blend_file.path).resolve()) if self.blend_file else self
 
     def relative_to(self, folder: Path) -> SceneSpec:
-        """This spec with the path of its .blend relative if it lies in the folder, so that both can be moved together."""
+        """This spec with the path of its .blend relative if it lies in the folder: both can be moved together."""
         if self.blend_file and (path := Path(self.blend_file.path)).is_relative_to(folder.resolve()):
             return self._with_blend_file(path.relative_to(folder.resolve()))
         return self
@@ -353,7 +294,7 @@ class SceneSpec:
         effects = data.pop("effects", [])
         require(isinstance(effects, list), "effects", "a list", effects)
         data["effects"] = tuple(_effect_from_dict(item) for item in effects)
-        return records.from_dict(cls, data, "")
+        return from_dict(cls, data, "")
 
     def differences(self, other: SceneSpec) -> list[str]:
         """Names of the sections in which two specs differ."""
@@ -380,33 +321,7 @@ def load(path: str | os.PathLike) -> SceneSpec:
 
 def save(spec: SceneSpec, path: str | os.PathLike) -> None:
     """Write a spec as JSON, atomically; the path of a .blend beside it becomes relative."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.tmp")
-    text = json.dumps(spec.relative_to(path.parent).to_dict(), indent=2)
-    temporary.write_text(text + "\n", encoding="utf-8")
-    os.replace(temporary, path)
-
-
-def claim(layout: Layout, spec: SceneSpec) -> None:
-    """Make a folder this spec's, or check that it is.
-
-    Raises SpecError if the folder was made from another spec, or holds other things.
-    """
-    if layout.spec.exists():
-        try:
-            before = load(layout.spec)
-        except SpecError as error:
-            raise SpecError(f"{error}; choose another output folder, or delete {layout.root}") from error
-        if before != spec:
-            raise SpecError(
-                f"{layout.root} was made from another spec ({', '.join(before.differences(spec))} differ); "
-                "choose another output folder, or delete that one"
-            )
-    elif layout.root.is_dir() and any(layout.root.iterdir()):
-        raise SpecError(f"{layout.root} is not empty and holds no spec.json; choose a new output folder")
-    else:
-        layout.root.mkdir(parents=True, exist_ok=True)
-        save(spec, layout.spec)
+    write_json(Path(path), spec.relative_to(Path(path).parent).to_dict(), indent=2)
 
 
 def _effect_from_dict(item: Any) -> Any:
@@ -414,4 +329,4 @@ def _effect_from_dict(item: Any) -> Any:
     settings = dict(item)
     name = settings.pop("name")
     require(name in effect_modules.names(), "effects", f"one of {effect_modules.names()}", name)
-    return records.from_dict(effect_modules.module(name).Settings, settings, f"effects.{name}.")
+    return from_dict(effect_modules.module(name).Settings, settings, f"effects.{name}.")

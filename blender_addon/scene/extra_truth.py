@@ -26,7 +26,7 @@ solver's units."""
 def grids(spec: SceneSpec, layout: Layout) -> None:
     """Write grids/<quantity>.zarr for the quantities that the bake has."""
     domain = find_domain()
-    bpy.context.scene.frame_set(spec.first_frame)
+    bpy.context.scene.frame_set(spec.timeline.first_frame)
     matrix = velocity.index_to_world(domain)
     side = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
     times = np.arange(spec.clip.frames) / spec.clip.fps
@@ -34,7 +34,7 @@ def grids(spec: SceneSpec, layout: Layout) -> None:
         store = VelocityWriter(layout.grid(name), field.shape, matrix, times, side, "float16", scalar(name))
         for frame in range(spec.clip.frames):
             if not store.has_frame(frame):
-                bpy.context.scene.frame_set(spec.blender_frame(frame))
+                bpy.context.scene.frame_set(spec.timeline.blender_frame(frame))
                 store.write_frame(frame, _scalars(domain)[name].__getitem__)
         store.finish()
 
@@ -44,7 +44,7 @@ def vdb(spec: SceneSpec, layout: Layout) -> None:
     domain = find_domain()
     for frame in range(spec.clip.frames):
         if not layout.vdb(frame).is_file():
-            bpy.context.scene.frame_set(spec.blender_frame(frame))
+            bpy.context.scene.frame_set(spec.timeline.blender_frame(frame))
             content = {"velocity": _velocity(domain, spec), **_scalars(domain)}
             vdb_file.write(layout.vdb(frame), content, velocity.index_to_world(domain))
 
@@ -55,7 +55,7 @@ def flow(spec: SceneSpec, layout: Layout, progress) -> None:
     for frame in range(spec.clip.frames):
         missing = [camera for camera in cameras if not images.opens(layout.flow(camera.name, frame))]
         if missing:
-            bpy.context.scene.frame_set(spec.blender_frame(frame))
+            bpy.context.scene.frame_set(spec.timeline.blender_frame(frame))
             moving, emission = _velocity(domain, spec), _scalars(domain)["flame"] ** 1.3  # as the flame's material
             project = partial(
                 projected_flow.flow, emission=emission, velocity=moving, index_to_world=velocity.index_to_world(domain)
@@ -80,7 +80,7 @@ def _scalars(domain: bpy.types.Object) -> dict[str, np.ndarray]:
 
 
 def _read_scalars(domain: bpy.types.Object) -> Iterator[tuple[str, np.ndarray]]:
-    settings = velocity._evaluated(domain)
+    settings = velocity.evaluated(domain)
     coarse = int(np.prod(settings.domain_resolution))
     for name, attribute in QUANTITIES.items():
         values = getattr(settings, attribute)

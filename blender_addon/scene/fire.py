@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -10,21 +9,9 @@ import numpy as np
 
 from ..pure.spec import SceneSpec
 from . import effects, material, meshes
+from .fire_objects import FireObjects
 
 DOMAIN_NAME = "Fire Domain"
-
-
-@dataclass
-class FireObjects:
-    """Handles that effects work on."""
-
-    domain: bpy.types.Object
-    emitter: bpy.types.Object
-    material: bpy.types.Material
-
-    @property
-    def domain_settings(self) -> bpy.types.FluidDomainSettings:
-        return self.domain.modifiers["Fluid"].domain_settings
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> FireObjects:
@@ -93,7 +80,7 @@ def _domain(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obje
     # The VDB cache stores velocity only where there is smoke; UNI stores every cell.
     settings.cache_data_format = "UNI"
     settings.cache_frame_start = 1
-    settings.cache_frame_end = spec.last_frame
+    settings.cache_frame_end = spec.timeline.last_frame
     settings.burning_rate = spec.fuel.burning_rate
     settings.flame_max_temp = spec.fuel.max_temperature
     settings.beta = spec.fuel.buoyancy
@@ -130,8 +117,8 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     flow.texture_map_type = "AUTO"
     flow.texture_size = 1.0
     offset = np.random.default_rng(spec.seed).uniform(0.0, 100.0)
-    for frame in (1, spec.last_frame):
-        flow.texture_offset = offset + 4.0 * spec.solver_step_s * (frame - 1)
+    for frame in (1, spec.timeline.last_frame):
+        flow.texture_offset = offset + 4.0 * spec.timeline.solver_step_s * (frame - 1)
         emitter.keyframe_insert(f'modifiers["{modifier.name}"].flow_settings.texture_offset', frame=frame)
     for curve in _curves(emitter.animation_data.action):
         for key in curve.keyframe_points:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
+
+from ..pure.io.files import atomic_path
 
 try:
     import OpenImageIO as oiio
@@ -91,11 +92,6 @@ def opens(path: Path) -> bool:
     return bool(np.isfinite(pixels).all())
 
 
-def temporary(path: Path) -> Path:
-    """Name beside ``path`` with its suffix, for writing before ``os.replace``."""
-    return path.with_name(f".tmp-{path.name}")
-
-
 def _read(path: Path, kind=oiio.FLOAT) -> tuple[np.ndarray, list[str]]:
     image = oiio.ImageInput.open(str(path))
     if image is None:
@@ -120,13 +116,11 @@ def _read(path: Path, kind=oiio.FLOAT) -> tuple[np.ndarray, list[str]]:
 
 
 def _write(path: Path, spec: oiio.ImageSpec, pixels: np.ndarray) -> None:
-    draft = temporary(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    image = oiio.ImageOutput.create(str(draft))
-    if image is None:
-        raise OSError(f"{path}: {oiio.geterror()}")
-    done = image.open(str(draft), spec) and image.write_image(np.ascontiguousarray(pixels))
-    done = image.close() and done
-    if not done:
-        raise OSError(f"{path}: {image.geterror()}")
-    os.replace(draft, path)
+    with atomic_path(path) as draft:
+        image = oiio.ImageOutput.create(str(draft))
+        if image is None:
+            raise OSError(f"{path}: {oiio.geterror()}")
+        done = image.open(str(draft), spec) and image.write_image(np.ascontiguousarray(pixels))
+        done = image.close() and done
+        if not done:
+            raise OSError(f"{path}: {image.geterror()}")

@@ -13,8 +13,10 @@ from dataclasses import replace
 import bpy
 from mathutils import Matrix, Vector
 
-from ..pure.spec import Clip, SceneSpec
+from ..pure.clip import Clip
+from ..pure.spec import SceneSpec
 from . import effects, fire, mantaflow, rig
+from .fire_objects import FireObjects
 
 PART = "gof_part"
 PLACE, DOMAIN, EMITTER = "place", "domain", "emitter"
@@ -56,7 +58,7 @@ def on_top_of(thing: bpy.types.Object) -> Vector:
     return Vector(((low.x + high.x) / 2, (low.y + high.y) / 2, high.z))
 
 
-def add_fire(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object) -> fire.FireObjects:
+def add_fire(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object) -> FireObjects:
     """Build the spec's fire at a place, in place of the one before.
 
     It burns on the scene's own timeline, simulated while the scene is played; effects of the cameras need none of it.

@@ -9,15 +9,15 @@ rendered for the lines that see it, and the picture is their weighted sum in lin
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from ..pure import shutter
 from ..pure.checked_json import SpecError
+from ..pure.effects import absorbs_light, encodes, expose, shows_board
+from ..pure.io.files import atomic_path, temporary
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from . import effects, images, rig
@@ -82,7 +82,7 @@ def _set_up_denoiser(cycles) -> None:
 def plates(spec: SceneSpec, layout: Layout) -> None:
     """Render each camera's view without the fire where it is missing: linear (.exr) and for display (.png). Write the
     masks of a sync board, if the spec has one."""
-    if effects.shows_board(spec):
+    if any(map(shows_board, spec.effects)):
         _write_board_masks(spec, layout)
     scene, domain = bpy.context.scene, find_domain()
     missing = [
@@ -99,7 +99,7 @@ def plates(spec: SceneSpec, layout: Layout) -> None:
     for index, camera in missing:
         passes = _render(camera, layout.static_exr(camera.name))
         beauty = _beauty(passes)
-        _write_png(layout.static(camera.name), effects.expose(beauty[..., :3], spec, index, -1))
+        _write_png(layout.static(camera.name), seen(beauty[..., :3], spec, index, -1))
         # The fire is alone in the flame pass: lamps and screens of a user's scene are not part of it.
         images.write_exr(layout.static_exr(camera.name), beauty, passes["Depth.Z"], np.zeros_like(beauty[..., :3]))
     domain.hide_render = False
@@ -123,11 +123,11 @@ class FrameRenderer:
         configure(spec)  # the spec's word counts, whatever scene.blend was saved with
         self._spec, self._layout, self._cameras = spec, layout, rig.find(spec)
         self._plate = {camera.name: images.read_exr(layout.static_exr(camera.name)) for camera in self._cameras}
-        self._adds_light = not any(effects.absorbs_light(settings) for settings in spec.effects)
+        self._adds_light = not any(map(absorbs_light, spec.effects))
         if self._adds_light:
             _leave_only_the_fire()
         # A picture of many instants needs fewer paths for each.
-        _, weights = shutter.step_weights(spec, 0, 0)
+        _, weights = spec.timeline.weights(0, 0)
         bpy.context.scene.cycles.samples = max(1, round(spec.render.samples * float(weights.max())))
 
     def is_finished(self, frame: int, camera: int) -> bool:
@@ -143,23 +143,23 @@ class FrameRenderer:
         beauty, flame = self._light(frame, camera)
         if self._adds_light:
             beauty[..., :3] += np.stack([plate[channel] for channel in "RGB"], axis=-1)
-        seen = effects.expose(beauty[..., :3], self._spec, camera, frame)
-        _write_png(self._display_picture(frame, camera), seen)
+        shown = seen(beauty[..., :3], self._spec, camera, frame)
+        _write_png(self._display_picture(frame, camera), shown)
         images.write_mask_png(files.mask, flame.max(axis=-1) > FLAME_VISIBLE)
         images.write_exr(files.exr, beauty, plate["Z"], flame)
 
     def _display_picture(self, frame: int, camera: int) -> Path:
         name = self._cameras[camera].name
-        encoded = any(map(effects.encodes, self._spec.effects))
+        encoded = any(map(encodes, self._spec.effects))
         return self._layout.uncompressed(name, frame) if encoded else self._layout.frame(name, frame).rgb
 
     def _light(self, frame: int, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """Beauty (H, W, 4) and flame (H, W, 3): each line the weighted sum of the solver steps that it sees."""
-        first, weights = shutter.step_weights(self._spec, camera, frame)
+        first, weights = self._spec.timeline.weights(camera, frame)
         beside = self._layout.frame(self._cameras[camera].name, frame).exr
         total_beauty = total_flame = 0.0
         for step, weight in enumerate(weights):
-            _go_to(self._spec.blender_frame(frame) + first + step)
+            _go_to(self._spec.timeline.blender_frame(frame) + first + step)
             if len(weights) == 1:
                 passes = _render(self._cameras[camera], beside)
                 return _beauty(passes), _flame(passes)
@@ -179,6 +179,12 @@ def frames(spec: SceneSpec, layout: Layout, progress: Progress) -> None:
         for camera in range(cameras):
             render(frame, camera)
             progress(frame * cameras + camera + 1, spec.clip.frames * cameras)
+
+
+def seen(light: np.ndarray, spec: SceneSpec, camera: int, frame: int) -> np.ndarray:
+    """Rendered light to what the sensor reports: what is drawn over it first, then the sensor."""
+    light = effects.overlay(light, spec, camera, frame)
+    return expose(light, spec.effects, spec.timeline.picture(camera, frame))
 
 
 def _go_to(blender_frame: int) -> None:
@@ -230,7 +236,7 @@ def _switch_emission_off(tree: bpy.types.NodeTree) -> None:
 def _render(camera: bpy.types.Object, beside: Path) -> dict[str, np.ndarray]:
     """Render one camera; returns its passes. Blender hands passes out only through a file, kept beside the result."""
     scene = bpy.context.scene
-    draft = images.temporary(beside.with_suffix(".passes.exr"))
+    draft = temporary(beside.with_suffix(".passes.exr"))
     settings = scene.render.image_settings
     images.set_format(settings, "OPEN_EXR_MULTILAYER")
     settings.color_depth = "32"
@@ -264,8 +270,6 @@ def _write_png(path: Path, light: np.ndarray) -> None:
     opaque = np.dstack([light, np.ones((height, width))])
     image = bpy.data.images.new("Frame", width, height, alpha=False, float_buffer=True)
     image.pixels.foreach_set(np.ascontiguousarray(opaque[::-1], dtype=np.float32).ravel())
-    draft = images.temporary(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    image.save_render(str(draft), scene=scene)
+    with atomic_path(path) as draft:
+        image.save_render(str(draft), scene=scene)
     bpy.data.images.remove(image)
-    os.replace(draft, path)

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
-from ..pure import shutter
+from ..pure.description import CameraEntry
 from ..pure.spec import Rig, SceneSpec
 
 SENSOR_MM = 36.0  # long side of the sensor
@@ -22,7 +22,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> list[bpy.types.O
     scene = bpy.context.scene
     # The rendered size at 100 %: with a percentage that does not divide, Blender's own view functions and Cycles would
     # disagree about the shape of the image.
-    along_rows, rows = (side * spec.render.percentage // 100 for side in rig.sensor_px)
+    along_rows, rows = spec.picture_px
     scene.render.resolution_x, scene.render.resolution_y = (rows, along_rows) if rig.portrait else (along_rows, rows)
     scene.render.resolution_percentage = 100
     cameras = []
@@ -69,26 +69,25 @@ def world_to_camera(camera: bpy.types.Object) -> np.ndarray:
     return result
 
 
-def describe(camera: bpy.types.Object, spec: SceneSpec) -> dict:
-    """The camera's entry in dataset.json, without its file names."""
+def describe(camera: bpy.types.Object, spec: SceneSpec, files: dict[str, str]) -> CameraEntry:
+    """The camera's entry in dataset.json; `files` are its file names by kind."""
     scene = bpy.context.scene
-    width, height = scene.render.resolution_x, scene.render.resolution_y
     index = spec.cameras.names.index(camera.name)
-    timings = [shutter.timing(spec, index, frame) for frame in range(spec.clip.frames)]
-    return {
-        "name": camera.name,
-        "width": width,
-        "height": height,
-        "K": intrinsics(camera, scene).tolist(),
-        "world_to_camera": world_to_camera(camera).tolist(),
-        "roll_deg": spec.cameras.roll_deg,
-        "row_time_s": timings[0].line,
-        "readout": READOUT[spec.cameras.roll_deg],
-        "role": "eval" if camera.name.startswith("eval") else "train",
+    timings = [spec.timeline.timing(index, frame) for frame in range(spec.clip.frames)]
+    return CameraEntry(
+        name=camera.name,
+        width=scene.render.resolution_x,
+        height=scene.render.resolution_y,
+        K=intrinsics(camera, scene).tolist(),
+        world_to_camera=world_to_camera(camera).tolist(),
+        roll_deg=spec.cameras.roll_deg,
+        row_time_s=timings[0].line,
+        readout=READOUT[spec.cameras.roll_deg],
+        role="eval" if camera.name.startswith("eval") else "train",
         # Middle of the first line's exposure.
-        "time_s": [k / spec.clip.fps + when.delay + when.open / 2 for k, when in enumerate(timings)],
-        "exposure_s": timings[0].open,
-    }
+        time_s=tuple(k / spec.clip.fps + when.delay + when.open / 2 for k, when in enumerate(timings)),
+        **files,
+    )
 
 
 def as_picture(values: np.ndarray, spec: SceneSpec) -> np.ndarray:

@@ -52,27 +52,14 @@ def export_velocity(
             that was clipped to the smoke, or NaN in the cache.
         FileFormatError: `out_path` holds something else.
     """
-    settings = _domain_settings(domain_object)
-    if settings.use_adaptive_domain:
-        raise ValueError(
-            f"{domain_object.name}: the adaptive domain changes the grid from frame to frame; "
-            "switch it off and bake again"
-        )
-    if abs(settings.time_scale - time_scale) > 1e-6:
-        raise ValueError(f"{domain_object.name} was set up with time scale {settings.time_scale}, not {time_scale}")
-    if not fps > 0:
-        raise ValueError(f"fps {fps}: must be > 0")
-    if not frames:
-        raise ValueError("no frames to export")
-    frames = list(frames)
-
-    _go_to(frames[0], domain_object, settings)
+    _check_export(domain_object, frames, fps, time_scale)
+    _go_to(frames[0], domain_object)
     matrix = index_to_world(domain_object)
     linear = matrix[:3, :3]
     to_metres_per_second = SOLVER_UNITS_PER_SECOND * time_scale * linear
     store = VelocityWriter(
         out_path,
-        tuple(_evaluated(domain_object).domain_resolution),
+        tuple(evaluated(domain_object).domain_resolution),
         matrix,
         (np.array(frames) - frames[0]) / fps,
         float(np.cbrt(abs(np.linalg.det(linear)))),
@@ -80,7 +67,7 @@ def export_velocity(
     )
     for index, frame in enumerate(frames):
         if not store.has_frame(index):
-            _go_to(frame, domain_object, settings)
+            _go_to(frame, domain_object)
             if not np.allclose(index_to_world(domain_object), matrix, rtol=0, atol=1e-6):
                 raise ValueError(
                     f"{domain_object.name} moves at frame {frame}; one store holds one fixed grid, "
@@ -96,13 +83,28 @@ def export_velocity(
     return store.finish()
 
 
+def _check_export(domain_object: bpy.types.Object, frames: list[int], fps: float, time_scale: float) -> None:
+    settings = _domain_settings(domain_object)
+    if settings.use_adaptive_domain:
+        raise ValueError(
+            f"{domain_object.name}: the adaptive domain changes the grid from frame to frame; "
+            "switch it off and bake again"
+        )
+    if abs(settings.time_scale - time_scale) > 1e-6:
+        raise ValueError(f"{domain_object.name} was set up with time scale {settings.time_scale}, not {time_scale}")
+    if not fps > 0:
+        raise ValueError(f"fps {fps}: must be > 0")
+    if not frames:
+        raise ValueError("no frames to export")
+
+
 def index_to_world(domain_object: bpy.types.Object) -> np.ndarray:
     """(4, 4) float64: continuous cell index (cell i spans [i, i + 1]) to world metres, at the current frame.
 
     Blender reports the cell size per axis in object space, unapplied scale included, so cells of a domain whose sides
     are not whole multiples of the cell come out slightly oblong (half a cell over the whole side at most).
     """
-    settings = _evaluated(domain_object)
+    settings = evaluated(domain_object)
     local = np.diag([*settings.cell_size, 1.0])
     local[:3, 3] = settings.start_point
     return np.array(domain_object.matrix_world, float) @ local
@@ -114,7 +116,7 @@ def read_staggered(domain_object: bpy.types.Object) -> np.ndarray:
     Raises:
         ValueError: nothing cached, or an OpenVDB cache that was clipped to the smoke.
     """
-    settings = _evaluated(domain_object)
+    settings = evaluated(domain_object)
     where = f"{domain_object.name}, frame {bpy.context.scene.frame_current}"
     if settings.cache_data_format == "OPENVDB" and read_density(domain_object).any():
         # Blender saves VDB velocity only in voxels that hold smoke; elsewhere it would read as still air.
@@ -132,7 +134,7 @@ def read_density(domain_object: bpy.types.Object) -> np.ndarray:
         ValueError: nothing cached.
     """
     where = f"{domain_object.name}, frame {bpy.context.scene.frame_current}"
-    return _read_grid(_evaluated(domain_object), "density_grid", 1, where)[..., 0]
+    return _read_grid(evaluated(domain_object), "density_grid", 1, where)[..., 0]
 
 
 def cell_centred(staggered: np.ndarray, where: Block = (slice(None),) * 3) -> np.ndarray:
@@ -159,11 +161,13 @@ def _domain_settings(domain_object: bpy.types.Object) -> bpy.types.FluidDomainSe
     raise ValueError(f"{domain_object.name}: no fluid modifier of type domain; pass the smoke domain object")
 
 
-def _evaluated(domain_object: bpy.types.Object) -> bpy.types.FluidDomainSettings:
+def evaluated(domain_object: bpy.types.Object) -> bpy.types.FluidDomainSettings:
+    """Settings of a fluid domain that hold its grids at the current frame."""
     return _domain_settings(domain_object.evaluated_get(bpy.context.evaluated_depsgraph_get()))
 
 
-def _go_to(frame: int, domain_object: bpy.types.Object, settings: bpy.types.FluidDomainSettings) -> None:
+def _go_to(frame: int, domain_object: bpy.types.Object) -> None:
+    settings = _domain_settings(domain_object)
     # Outside its cache Blender silently keeps the grids of the frame shown before.
     cached = Path(bpy.path.abspath(settings.cache_directory)) / "data"
     suffix = {"UNI": "uni", "OPENVDB": "vdb"}[settings.cache_data_format]

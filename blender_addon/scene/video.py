@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import os
+from pathlib import Path
 
 import bpy
 import numpy as np
 
+from ..pure.effects.video_compression import Settings
+from ..pure.io.files import atomic_path, temporary
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from . import images
-from .effects.video_compression import Settings
 
 
 def through_codec(spec: SceneSpec, layout: Layout, camera: str, settings: Settings) -> None:
@@ -22,38 +23,50 @@ def through_codec(spec: SceneSpec, layout: Layout, camera: str, settings: Settin
     finished = [layout.frame(camera, frame).rgb for frame in frames]
     if layout.video(camera).is_file() and all(map(images.opens, finished)):
         return
-    for path in (layout.video(camera), *finished):
+    for path in finished:
         path.parent.mkdir(parents=True, exist_ok=True)
-    # The encoder wants even sizes: pictures are padded by repeating a line, which is cut off again.
-    sources = [layout.uncompressed(camera, frame).with_name(f"padded-{frame:06d}.png") for frame in frames]
-    for frame, path in zip(frames, sources, strict=True):
-        picture = images.read_png(layout.uncompressed(camera, frame))
-        height, width = picture.shape[:2]
-        images.write_png(path, np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), "edge"))
-    draft = images.temporary(layout.video(camera))
-    scene = _sequence(width + width % 2, height + height % 2, spec)
-    strip = scene.sequence_editor.strips.new_image("Pictures", str(sources[0]), 1, 1, fit_method="ORIGINAL")
-    for path in sources[1:]:
-        strip.elements.append(path.name)
-    strip.frame_final_duration = len(sources)
-    _write_video(scene, draft, settings)
-    if not draft.is_file() or not draft.stat().st_size:
-        raise RuntimeError(f"Blender wrote no video {draft}; was it built with FFmpeg?")
-    os.replace(draft, layout.video(camera))
+    uncompressed = [layout.uncompressed(camera, frame) for frame in frames]
+    height, width = images.read_png(uncompressed[0]).shape[:2]
+    padded = [_padded(path) for path in uncompressed]
+    # Blender writes and reads the video as a film strip of even size.
+    _encode(padded, _sequence(width + width % 2, height + height % 2, spec), layout.video(camera), settings)
+    _decode(layout.video(camera), _sequence(width + width % 2, height + height % 2, spec), finished, (height, width))
+    for path in padded:
+        path.unlink()
 
-    scene = _sequence(width + width % 2, height + height % 2, spec)
-    scene.sequence_editor.strips.new_movie("Video", str(layout.video(camera)), 1, 1, fit_method="ORIGINAL")
+
+def _padded(source: Path) -> Path:
+    """A copy of a picture with even sides, as the encoder wants them: the last line is repeated, and later cut off."""
+    picture = images.read_png(source)
+    height, width = picture.shape[:2]
+    path = source.with_name(f"padded-{source.name}")
+    images.write_png(path, np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), "edge"))
+    return path
+
+
+def _encode(pictures: list[Path], scene: bpy.types.Scene, video: Path, settings: Settings) -> None:
+    strip = scene.sequence_editor.strips.new_image("Pictures", str(pictures[0]), 1, 1, fit_method="ORIGINAL")
+    for path in pictures[1:]:
+        strip.elements.append(path.name)
+    strip.frame_final_duration = len(pictures)
+    with atomic_path(video) as draft:
+        _write_video(scene, draft, settings)
+        if not draft.is_file() or not draft.stat().st_size:
+            raise RuntimeError(f"Blender wrote no video {draft}; was it built with FFmpeg?")
+
+
+def _decode(video: Path, scene: bpy.types.Scene, pictures: list[Path], size: tuple[int, int]) -> None:
+    """Write the frames of a video as pictures of size (height, width)."""
+    scene.sequence_editor.strips.new_movie("Video", str(video), 1, 1, fit_method="ORIGINAL")
     images.set_format(scene.render.image_settings, "PNG")
     scene.render.image_settings.color_mode = "RGB"
-    for frame, path in zip(frames, finished, strict=True):
-        scene.frame_set(frame + 1)
-        draft = path.with_name(f".tmp-decoded-{path.name}")
-        scene.render.filepath = str(draft)
+    for number, path in enumerate(pictures, 1):
+        scene.frame_set(number)
+        decoded = temporary(path.with_name(f"decoded-{path.name}"))
+        scene.render.filepath = str(decoded)
         bpy.ops.render.render(write_still=True, scene=scene.name)
-        images.write_png(path, images.read_png(draft)[:height, :width])
-        draft.unlink()
-    for path in sources:
-        path.unlink()
+        images.write_png(path, images.read_png(decoded)[: size[0], : size[1]])
+        decoded.unlink()
 
 
 def _sequence(width: int, height: int, spec: SceneSpec) -> bpy.types.Scene:
@@ -70,7 +83,7 @@ def _sequence(width: int, height: int, spec: SceneSpec) -> bpy.types.Scene:
     return scene
 
 
-def _write_video(scene: bpy.types.Scene, path, settings: Settings) -> None:
+def _write_video(scene: bpy.types.Scene, path: Path, settings: Settings) -> None:
     images.set_format(scene.render.image_settings, "FFMPEG")
     codec = scene.render.ffmpeg
     codec.format, codec.codec = "MPEG4", "H264"

@@ -7,8 +7,8 @@ from pathlib import Path
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
-from ..pure import cost_model as costs
-from ..pure import spec as scene_spec_file
+from ..pure import cost_model
+from ..pure import spec as spec_file
 from ..pure.checked_json import SpecError
 from ..pure.dataset_process import Job, expected_s
 from ..pure.layout import Layout
@@ -70,7 +70,7 @@ def planned(scene: bpy.types.Scene) -> tuple[SceneSpec, Layout]:
         raise SpecError("choose an output folder: this file has not been saved, so there is no folder beside it")
     layout = Layout(Path(bpy.path.abspath(settings.folder)).resolve())
     if settings.background == "file":
-        spec = scene_spec_file.load(bpy.path.abspath(settings.spec_file))
+        spec = spec_file.load(bpy.path.abspath(settings.spec_file))
     else:
         spec = replace(scene_spec.of_scene(scene), name=layout.root.name or "fire")
         if settings.background == "scene":
@@ -90,7 +90,10 @@ def why_not() -> str | None:
     try:
         from ..scene import images  # noqa: F401
     except ImportError:
-        return "This Blender comes without the OpenImageIO module for Python: use Blender 4.2 or later (Debian: python3-openimageio)"
+        return (
+            "This Blender comes without the OpenImageIO module for Python: "
+            "use Blender 4.2 or later (Debian: python3-openimageio)"
+        )
     return None
 
 
@@ -109,8 +112,8 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
         """A job whose folder is claimed and which fits this machine."""
         spec, layout = planned(context.scene)
         if not layout.bake_marker.is_file():
-            costs.require_room(spec, layout.root)
-        scene_spec_file.claim(layout, spec)
+            cost_model.require_room(spec, layout.root)
+        layout.claim(spec)
         if spec.blend_file and layout.background == Path(spec.blend_file.path) and not layout.bake_marker.is_file():
             _copy_scene(context.scene, layout.background)
         return Job(spec, layout, _blender())
@@ -207,12 +210,12 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
 
 def _draw_cost(box, context, spec: SceneSpec) -> None:
     """What the dataset is, and what it should cost."""
-    prediction = costs.predict(spec, costs.known_machine() or costs.REFERENCE)
+    prediction = cost_model.predict(spec, cost_model.known_machine() or cost_model.REFERENCE)
     seconds = sum(expected_s(spec, prediction).values())
     column = box.column(align=True)
     frames, cameras = spec.clip.frames, len(spec.cameras.names)
     column.label(text=f"{frames * cameras} pictures ({frames} x {cameras})", icon="CAMERA_DATA")
-    column.label(text=f"About {costs.duration(seconds)}", icon="TIME")
+    column.label(text=f"About {cost_model.duration(seconds)}", icon="TIME")
     column.label(text=f"{prediction.memory_mb / 1000:.1f} GB of memory", icon="MEMORY")
     column.label(text=f"{prediction.disk_mb / 1000:.2f} GB of disk", icon="DISK_DRIVE")
     source = f"within {100 * prediction.error:.0f} %" if prediction.error < 1 else "roughly"

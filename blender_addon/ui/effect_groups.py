@@ -10,7 +10,8 @@ import typing
 
 import bpy
 
-from ..scene import effects
+from ..pure import effects
+from ..scene.effects import changes_scene
 
 DEFAULT = ("vorticity",)  # without it the solver's own diffusion makes a flame like candle wax
 
@@ -71,7 +72,7 @@ def chosen(groups: GOF_PG_effects) -> tuple:
 
 def in_scene(name: str) -> bool:
     """Whether an effect is something in the scene, not in the camera."""
-    return effects.changes_scene(effects.module(name).Settings())
+    return changes_scene(effects.module(name).Settings())
 
 
 def exact(value):

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from ..pure.checked_json import SpecError
-from ..pure.dataset_process import JobError
+from ..pure.io import FileFormatError
 
 TIMER_S = 0.5
+FAILURES = (SpecError, FileFormatError, OSError, RuntimeError)  # what is wrong with the user's work, not with ours
 
 
 class JobOperator:
     """Mixed into ``bpy.types.Operator``; a subclass says which job, and what becomes of its outcome.
 
     A job has ``poll()`` (whether there is more to do), ``run()`` (all of it now), ``stop()``, and its state as a string;
-    the first two raise JobError.
+    the first two raise one of FAILURES.
     """
 
     job = None
@@ -20,7 +21,7 @@ class JobOperator:
     stopped = "Stopped"
 
     def begin(self, context):
-        """A job, ready to run. Raises SpecError, OSError or RuntimeError that says what to change."""
+        """A job, ready to run. Raises one of FAILURES that says what to change."""
         raise NotImplementedError
 
     def finish(self, context, job) -> str:
@@ -39,7 +40,7 @@ class JobOperator:
         try:
             job = self.begin(context)
             job.run()
-        except (SpecError, OSError, RuntimeError) as error:
+        except FAILURES as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self.report({"INFO"}, self.finish(context, job))
@@ -49,7 +50,7 @@ class JobOperator:
         """Do the job beside the user's work; Esc stops it."""
         try:
             type(self).job = self.begin(context)
-        except (SpecError, OSError, RuntimeError) as error:
+        except FAILURES as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self._timer = context.window_manager.event_timer_add(TIMER_S, window=context.window)
@@ -66,7 +67,7 @@ class JobOperator:
             return {"PASS_THROUGH"}
         try:
             unfinished = job.poll()
-        except JobError as error:
+        except FAILURES as error:
             self.cancel(context)
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -13,7 +13,8 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ..pure.checked_json import SpecError
-from ..pure.spec import Clip, Display, Domain, Fire, Pose, Render, Rig, SceneSpec
+from ..pure.clip import Clip
+from ..pure.spec import Display, Domain, Fire, Pose, Render, Rig, SceneSpec
 from ..scene import place, rig
 from . import effect_groups
 from .effect_groups import exact

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import bpy
 
-from ..pure import score_process as evaluation
 from ..pure.io import FileFormatError, velocity_reader
-from ..pure.score_process import Evaluation, EvaluationError
+from ..pure.score_process import INSTALL, Evaluation, EvaluationError
 from ..scene import error_cloud, point_cloud
 from .job_operator import JobOperator
 from .panel import SidebarPanel, write_lines
@@ -52,7 +51,7 @@ class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
     def begin(self, context) -> Evaluation:
         settings, thing = context.scene.gof.score, _cloud(context)
         if not settings.python:
-            raise EvaluationError(f"Set Python to the one that has gof, or {evaluation.INSTALL}")
+            raise EvaluationError(f"Set Python to the one that has gof, or {INSTALL}")
         if "gof_source" not in thing:
             raise EvaluationError(f"{thing.name}: not imported from a file; import the reconstruction again")
         return Evaluation(
@@ -63,7 +62,7 @@ class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
         )
 
     def finish(self, context, job: Evaluation) -> str:
-        rows = evaluation.numbers(job.scores)
+        rows = job.scores.rows()
         context.scene.gof.score.numbers = "\n".join(f"{name}: {value}" for name, value in rows)
         return ", ".join(f"{name} {value}" for name, value in rows)
 

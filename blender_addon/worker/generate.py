@@ -1,18 +1,24 @@
-"""Worker that generates one stage of a dataset in its own Blender process.
+"""Worker that generates one stage of a dataset in its own Blender process; `gof generate` and the panel start it.
 
     python -m gof_blender.worker.generate --spec spec.json --out DATASET --stage STAGE
 
-Stages: ``bake`` builds scene.blend and simulates the fire; ``render`` makes plates and frames, ``serve`` likewise but
-only what it is asked for, and during the bake; ``video`` passes pictures through a codec; ``ground-truth`` exports
-velocity and what else the spec lists, ``flow`` its optical flow; ``finish`` writes dataset.json. Each resumes: what is finished is not made again.
+Stages, in order; each resumes, what is finished is not made again:
+
+    bake          scene.blend, and the simulated fire
+    render        plates and frames; ``serve`` likewise, but only what it is asked for, and during the bake
+    video         pictures through a codec, if the spec says so
+    ground-truth  velocity, and what else the spec lists
+    flow          optical flow, if the spec lists it
+    finish        dataset.json
+
 One process per stage, because a second bake in the same process is unreliable and the wheel cannot exit normally after
 a bake.
 
 ``serve`` reads lines ``{"frame": 3, "camera": 0}`` from standard input and answers each with a line
 ``{"rendered": {"frame": 3, "camera": 0, "seconds": 0.7, "cpu_s": 1.2, "peak_mb": 410.0}}``; it ends with its input.
 
-Progress goes to standard output as lines ``{"progress": {"stage": "render", "done": 3, "total": 108}}``;
-what Blender itself prints goes to DATASET/.cache/<stage>.log.
+Progress goes to standard output as lines ``{"progress": {"stage": "render", "done": 3, "total": 108}}``, and at the end
+``{"cost": {"cpu_s": 61.2, "peak_mb": 410.0}}``; what Blender itself prints goes to DATASET/.cache/<stage>.log.
 """
 
 from __future__ import annotations
@@ -28,39 +34,20 @@ import traceback
 from pathlib import Path
 
 from ..pure import spec as scene_spec
+from ..pure.checked_json import SpecError
+from ..pure.description import DatasetDescription, held_out
+from ..pure.effects import encodes, shows_board
+from ..pure.io.files import write_json
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
-from ..scene import effects
+from .reporter import Reporter, Watch, leave, peak_mb
 
 GENERATOR_VERSION = "0.1.0"
-STAGES = ("bake", "render", "serve", "video", "ground-truth", "flow", "finish")
-TEST_EVERY, TEST_FIRST = 8, 4  # frames k with k % 8 == 4 are held out
 
 
-class Reporter:
-    """Prints progress lines to the original standard output and sends everything else that is printed to a log file.
-
-    Blender's own messages are buffered in C and would otherwise cut progress lines in two.
-    """
-
-    def __init__(self, stage: str, log: Path):
-        self.stage = stage
-        log.parent.mkdir(parents=True, exist_ok=True)
-        self._out = os.fdopen(os.dup(1), "w")
-        sys.stdout.flush()
-        with open(log, "ab") as file:
-            os.dup2(file.fileno(), 1)
-
-    def __call__(self, done: int, total: int) -> None:
-        self.line(progress={"stage": self.stage, "done": done, "total": total})
-
-    def line(self, **message) -> None:
-        print(json.dumps(message), file=self._out, flush=True)
-
-
-def bake(spec: SceneSpec, layout: Layout, progress) -> None:
+def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     """Build scene.blend and simulate the fire; an unfinished simulation starts over."""
-    total = spec.last_frame
+    total = spec.timeline.last_frame
     if layout.bake_marker.is_file():
         progress(total, total)
         return
@@ -68,20 +55,22 @@ def bake(spec: SceneSpec, layout: Layout, progress) -> None:
 
     from ..scene import build, fire
 
+    def simulated() -> int:
+        return sum(layout.cached_velocity(frame).is_file() for frame in range(1, total + 1))
+
     shutil.rmtree(layout.bake, ignore_errors=True)
     scene_objects = build.scene(spec)
     _save_blend(layout)  # the cache folder is relative to the file
-    settings = scene_objects.domain_settings
-    with _Watch(
-        lambda: sum(fire.velocity_file(settings, frame).is_file() for frame in range(1, total + 1)), total, progress
-    ):
+    with Watch(simulated, total, progress):
         fire.bake(scene_objects.domain)
-    bpy.context.scene.frame_set(spec.first_frame)
+    bpy.context.scene.frame_set(spec.timeline.first_frame)
     _save_blend(layout)
-    _write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string})
+    # Only its presence is read; what it says is for people.
+    write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string})
 
 
-def render(spec: SceneSpec, layout: Layout, progress) -> None:
+def render(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
+    """Render the plates, then every frame from every camera."""
     _open_blend(layout)
     from ..scene import render as cycles
 
@@ -90,7 +79,7 @@ def render(spec: SceneSpec, layout: Layout, progress) -> None:
     cycles.frames(spec, layout, progress)
 
 
-def serve(spec: SceneSpec, layout: Layout, progress) -> None:
+def serve(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     """Render what standard input asks for, until it ends."""
     _open_blend(layout, during_bake=True)
     from ..scene import render as cycles
@@ -101,13 +90,13 @@ def serve(spec: SceneSpec, layout: Layout, progress) -> None:
     for line in sys.stdin:
         order, start, cpu = json.loads(line), time.perf_counter(), time.process_time()
         renderer(order["frame"], order["camera"])
-        cost = {"seconds": time.perf_counter() - start, "cpu_s": time.process_time() - cpu, "peak_mb": _peak_mb()}
+        cost = {"seconds": time.perf_counter() - start, "cpu_s": time.process_time() - cpu, "peak_mb": peak_mb()}
         progress.line(rendered=order | cost)
 
 
-def video(spec: SceneSpec, layout: Layout, progress) -> None:
+def video(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     """Pass the display pictures through a codec, if an effect asks for one."""
-    settings = next(filter(effects.encodes, spec.effects), None)
+    settings = next(filter(encodes, spec.effects), None)
     if settings is None:
         return
     from ..scene import video as codec
@@ -117,21 +106,21 @@ def video(spec: SceneSpec, layout: Layout, progress) -> None:
         progress(index + 1, len(spec.cameras.names))
 
 
-def ground_truth(spec: SceneSpec, layout: Layout, progress) -> None:
+def ground_truth(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
+    """Export the velocity of every frame, and the grids and VDB files that the spec lists."""
     _open_blend(layout)
     from ..scene import extra_truth, fire, velocity
 
-    frames = [spec.blender_frame(frame) for frame in range(spec.clip.frames)]
-    velocity.export_velocity(
-        fire.find_domain(), frames, spec.steps_per_second, spec.clip.time_scale, layout.velocity, progress
-    )
+    frames = [spec.timeline.blender_frame(frame) for frame in range(spec.clip.frames)]
+    per_second, scale = spec.timeline.steps_per_second, spec.clip.time_scale
+    velocity.export_velocity(fire.find_domain(), frames, per_second, scale, layout.velocity, progress)
     if "grids" in spec.ground_truth:
         extra_truth.grids(spec, layout)
     if "vdb" in spec.ground_truth:
         extra_truth.vdb(spec, layout)
 
 
-def flow(spec: SceneSpec, layout: Layout, progress) -> None:
+def flow(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     """Optical flow of every picture, if the spec lists it; needs the flame masks."""
     if "flow" in spec.ground_truth:
         _open_blend(layout)
@@ -140,125 +129,51 @@ def flow(spec: SceneSpec, layout: Layout, progress) -> None:
         extra_truth.flow(spec, layout, progress)
 
 
-def finish(spec: SceneSpec, layout: Layout, progress) -> None:
+def finish(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     """Write dataset.json, the last file of a dataset.
 
     Raises FileNotFoundError if a frame or the velocity is missing.
     """
     _open_blend(layout)
-    import bpy
-
-    from ..scene import rig
-
-    files = [
-        path
-        for name in spec.cameras.names
-        for frame in range(spec.clip.frames)
-        for path in vars(layout.frame(name, frame)).values()
-    ]
-    files += [path for name in spec.cameras.names for path in (layout.static(name), layout.static_exr(name))] + [
-        layout.velocity / "zarr.json"
-    ]
-    if effects.shows_board(spec):
-        files += [layout.board_mask(name) for name in spec.cameras.names]
-    missing = [path for path in files if not path.is_file()]
+    missing = [path for path in _files(spec, layout) if not path.is_file()]
     if missing:
         raise FileNotFoundError(
             f"{len(missing)} files of the dataset are missing, first {missing[0]}; run the stages before finish"
         )
-    velocity = json.loads((layout.velocity / "zarr.json").read_text(encoding="utf-8"))
-    test = [frame for frame in range(spec.clip.frames) if frame % TEST_EVERY == TEST_FIRST]
-    _write_json(
-        layout.description,
-        {
-            "schema": "gof-dataset",
-            "version": 1,
-            "name": spec.name,
-            "spec": spec.relative_to(layout.root).to_dict(),
-            "effects": spec.effect_names,
-            "time_s": [frame / spec.clip.fps for frame in range(spec.clip.frames)],
-            "cameras": [
-                rig.describe(camera, spec)
-                | layout.patterns(camera.name, "flow" in spec.ground_truth, effects.shows_board(spec))
-                for camera in rig.find(spec)
-            ],
-            "splits": {"train": [frame for frame in range(spec.clip.frames) if frame not in test], "test": test},
-            "velocity": layout.velocity.name,
-            "ground_truth": list(spec.ground_truth),
-            "scene": layout.blend.name,
-            "display": spec.to_dict()["display"],
-            "domain": {
-                "index_to_world": velocity["attributes"]["index_to_world"],
-                "resolution": velocity["shape"][1:4],
-                "voxel_size": velocity["attributes"]["voxel_size"],
-            },
-            "provenance": {"blender": bpy.app.version_string, "generator": GENERATOR_VERSION},
-        },
-    )
+    _describe(spec, layout).write(layout.root)
     progress(1, 1)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run one stage; returns the exit status.
-
-    The process must then end through ``mantaflow.leave``.
-    """
-    parser = argparse.ArgumentParser(prog="python -m gof_blender.worker.generate", description=__doc__.split("\n")[0])
-    parser.add_argument("--spec", type=Path, required=True, help="scene spec (JSON)")
-    parser.add_argument("--out", type=Path, required=True, help="dataset folder")
-    parser.add_argument("--stage", choices=STAGES, required=True)
-    args = parser.parse_args(argv)
-    layout = Layout(args.out.resolve())
-    try:
-        spec = scene_spec.load(args.spec)
-        progress = Reporter(args.stage, layout.log(args.stage))
-        os.chdir(layout.hidden)  # Mantaflow leaves files where it runs
-        stages = {"bake": bake, "render": render, "serve": serve, "video": video, "ground-truth": ground_truth}
-        (stages | {"flow": flow, "finish": finish})[args.stage](spec, layout, progress)
-        progress.line(cost={"cpu_s": time.process_time(), "peak_mb": _peak_mb()})
-    except scene_spec.SpecError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except Exception:
-        traceback.print_exc()
-        return 1
-    return 0
+def _files(spec: SceneSpec, layout: Layout) -> list[Path]:
+    """Files without which a dataset is not finished."""
+    files = [layout.velocity / "zarr.json"]
+    for name in spec.cameras.names:
+        files += [layout.static(name), layout.static_exr(name)]
+        files += [layout.board_mask(name)] if any(map(shows_board, spec.effects)) else []
+        for frame in range(spec.clip.frames):
+            files += vars(layout.frame(name, frame)).values()
+    return files
 
 
-def run(argv: list[str]) -> None:
-    """Run one stage as the only work of this process, and leave it; leave at once when standard input closes, which is
-    when the process that started this one ends."""
-    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(1)), daemon=True).start()
-    _leave(main(argv))
+def _describe(spec: SceneSpec, layout: Layout) -> DatasetDescription:
+    """The dataset's description, with the cameras of the open scene."""
+    import bpy
 
+    from ..scene import rig
 
-def _leave(status: int) -> None:
-    if "bpy" in sys.modules:
-        from ..scene.mantaflow import leave
-
-        leave(status)
-    sys.exit(status)
-
-
-class _Watch:
-    """Reports count() of total while the bake blocks this process's main thread."""
-
-    def __init__(self, count, total: int, progress):
-        self._count, self._total, self._progress = count, total, progress
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-
-    def _run(self) -> None:
-        while not self._done.wait(0.5):
-            self._progress(self._count(), self._total)
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, *_) -> None:
-        self._done.set()
-        self._thread.join()
-        self._progress(self._count(), self._total)
+    with_flow, with_board = "flow" in spec.ground_truth, any(map(shows_board, spec.effects))
+    return DatasetDescription(
+        name=spec.name,
+        time_s=tuple(frame / spec.clip.fps for frame in range(spec.clip.frames)),
+        cameras=tuple(
+            rig.describe(camera, spec, layout.patterns(camera.name, with_flow, with_board)) for camera in rig.find(spec)
+        ),
+        splits=held_out(spec.clip.frames),
+        velocity=layout.velocity.name,
+        spec=spec.relative_to(layout.root).to_dict(),
+        effects=tuple(spec.effect_names),
+        provenance={"blender": bpy.app.version_string, "generator": GENERATOR_VERSION},
+    )
 
 
 def _save_blend(layout: Layout) -> None:
@@ -279,23 +194,49 @@ def _open_blend(layout: Layout, during_bake: bool = False) -> None:
     bpy.ops.wm.open_mainfile(filepath=str(layout.blend))
 
 
-def _peak_mb() -> float | None:
-    """Peak resident memory of this process, None where it is not known."""
-    status = Path("/proc/self/status")
-    if status.is_file():  # getrusage would count what the process that started this one had in memory
-        return int(status.read_text().partition("VmHWM:")[2].split()[0]) / 1024
+STAGES = {
+    "bake": bake,
+    "render": render,
+    "serve": serve,
+    "video": video,
+    "ground-truth": ground_truth,
+    "flow": flow,
+    "finish": finish,
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one stage; returns the exit status.
+
+    The process must then end through ``reporter.leave``.
+    """
+    parser = argparse.ArgumentParser(prog="python -m gof_blender.worker.generate", description=__doc__.split("\n")[0])
+    parser.add_argument("--spec", type=Path, required=True, help="scene spec (JSON)")
+    parser.add_argument("--out", type=Path, required=True, help="dataset folder")
+    parser.add_argument("--stage", choices=STAGES, required=True)
+    args = parser.parse_args(argv)
+    layout = Layout(args.out.resolve())
     try:
-        import resource
-    except ModuleNotFoundError:  # Windows
-        return None
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # macOS counts bytes
+        spec = scene_spec.load(args.spec)
+        progress = Reporter(args.stage, layout.log(args.stage))
+        os.chdir(layout.hidden)  # Mantaflow leaves files where it runs
+        STAGES[args.stage](spec, layout, progress)
+        progress.line(cost={"cpu_s": time.process_time(), "peak_mb": peak_mb()})
+    except SpecError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except Exception:
+        traceback.print_exc()
+        return 1
+    return 0
 
 
-def _write_json(path: Path, data: dict) -> None:
-    draft = path.with_name(f".tmp-{path.name}")
-    draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    os.replace(draft, path)
+def run(argv: list[str]) -> None:
+    """Run one stage as the only work of this process, and leave it; leave at once when standard input closes, which is
+    when the process that started this one ends."""
+    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(1)), daemon=True).start()
+    leave(main(argv))
 
 
 if __name__ == "__main__":
-    _leave(main())
+    leave(main())

@@ -1,4 +1,5 @@
-"""Bring a reconstruction back into the scene it was made from: an animated cloud in a .blend, and one preview frame.
+"""Worker of `gof import`: a reconstruction back in the scene it was made from, as an animated cloud in a .blend, and one
+preview frame. (The panel's operator of the same name adds a cloud to the scene that is open.)
 
     python -m gof_blender.worker.import_result --result result.npz --dataset DATASET --blend out.blend \\
         --preview preview.png --frame 5 --camera cam_0
@@ -13,14 +14,16 @@ prints goes to a log beside the .blend.
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import sys
 import traceback
 from pathlib import Path
 
+from ..pure.checked_json import SpecError
+from ..pure.description import FILE, DatasetDescription
 from ..pure.io import FileFormatError, gaussians_file
-from ..pure.spec import SceneSpec, SpecError
+from ..pure.io.files import atomic_path
+from ..pure.spec import SceneSpec
+from .reporter import Reporter, leave
 
 
 def read_spec(dataset: Path) -> SceneSpec:
@@ -29,21 +32,15 @@ def read_spec(dataset: Path) -> SceneSpec:
     Raises:
         FileFormatError: no dataset there, one without a scene spec, such as a capture, or a broken spec.
     """
-    file = dataset / "dataset.json"
+    description = DatasetDescription.read(dataset)
+    if description.spec is None:
+        raise FileFormatError(
+            f"{dataset / FILE}: holds no scene spec, so there is no scene to build; use a generated dataset"
+        )
     try:
-        description = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileFormatError(f"{file}: no such file; finish the dataset first (`gof generate`)") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{file}: not readable as JSON ({error}); generate the dataset again") from None
-    if not isinstance(description, dict) or description.get("schema") != "gof-dataset":
-        raise FileFormatError(f"{file}: not a 'gof-dataset'; point --dataset at a generated dataset")
-    if "spec" not in description:
-        raise FileFormatError(f"{file}: holds no scene spec, so there is no scene to build; use a generated dataset")
-    try:
-        return SceneSpec.from_dict(description["spec"])
+        return SceneSpec.from_dict(description.spec)
     except SpecError as error:
-        raise FileFormatError(f"{file}: spec: {error}") from None
+        raise FileFormatError(f"{dataset / FILE}: spec: {error}") from None
 
 
 def import_into_scene(cloud: gaussians_file.GaussianCloud, spec: SceneSpec, mode: str):
@@ -55,16 +52,15 @@ def import_into_scene(cloud: gaussians_file.GaussianCloud, spec: SceneSpec, mode
     build.scene(spec)
     for thing in list(bpy.data.collections["Fire"].objects):
         bpy.data.objects.remove(thing)
-    return point_cloud.add_point_cloud(cloud, spec.first_frame, mode)
+    return point_cloud.add_point_cloud(cloud, spec.timeline.first_frame, mode)
 
 
 def save_blend(path: Path) -> None:
     """Save the open scene to `path`, atomically."""
     import bpy
 
-    draft = path.with_name(f".tmp-{path.name}")
-    bpy.ops.wm.save_as_mainfile(filepath=str(draft), copy=True, compress=True, check_existing=False)
-    os.replace(draft, path)
+    with atomic_path(path) as draft:
+        bpy.ops.wm.save_as_mainfile(filepath=str(draft), copy=True, compress=True, check_existing=False)
 
 
 def render_preview(path: Path, camera: str, samples: int) -> None:
@@ -76,36 +72,26 @@ def render_preview(path: Path, camera: str, samples: int) -> None:
     scene.cycles.samples = samples
     settings = scene.render.image_settings
     settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGB", "8"
-    draft = path.with_name(f".tmp-{path.name}")
-    scene.render.filepath = str(draft)
-    bpy.ops.render.render(write_still=True)
-    os.replace(draft, path)
+    with atomic_path(path) as draft:
+        scene.render.filepath = str(draft)
+        bpy.ops.render.render(write_still=True)
 
 
 def run(args: argparse.Namespace) -> None:
+    """Check everything that can be wrong, then build, save and render. Raises FileFormatError that names the remedy."""
     outputs = [path for path in (args.blend, args.preview) if path is not None]
-    existing = [path for path in outputs if path.exists()]
-    if existing and not args.overwrite:
-        raise FileFormatError(f"{existing[0]}: exists already; delete it or pass --overwrite")
+    _check_outputs(outputs, args.overwrite)
     cloud = gaussians_file.load(args.result)
     spec = read_spec(args.dataset)
-    if not 0 <= args.frame < spec.clip.frames:
-        raise FileFormatError(
-            f"--frame {args.frame}: the dataset {args.dataset} has frames 0 to {spec.clip.frames - 1}"
-        )
-    if args.camera not in spec.cameras.names:
-        raise FileFormatError(f"--camera {args.camera}: the dataset {args.dataset} has {', '.join(spec.cameras.names)}")
+    _check_view(args, spec)
     for path in outputs:
         path.parent.mkdir(parents=True, exist_ok=True)
-
-    from .generate import Reporter
-
     progress = Reporter("import", args.blend.with_suffix(".log"))
     total = 1 + len(outputs)
     import bpy
 
     thing = import_into_scene(cloud, spec, args.mode)
-    bpy.context.scene.frame_set(spec.blender_frame(args.frame))
+    bpy.context.scene.frame_set(spec.timeline.blender_frame(args.frame))
     progress(1, total)
     save_blend(args.blend)
     progress(2, total)
@@ -115,8 +101,22 @@ def run(args: argparse.Namespace) -> None:
     print(f"{thing.name}: {len(cloud)} Gaussians, {args.mode}")
 
 
+def _check_outputs(outputs: list[Path], overwrite: bool) -> None:
+    existing = [path for path in outputs if path.exists()]
+    if existing and not overwrite:
+        raise FileFormatError(f"{existing[0]}: exists already; delete it or pass --overwrite")
+
+
+def _check_view(args: argparse.Namespace, spec: SceneSpec) -> None:
+    last, names = spec.clip.frames - 1, spec.cameras.names
+    if not 0 <= args.frame <= last:
+        raise FileFormatError(f"--frame {args.frame}: the dataset {args.dataset} has frames 0 to {last}")
+    if args.camera not in names:
+        raise FileFormatError(f"--camera {args.camera}: the dataset {args.dataset} has {', '.join(names)}")
+
+
 def main(argv: list[str] | None = None) -> int:
-    """Run the import; returns the exit status. A bpy-wheel process must then end through ``mantaflow.leave``."""
+    """Run the import; returns the exit status. The process must then end through ``reporter.leave``."""
     parser = argparse.ArgumentParser(
         prog="python -m gof_blender.worker.import_result", description=__doc__.split("\n")[0]
     )
@@ -145,9 +145,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    status = main()
-    if "bpy" in sys.modules:
-        from ..scene.mantaflow import leave
-
-        leave(status)
-    sys.exit(status)
+    leave(main())

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from gof_blender.pure.spec import Clip, Domain, Render, SceneSpec
+from gof_blender.pure.clip import Clip
+from gof_blender.pure.spec import Domain, Render, SceneSpec
 
 TOY = SceneSpec(
     "toy",

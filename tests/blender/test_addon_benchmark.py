@@ -9,15 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.costs import StageLog
+import gof.costs
 from gof.dataset import Dataset
+from gof.io.records import read_record
 from gof_benchmark.commands import generate
-from gof_blender.pure import cost_model as costs
-from gof_blender.pure import report
+from gof_blender.pure import cost_model, report
 from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.costs import Costs, StageCost
 from gof_blender.pure.dataset_process import Job, JobError, expected_s, stages
+from gof_blender.pure.effects import video_compression
 from gof_blender.pure.layout import Layout
-from gof_blender.scene.effects import video_compression
 from tests.blender.runs import TOY
 from tests.blender.test_addon_fire import in_addon
 
@@ -53,11 +54,10 @@ def made(tmp_path_factory) -> Layout:
 
 def test_dataset_of_the_users_scene(made):
     dataset = Dataset.open(made.root)
-    assert (dataset.meta["name"], dataset.meta["effects"]) == ("cube fire", ["vorticity", "wind"])
-    assert dataset.meta["spec"]["blend_file"] == {"path": "background.blend", "empty": "Fire"}, (
-        "the folder can be moved"
-    )
-    assert dataset.meta["display"]["view_transform"] == "AgX", "as the user's scene"
+    assert (dataset.description.name, dataset.description.effects) == ("cube fire", ("vorticity", "wind"))
+    spec = dataset.description.spec
+    assert spec["blend_file"] == {"path": "background.blend", "empty": "Fire"}, "the folder can be moved"
+    assert spec["display"]["view_transform"] == "AgX", "as the user's scene"
     assert (
         dataset.velocity.at(0.0).velocity.shape == (12, 12, 24, 3)
         and dataset.velocity.at(0.02).velocity[..., 2].max() > 0.3
@@ -66,9 +66,11 @@ def test_dataset_of_the_users_scene(made):
     np.testing.assert_allclose(heights, [0.9, 1.1, 0.9], atol=1e-5)
     assert dataset.static(1)[-1].mean() > 1.3 * dataset.static(1)[0].mean(), "the lit cube is below, the world above"
     assert dataset.mask(1, 3).sum() > 3
-    log = {cost.name: cost for cost in StageLog(made.costs).stages()}
+    costs = read_record(gof.costs.Costs, made.costs)
+    log = {cost.name: cost for cost in costs.stages}
     assert list(log) == ["bake", "render", "ground-truth", "finish"] == stages(scene_spec.load(made.spec))
     assert all(cost.seconds > 0 and 100 < cost.peak_mb < 2000 for cost in log.values())
+    assert costs.wall_s > sum(cost.seconds for cost in costs.stages), "by the clock: one process after another"
     page = made.report.read_text()
     assert page.count("<img") == 3 * 5 and "cube fire" in page
     sources = [part.split('"')[0] for part in page.split('src="')[1:]]
@@ -81,8 +83,8 @@ def test_it_is_what_gof_generate_makes_of_the_spec(made, tmp_path):
         shutil.copy(made.root / name, tmp_path)
     assert generate.main([str(tmp_path / "spec.json"), "--out", str(tmp_path / "again")]) == 0
     ours, theirs = Dataset.open(made.root), Dataset.open(tmp_path / "again")
-    for key in ("time_s", "splits", "domain", "display", "effects", "ground_truth", "provenance", "cameras"):
-        assert ours.meta[key] == theirs.meta[key], key
+    for name in ("time_s", "splits", "effects", "provenance", "cameras", "velocity"):
+        assert getattr(ours.description, name) == getattr(theirs.description, name), name
     for frame, time_s in enumerate(ours.times_s):
         np.testing.assert_array_equal(ours.velocity.at(time_s).velocity, theirs.velocity.at(time_s).velocity)
         for camera in range(3):
@@ -91,7 +93,7 @@ def test_it_is_what_gof_generate_makes_of_the_spec(made, tmp_path):
 
 def test_a_stopped_job_goes_on(tmp_path):
     layout = Layout(tmp_path / "stopped")
-    scene_spec.claim(layout, TOY)
+    layout.claim(TOY)
     job, fractions = Job(TOY, layout, PYTHON), [0.0]
     while not (job.stage == "render" and len(list(layout.root.glob("cameras/*/exr/0*.exr"))) >= 4):
         assert job.poll()
@@ -107,7 +109,7 @@ def test_a_stopped_job_goes_on(tmp_path):
     assert all(path.stat().st_mtime_ns == then for path, then in before.items()), (
         "finished pictures were not made again"
     )
-    assert Dataset.open(layout.root).meta["spec"] == TOY.to_dict()
+    assert Dataset.open(layout.root).description.spec == TOY.to_dict()
     assert "stopped in render" in layout.job_log.read_text() and layout.job_log.read_text().count("bake ...") == 1
 
 
@@ -118,7 +120,7 @@ def test_a_job_ends_with_the_process_that_started_it(tmp_path):
 
     spec = replace(TOY, domain=replace(TOY.domain, resolution=96))
     layout = Layout(tmp_path / "orphan")
-    scene_spec.claim(layout, spec)
+    layout.claim(spec)
     script = f"""
 import time
 from pathlib import Path
@@ -151,7 +153,7 @@ while job.poll():
 def test_failed_stage_says_why(tmp_path):
     spec = replace(TOY, background="blend_file", blend_file=scene_spec.BlendFile(str(tmp_path / "gone.blend")))
     layout = Layout(tmp_path / "failing")
-    scene_spec.claim(layout, spec)
+    layout.claim(spec)
     with pytest.raises(JobError, match=r"bake failed with status 2:\n.*there is no file .*gone\.blend"):
         Job(spec, layout, PYTHON).run()
     assert "there is no file" in layout.job_log.read_text()
@@ -178,8 +180,8 @@ def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
         settings.spec_file = folder + "/broken.json"
         result["broken"] = press()
         settings.spec_file, settings.preset = folder + "/huge.json", "paper"
-        from gof_blender.pure import cost_model as costs
-        costs.memory_mb = lambda: 8000.0
+        from gof_blender.pure import cost_model
+        cost_model.memory_mb = lambda: 8000.0
         result["huge"] = press()
         result["log"] = message(lambda: bpy.ops.gof.open_benchmark(what="log"))
         result["made"] = sorted(path.name for path in __import__("pathlib").Path(folder).iterdir())
@@ -200,27 +202,40 @@ def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
 def test_expected_times_and_stages():
     coded = replace(TOY, effects=(video_compression.Settings(),), ground_truth=("flow",))
     assert stages(coded) == ["bake", "render", "video", "ground-truth", "flow", "finish"]
-    prediction = costs.predict(coded, costs.REFERENCE)
+    prediction = cost_model.predict(coded, cost_model.REFERENCE)
     times = expected_s(coded, prediction)
     assert list(times) == stages(coded) and all(seconds > 0 for seconds in times.values())
     assert sum(times.values()) >= prediction.total_s
 
 
-def test_costs_add_up(tmp_path):
+def test_costs_add_up_and_the_library_reads_them(tmp_path):
     path = tmp_path / "costs.json"
-    for seconds, peak in ((2.0, 300.0), (1.0, 200.0)):
-        costs.record(path, "bake", seconds, peak, {"steps": 5})
-    costs.record(path, "render", 4.0, 100.0, {})
-    assert [(s.name, s.seconds, s.peak_mb) for s in StageLog(path).stages()] == [
-        ("bake", 3.0, 300.0),
-        ("render", 4.0, 100.0),
+    for seconds, peak, clock_s in ((2.0, 300.0, 2.5), (1.0, 200.0, 1.25)):
+        Costs.read(path).adding(StageCost("bake", seconds, peak, {"steps": 5}), clock_s).write(path)
+    Costs.read(path).adding(StageCost("render", 4.0, 100.0), 4.5).write(path)
+    read = read_record(gof.costs.Costs, path)
+    assert [(s.name, s.seconds, s.peak_mb, s.settings) for s in read.stages] == [
+        ("bake", 3.0, 300.0, {"steps": 5, "wall_s": 3.0}),
+        ("render", 4.0, 100.0, {"wall_s": 4.0}),
     ]
-    assert json.loads(path.read_text())["wall_s"] == 7.0
+    assert read.wall_s == 8.25, "by the clock, what lies between the stages too"
+
+
+def test_costs_of_the_library_go_on_here(tmp_path):
+    path = tmp_path / "costs.json"
+    gof.costs.StageLog(path).record("bake", 3.0, 300.0, {"steps": 5, "wall_s": 2.0})
+    before = read_record(gof.costs.Costs, path).wall_s
+    Costs.read(path).adding(StageCost("bake", 1.0, 100.0, {"steps": 5}), 1.5).write(path)
+    (stage,) = read_record(gof.costs.Costs, path).stages
+    assert (stage.seconds, stage.peak_mb, stage.settings["wall_s"]) == (4.0, 300.0, 3.0)
+    assert read_record(gof.costs.Costs, path).wall_s == pytest.approx(before + 1.5, abs=1e-3)
 
 
 def test_report_escapes_names(tmp_path, made):
     layout = Layout(tmp_path)
     data = json.loads(made.description.read_text()) | {"name": "<script>"}
     layout.description.write_text(json.dumps(data))
+    layout.velocity.mkdir()
+    shutil.copy(made.velocity / "zarr.json", layout.velocity)
     report.write(layout)
     assert "<script>" not in layout.report.read_text() and "&lt;script&gt;" in layout.report.read_text()

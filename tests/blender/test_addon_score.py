@@ -1,5 +1,6 @@
 """The panel Score in real Blender: DVE by `gof evaluate` in another Python, truth at the centres, views of the error."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -7,10 +8,12 @@ import numpy as np
 import pytest
 
 from gof.dataset import Dataset
-from gof.evaluate.dve import dve_sequence
+from gof.evaluate import scores as gof_scores
+from gof.evaluate.sequence import dve_sequence
 from gof.gaussians import TransientGaussians
 from gof_blender.pure.io.velocity_store import VelocityWriter
 from gof_blender.pure.score_process import Evaluation, EvaluationError
+from gof_blender.pure.scores import Scores
 from tests.blender.runs import in_blender
 from tests.conftest import arc, random_gaussians, write_dataset
 
@@ -81,12 +84,28 @@ result["kept"] = bpy.context.scene.gof.score.numbers.splitlines() == result["num
     )
     assert found["answer"] == ["FINISHED"] and not found["poll before"] and found["kept"]
     dataset = Dataset.open(folder / "dataset")
-    wanted = dve_sequence(
-        TransientGaussians.load(folder / "result.npz"), dataset.velocity, dataset.velocity.times_s, 3, "temporal"
-    ).to_dict()
-    assert (
-        f"DVE L2: {wanted['l2']:.3f}" in found["numbers"] and f"DVE CosSim: {wanted['cos_sim']:.3f}" in found["numbers"]
-    )
+    gaussians = TransientGaussians.load(folder / "result.npz")
+    wanted = dve_sequence(gaussians, dataset.velocity, dataset.velocity.times_s, 3, "temporal").pooled
+    assert {f"DVE L2: {wanted.l2:.3f}", f"DVE CosSim: {wanted.cos_sim:.3f}"} <= set(found["numbers"])
+
+
+def test_weight_outside_is_a_percentage_of_the_weight(folder, tmp_path):
+    """Nothing but two Gaussians of the same size and light at the same time: one in the domain, one far from it."""
+    gaussians = random_gaussians(2)
+    gaussians.position[:] = [[0.0, 0.0, 1.0], [50.0, 50.0, 50.0]]
+    for values in (gaussians.velocity, gaussians.t_mu, gaussians.t_sigma, gaussians.scale, gaussians.opacity):
+        values[:] = values[0]
+    gaussians.t_mu[:] = 0.015
+    gaussians.dynamic[:] = True
+    gaussians.save(tmp_path / "result.npz")
+    out = tmp_path / "scores.json"
+    evaluate = [sys.executable, "-m", "gof", "evaluate", tmp_path / "result.npz", "--truth", folder / "dataset"]
+    subprocess.run([*map(str, evaluate), "--no-images", "--json", str(out)], check=True, capture_output=True)
+    rows = dict(Scores.read(out).rows())
+    assert rows["Weight outside"] == "50 %"
+    read = gof_scores.Scores.read(out)
+    assert rows["DVE L2"] == f"{read.dve.l2:.3f}" and rows["Frames"] == str(read.dve.frames_scored)
+    assert rows["L2 of no motion"] == f"{read.controls['zero'].l2:.3f}"
 
 
 def test_errors_at_the_centres_and_their_views(folder):

@@ -17,9 +17,9 @@ from gof.errors import GofError
 from gof_benchmark.commands import generate
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.effects import smoke, vorticity, wind
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
-from gof_blender.scene.effects import smoke, vorticity, wind
 from tests.blender.runs import TOY, channels, in_blender
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
@@ -81,15 +81,15 @@ def image_times(layout: Layout) -> dict[str, int]:
 
 def test_dataset_opens(toy):
     dataset = Dataset.open(toy.root)
-    assert dataset.meta["effects"] == []
-    assert SceneSpec.from_dict(dataset.meta["spec"]) == TOY
+    assert dataset.description.effects == ()
+    assert SceneSpec.from_dict(dataset.description.spec) == TOY
     np.testing.assert_allclose(dataset.times_s, np.arange(5) / 60.0, rtol=0, atol=1e-15)
     assert (dataset.train_frames, dataset.test_frames) == ([0, 1, 2, 3], [4])
     assert [(camera.width, camera.height) for camera in dataset.cameras] == [(43, 76)] * 3
-    assert {(camera["roll_deg"], camera["readout"]) for camera in dataset.meta["cameras"]} == {(90, "left")}
+    assert {(camera.roll_deg, camera.readout) for camera in dataset.description.cameras} == {(90, "left")}
     assert dataset.image(2, 4).shape == dataset.static(2).shape == (76, 43, 3)
     field = dataset.velocity.at(dataset.times_s[2])
-    assert field.velocity.shape == (10, 10, 20, 3) == (*tuple(dataset.meta["domain"]["resolution"]), 3)
+    assert field.velocity.shape == (10, 10, 20, 3)
     np.testing.assert_allclose(field.index_to_world @ [0, 0, 0, 1], [*TOY.domain.min, 1], atol=1e-6)
     np.testing.assert_allclose(field.index_to_world @ [10, 10, 20, 1], [*TOY.domain.max, 1], atol=1e-5)
     above = np.array([np.add(TOY.fire.position, (0, 0, 0.3))])
@@ -137,7 +137,7 @@ def test_plate_plus_fire_is_the_full_render(toy):
         mantaflow.enable()
         bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
         scene, spec, beside = bpy.context.scene, scene_spec.load(sys.argv[2]), pathlib.Path(sys.argv[3])
-        scene.frame_set(spec.first_frame + 2)
+        scene.frame_set(spec.timeline.first_frame + 2)
         scene.cycles.samples, camera, domain = 64, rig.find(spec)[1], render.find_domain()
         def shot():
             return render._beauty(render._render(camera, beside))[..., :3]
@@ -189,7 +189,7 @@ def test_cameras_agree_with_blender(tmp_path, roll):
         result["points"], result["cameras"] = points.tolist(), []
         for camera in rig.find(spec):
             seen = [list(world_to_camera_view(scene, camera, Vector(point))) for point in points.tolist()]
-            result["cameras"].append(rig.describe(camera, spec) | {"seen": seen})
+            result["cameras"].append(vars(rig.describe(camera, spec, {})) | {"seen": seen})
     """,
         tmp_path / "spec.json",
     )

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from gof.gaussians import TransientGaussians
+from gof_blender.pure.description import DatasetDescription, held_out
 from gof_blender.pure.spec import SceneSpec
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,8 +63,9 @@ def spec() -> SceneSpec:
 def folder(tmp_path_factory, spec) -> Path:
     folder = tmp_path_factory.mktemp("import")
     (folder / "dataset").mkdir()
-    description = {"schema": "gof-dataset", "version": 1, "spec": spec.to_dict()}
-    (folder / "dataset" / "dataset.json").write_text(json.dumps(description))
+    times = tuple(frame / spec.clip.fps for frame in range(spec.clip.frames))
+    description = DatasetDescription(spec.name, times, (), held_out(spec.clip.frames), spec=spec.to_dict())
+    description.write(folder / "dataset")
     rng, n = np.random.default_rng(0), 400
     TransientGaussians(
         position=rng.uniform([-0.1, -0.1, 0.3], [0.1, 0.1, 0.9], (n, 3)),
@@ -104,7 +106,7 @@ def test_saved_scene_opens_with_the_cloud_and_no_fire(done, folder, spec):
     looked = run("-c", LOOK, folder / "out" / "scene.blend", folder / "seen.json")
     assert looked.returncode == 0, looked.stderr
     seen = json.loads((folder / "seen.json").read_text())
-    assert seen["frame"] == spec.first_frame + FRAME
+    assert seen["frame"] == spec.timeline.first_frame + FRAME
     assert seen["fps"] == pytest.approx(spec.clip.fps)
     assert set(spec.cameras.names) < set(seen["objects"])
     assert not [name for name in seen["objects"] if name.startswith("Fire")]
@@ -135,15 +137,16 @@ def test_errors(folder, changes, message):
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    "changes, message",
     [
         ("{", "not readable as JSON"),
-        ("{}", "not a 'gof-dataset'"),
-        ('{"schema": "gof-dataset"}', "no scene spec"),
-        ('{"schema": "gof-dataset", "spec": {}}', "gof-scene"),
+        ({"schema": "gof-capture"}, "not schema 'gof-dataset' version 1; choose the folder of a finished dataset"),
+        ({"spec": None}, "no scene spec"),
+        ({"spec": {}}, "gof-scene"),
     ],
 )
-def test_foreign_dataset(folder, tmp_path, text, message):
-    (tmp_path / "dataset.json").write_text(text)
+def test_foreign_dataset(folder, tmp_path, changes, message):
+    description = json.loads((folder / "dataset" / "dataset.json").read_text()) | changes
+    (tmp_path / "dataset.json").write_text(json.dumps(description))
     result = run_import(folder, dataset=tmp_path, blend=tmp_path / "scene.blend", preview=tmp_path / "preview.png")
     assert result.returncode == 2 and message in result.stderr

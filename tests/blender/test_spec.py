@@ -1,18 +1,24 @@
 """The scene spec: JSON round trip, presets, and errors that name the field."""
 
+import ast
 import copy
 import json
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from gof_benchmark.scenes import FOLDER as SCENES
+from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.spec import Clip, Domain, Fire, Render, Rig, SceneSpec, SpecError
-from gof_blender.scene import effects
-from gof_blender.scene.effects import motion_blur, rolling_shutter, smoke, vorticity, wind
+from gof_blender.pure.checked_json import SpecError
+from gof_blender.pure.clip import Clip
+from gof_blender.pure.effects import motion_blur, rolling_shutter, smoke, vorticity, wind
+from gof_blender.pure.spec import Domain, Fire, Render, Rig, SceneSpec
+
+SCENE_EFFECTS = Path(__file__).parents[2] / "blender_addon" / "scene" / "effects"
 
 
 def example() -> SceneSpec:
@@ -22,7 +28,7 @@ def example() -> SceneSpec:
         clip=Clip(9, 50.0, 5, 0.5),
         domain=Domain((-1, -1, 0), (2, 2, 3), 30),
         fire=Fire("wood", "sphere", (0, 0, 0.5), 0.2),
-        cameras=Rig(2, 40.0, focal_mm=35.0, roll_deg=-90),
+        cameras=Rig(2, arc_deg=40.0, focal_mm=35.0, roll_deg=-90),
         render=Render(10, samples=3),
         background="studio",
         effects=(wind.Settings(strength=0.7), smoke.Settings(), vorticity.Settings(gas=0.1)),
@@ -43,8 +49,9 @@ def test_left_out_fields_take_their_defaults():
 
 def test_frames_of_the_clip():
     spec = SceneSpec("x", clip=Clip(frames=10, fps=50.0, warm_up_frames=4, time_scale=0.5))
-    assert (spec.first_frame, spec.last_frame, spec.solver_step_s) == (5, 14, 0.01)
-    finer = replace(spec, clip=replace(spec.clip, steps_per_frame=3))
+    timeline = spec.timeline
+    assert (timeline.first_frame, timeline.last_frame, timeline.solver_step_s) == (5, 14, 0.01)
+    finer = replace(spec, clip=replace(spec.clip, steps_per_frame=3)).timeline
     assert (finer.first_frame, finer.last_frame, finer.steps_per_second) == (13, 40, 150.0)
     assert finer.solver_step_s == pytest.approx(0.01 / 3)
 
@@ -52,11 +59,12 @@ def test_frames_of_the_clip():
 def test_effects_ask_for_steps_between_frames_and_for_what_the_shutter_sees():
     clip = Clip(frames=3, fps=100.0, warm_up_frames=2)
     blurred = SceneSpec("x", clip=clip, effects=(motion_blur.Settings(shutter=1.0, steps=4),))
-    assert (blurred.steps_per_frame, blurred.first_frame, blurred.last_frame) == (4, 9, 17 + 2)
+    timeline = blurred.timeline
+    assert (timeline.steps_per_frame, timeline.first_frame, timeline.last_frame) == (4, 9, 17 + 2)
     both = replace(
         blurred, effects=(motion_blur.Settings(shutter=1.0, steps=4), rolling_shutter.Settings(0.01, steps=6))
     )
-    assert both.steps_per_frame == 12 and both.last_frame == 1 + 12 * 4 + 6 + 12
+    assert (both.timeline.steps_per_frame, both.timeline.last_frame) == (12, 1 + 12 * 4 + 6 + 12)
     with pytest.raises(SpecError, match="long enough for the shutter to open before frame 0"):
         replace(blurred, clip=replace(clip, warm_up_frames=0))
 
@@ -124,15 +132,24 @@ def test_presets_change_cost_not_content():
         spec.with_preset("huge")
 
 
-def test_every_effect_module_keeps_the_contract():
+PURE_HOOKS = {"ABSORBS_LIGHT", "steps_per_frame", "timing", "expose", "SHOWS_BOARD", "ENCODES"}
+SCENE_HOOKS = {"apply", "overlay", "board_mask"}
+
+
+def test_every_effect_keeps_the_contract():
+    """Every effect changes something, and the half in the scene belongs to an effect."""
     assert effects.names()
+    scene = {path.stem: _defined(path) for path in SCENE_EFFECTS.glob("[!_]*.py")}
+    assert set(scene) <= set(effects.names()) and all(hooks & SCENE_HOOKS for hooks in scene.values())
     for name in effects.names():
         module = effects.module(name)
         assert effects.name_of(module.Settings()) == name
-        hooks = {"apply", "ABSORBS_LIGHT", "steps_per_frame", "timing", "overlay", "expose", "ENCODES"} & set(
-            vars(module)
-        )
-        assert hooks, "an effect changes something"
+        assert PURE_HOOKS & set(vars(module)) or name in scene, "an effect changes something"
+        assert bool(getattr(module, "SHOWS_BOARD", False)) == ("board_mask" in scene.get(name, set()))
+
+
+def _defined(path: Path) -> set[str]:
+    return {node.name for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef)}
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*/spec.json")), ids=lambda path: path.parent.name)

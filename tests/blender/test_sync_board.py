@@ -17,12 +17,11 @@ from gof.capture.template import BoardTemplate
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr
 from gof_benchmark.commands import generate
-from gof_blender.pure import led_board
+from gof_blender.pure import effects, led_board
 from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.effects import clock, rolling_shutter, sensor_noise, sync_board
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
-from gof_blender.scene import effects
-from gof_blender.scene.effects import clock, rolling_shutter, sensor_noise, sync_board
 from tests.blender.runs import TOY, channels
 from tests.conftest import look_at
 
@@ -98,14 +97,19 @@ def test_board_stands_where_it_was_put():
 
 def test_settings_are_checked_and_travel():
     spec = replace(TOY, effects=(sync_board.Settings(tick_us=410),))
-    assert SceneSpec.from_dict(spec.to_dict()) == spec and spec.steps_per_frame == 1
+    assert SceneSpec.from_dict(spec.to_dict()) == spec and spec.timeline.steps_per_frame == 1
     with pytest.raises(scene_spec.SpecError, match=r"effects\.sync_board\.tick_us must be between 50 and 100000"):
         sync_board.Settings(tick_us=20)
 
 
 def test_not_listed_changes_nothing():
     light = np.full((4, 5, 3), 0.3)
-    assert effects.expose(light, TOY, 0, 0) is light and not effects.shows_board(TOY)
+    assert effects.expose(light, TOY.effects, TOY.timeline.picture(0, 0)) is light
+    assert not any(map(effects.shows_board, TOY.effects))
+    pytest.importorskip("bpy", reason="what is drawn over pictures needs the scene")
+    from gof_blender.scene.effects import overlay
+
+    assert overlay(light, TOY, 0, 0) is light
 
 
 def run(spec, folder: Path) -> Layout:
@@ -131,19 +135,16 @@ def test_times_read_from_the_pictures_are_the_true_ones(pair):
     meta = json.loads(layout.description.read_text())
     videos = [layout.frame(camera["name"], 0).rgb.parent for camera in meta["cameras"]]
     for folder, camera in zip(videos, meta["cameras"], strict=True):
-        (read,) = synchronise([folder], BoardTemplate.load("gof_board"), [DecodeOptions()])["cameras"]
-        assert "error" not in read, read
+        (synced,) = synchronise([folder], BoardTemplate.load("gof_board"), [DecodeOptions()]).cameras
+        read = synced.times
+        assert read is not None, synced.error
         # As portrait pictures are stored, the sensor's rows are columns; the picture's centre lies between two of them.
         centre = camera["row_time_s"] * (camera["width"] - 1) / 2
-        error = [frame["time_s"] for frame in read["frames"]] - np.array(camera["time_s"]) - centre - START_S
-        print(
-            camera["name"],
-            f"rms {1e6 * np.sqrt(np.mean(error**2)):.2f} us",
-            {k: v for k, v in read.items() if k != "frames"},
-        )
+        error = [frame.time_s for frame in read.frames] - np.array(camera["time_s"]) - centre - START_S
+        print(camera["name"], f"rms {1e6 * np.sqrt(np.mean(error**2)):.2f} us, row time {read.row_time_us:.4f} us")
         assert 1e6 * np.sqrt(np.mean(error**2)) < 5
-        assert read["readout"] == camera["readout"] == "left" and not read["faults"]
-        assert read["row_time_us"] == pytest.approx(1e6 * camera["row_time_s"], abs=0.05)
+        assert read.readout == camera["readout"] == "left" and not read.faults
+        assert read.row_time_us == pytest.approx(1e6 * camera["row_time_s"], abs=0.05)
     offsets = [camera["time_s"][0] for camera in meta["cameras"]]
     assert abs(np.diff(offsets)) > 1e-4, "the clocks differ"
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gof.fields import VelocityField, VelocitySequence
+from gof_blender.pure.description import DatasetDescription, held_out
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io.velocity_reader import TrueVelocity, of_dataset
 from gof_blender.pure.io.velocity_store import VelocityWriter
@@ -94,7 +95,7 @@ def test_damaged_chunk_and_other_folders(tmp_path):
         TrueVelocity(tmp_path)
     with pytest.raises(FileFormatError, match="finished dataset"):
         of_dataset(tmp_path)
-    (tmp_path / "dataset.json").write_text('{"velocity": null}')
+    DatasetDescription("capture", (0.0,), (), held_out(1)).write(tmp_path)
     with pytest.raises(FileFormatError, match="no true velocity"):
         of_dataset(tmp_path)
     VelocitySequence.create(tmp_path / "other.zarr", [VelocityField.from_array(np.ones((3, 3, 3, 3)), (0, 0, 0), 1.0)])

@@ -1,4 +1,4 @@
-"""FTGS-PLY version 1 (FreeTimeGS): a splat PLY with time, log_duration and velocity_*, time from 0 to 1 over the clip."""
+"""FTGS-PLY version 1 (FreeTimeGS): a splat PLY with time, log_duration and velocity_*; its clip is time 0 to 1."""
 
 from __future__ import annotations
 

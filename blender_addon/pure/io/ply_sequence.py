@@ -54,7 +54,7 @@ def read(paths: list[Path], fps: float, step: int = 1) -> GaussianCloud:
 
 
 def numbered(paths: list[Path]) -> list[Path]:
-    """PLYs in the order of the last number in their names. Raises: FileFormatError where one has none, or not its own."""
+    """PLYs in the order of the last number in their names. Raises: FileFormatError: one has none, or another's."""
     numbers = [frame_number(path) for path in paths]
     if len(set(numbers)) < len(numbers):
         raise FileFormatError(f"{paths[0].parent}: several files have the same number; keep one sequence per folder")

@@ -1,16 +1,17 @@
 """OpenVDB files of one frame: velocity, flame, heat and density at their place in the world.
 
-OpenVDB puts the value of index (i, j, k) at the transform of (i, j, k); ours sits at the cell's centre, index + 0.5. The
-half cell goes into the transform, so that Blender and Houdini show the grids where they are. Needs the ``openvdb``
+OpenVDB puts the value of index (i, j, k) at the transform of (i, j, k); ours sits at the cell's centre, index + 0.5.
+The half cell goes into the transform, so that Blender and Houdini show the grids where they are. Needs the ``openvdb``
 module that Blender ships, never bpy.
 """
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
+
+from .files import atomic_path
 
 
 def write(path: Path, grids: dict[str, np.ndarray], index_to_world: np.ndarray) -> None:
@@ -38,7 +39,5 @@ def write(path: Path, grids: dict[str, np.ndarray], index_to_world: np.ndarray) 
         grid.gridClass = openvdb.GridClass.FOG_VOLUME if values.ndim == 3 else openvdb.GridClass.UNKNOWN
         grid.transform = openvdb.createLinearTransform(centre_to_world.T.tolist())  # OpenVDB multiplies row vectors
         stored.append(grid)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".tmp-{path.name}")
-    openvdb.write(str(draft), stored)
-    os.replace(draft, path)
+    with atomic_path(path) as draft:
+        openvdb.write(str(draft), stored)

@@ -1,4 +1,7 @@
-"""Reader of a dataset's true velocity (`velocity.zarr`), with numpy, json and gzip only; see `velocity_store` for the layout."""
+"""Reader of a dataset's true velocity (`velocity.zarr`), with numpy, json and gzip only.
+
+`velocity_store` states the layout.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..description import DatasetDescription
 from . import FileFormatError
 
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side that are believed
@@ -17,15 +21,9 @@ CODECS = ({"bytes"}, {"bytes", "gzip"})
 
 def of_dataset(dataset: Path) -> TrueVelocity:
     """The true velocity of a dataset folder. Raises: FileFormatError where there is none, or no dataset."""
-    file = dataset / "dataset.json"
-    try:
-        name = json.loads(file.read_text(encoding="utf-8")).get("velocity")
-    except FileNotFoundError:
-        raise FileFormatError(f"{file}: no such file; choose the folder of a finished dataset") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, AttributeError) as error:
-        raise FileFormatError(f"{file}: not readable as JSON ({error}); generate the dataset again") from None
+    name = DatasetDescription.read(dataset).velocity
     if not name:
-        raise FileFormatError(f"{file}: the dataset has no true velocity (a real capture?); choose a generated one")
+        raise FileFormatError(f"{dataset}: the dataset has no true velocity (a real capture?); choose a generated one")
     return TrueVelocity(dataset / name)
 
 
@@ -63,7 +61,8 @@ class TrueVelocity:
             raise FileFormatError(f"{path}/zarr.json: not a velocity store ({type(error).__name__}: {error})") from None
         if attributes.get("schema") != "gof-velocity" or attributes.get("units") != "m/s":
             raise FileFormatError(
-                f"{path}: schema '{attributes.get('schema')}' in {attributes.get('units')}; expected 'gof-velocity' in m/s"
+                f"{path}: schema '{attributes.get('schema')}' in {attributes.get('units')}; "
+                "expected 'gof-velocity' in m/s"
             )
         if codecs not in CODECS or len(self._shape) != 5 or self.time_s.shape != self._shape[:1]:
             raise FileFormatError(
@@ -75,8 +74,8 @@ class TrueVelocity:
     def sample(self, points: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Velocity (N, 3) float32 at world points (N, 3) and times (N,), and whether the points lie in the domain (N,).
 
-        Linear in time between stored frames (the first or last one's outside of them), tri-linear between cell centres; in
-        the outer half cell the nearest centre's; 0 outside the domain.
+        Linear in time between stored frames (the first or last one's outside of them), tri-linear between cell
+        centres; in the outer half cell the nearest centre's; 0 outside the domain.
         """
         index = np.asarray(points, float) @ self._to_index[:3, :3].T + self._to_index[:3, 3]
         inside = ((index >= 0) & (index <= self._shape[1:4])).all(1)

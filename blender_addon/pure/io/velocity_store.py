@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from . import FileFormatError
+from .files import write_bytes, write_json
 
 CHUNK = 64  # cells per chunk side: 1.5 MB of float16, small enough to read a flame out of a large domain
 GZIP_LEVEL = 5
@@ -74,7 +75,7 @@ class VelocityWriter:
         self.finished = self._same_array(self.path)
         if not self.finished and not self._same_array(self._partial):
             self._markers.mkdir(parents=True, exist_ok=True)
-            _write_atomically(self._partial / "zarr.json", json.dumps(self._description, indent=1).encode())
+            write_json(self._partial / "zarr.json", self._description)
 
     def has_frame(self, frame: int) -> bool:
         """Whether frame index `frame` of the T is already on disk."""
@@ -104,8 +105,8 @@ class VelocityWriter:
                 full = np.zeros((CHUNK, CHUNK, CHUNK, *self._components), self.dtype)
                 full[tuple(slice(0, n) for n in stored.shape[:3])] = stored
                 name = self._partial.joinpath("c", str(frame), *map(str, index), *("0" for _ in self._components))
-                _write_atomically(name, gzip.compress(full.tobytes(), GZIP_LEVEL, mtime=0))
-        _write_atomically(self._marker(frame), json.dumps({"max_abs_error": largest_error}).encode())
+                write_bytes(name, gzip.compress(full.tobytes(), GZIP_LEVEL, mtime=0))
+        write_json(self._marker(frame), {"max_abs_error": largest_error})
 
     def finish(self) -> dict:
         """Complete the attributes and move the array to its final name. Returns the attributes.
@@ -120,7 +121,7 @@ class VelocityWriter:
                 raise ValueError(f"{self._partial}: frames {missing[:5]} are not written; write them before finish()")
             errors = [json.loads(self._marker(f).read_bytes())["max_abs_error"] for f in frames]
             self._description["attributes"]["storage_max_abs_error"] = max(errors)
-            _write_atomically(self._partial / "zarr.json", json.dumps(self._description, indent=1).encode())
+            write_json(self._partial / "zarr.json", self._description)
             # Rename first: a kill between the two lines leaves a complete array with a harmless extra folder.
             os.replace(self._partial, self.path)
             shutil.rmtree(self.path / "finished_frames")
@@ -222,10 +223,3 @@ def _read_description(folder: Path) -> dict:
     if not isinstance(description, dict):
         raise FileFormatError(f"{file}: not a zarr v3 description; delete {folder} and export again")
     return description
-
-
-def _write_atomically(file: Path, data: bytes) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_name(file.name + ".tmp")
-    unfinished.write_bytes(data)
-    os.replace(unfinished, file)

@@ -1,30 +1,13 @@
-"""Fine noise: Mantaflow's wavelet noise adds detail to flame and smoke below the cell size of the flow.
-
-Kim et al. 2008, "Wavelet Turbulence for Fluid Simulation". The velocity stays that of the coarse grid: the added
-detail moves with it, but its own swirl is not in the ground truth.
-"""
+"""Fine noise: switched on in the domain."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from ...pure.checked_json import require
-
-
-@dataclass(frozen=True)
-class Settings:
-    scale: int = 2
-    """Cells of detail per cell of the flow, along each side."""
-    strength: float = 1.0
-    """Strength of the noise."""
-    size: float = 2.0
-    """Size of the largest swirl, in cells of the flow."""
-
-    def __post_init__(self):
-        require(2 <= self.scale <= 8, "effects.fine_noise.scale", "between 2 and 8", self.scale)
+from ...pure.effects.fine_noise import Settings
+from ...pure.spec import SceneSpec
+from ..fire_objects import FireObjects
 
 
-def apply(fire, settings: Settings, spec) -> None:
+def apply(fire: FireObjects, settings: Settings, spec: SceneSpec) -> None:
     domain = fire.domain_settings
     domain.use_noise = True
     domain.noise_scale = settings.scale

@@ -1,35 +1,14 @@
-"""Obstacles: solid bodies that the gas flows around. They stand still, and are seen in the pictures."""
+"""Obstacles: bodies in the fire's collection that the solver flows around."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
-from ...pure.checked_json import require
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    shape: Literal["sphere", "box"] = "sphere"
-    position: tuple[float, float, float] = (0.0, 0.0, 0.6)
-    """Centre, world metres."""
-    size: tuple[float, float, float] = (0.2, 0.2, 0.2)
-    """Side lengths of its bounding box, metres. Give it at least three cells: thinner things leak."""
-    colour: tuple[float, float, float] = (0.12, 0.12, 0.13)
-    """Linear RGB."""
-
-    def __post_init__(self):
-        require(min(self.size) > 0, "effects.obstacles.items.size", "positive on every side", self.size)
+from ...pure.effects.obstacles import Settings
+from ...pure.spec import SceneSpec
+from .. import material, meshes
+from ..fire_objects import FireObjects
 
 
-@dataclass(frozen=True)
-class Settings:
-    items: tuple[Obstacle, ...] = (Obstacle(),)
-
-
-def apply(fire, settings: Settings, spec) -> None:
-    from .. import material, meshes
-
+def apply(fire: FireObjects, settings: Settings, spec: SceneSpec) -> None:
     collection = fire.domain.users_collection[0]
     for index, item in enumerate(settings.items):
         paint = material.plain(f"Obstacle {index}", item.colour, 0.5)

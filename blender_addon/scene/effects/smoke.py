@@ -1,23 +1,13 @@
-"""Smoke: the flame releases soot that absorbs and scatters light."""
+"""Smoke: soot from the solver, and a shader that absorbs and scatters with its density."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-ABSORBS_LIGHT = True
-
-
-@dataclass(frozen=True)
-class Settings:
-    amount: float = 0.5
-    """Smoke released per unit of burnt wood; other fuels by their soot."""
-    density: float = 8.0
-    """Extinction per metre of smoke of density 1."""
-    albedo: float = 0.2
-    """Scattered fraction of the extinction, 0 (black soot) to 1 (white steam)."""
+from ...pure.effects.smoke import Settings
+from ...pure.spec import SceneSpec
+from ..fire_objects import FireObjects
 
 
-def apply(fire, settings: Settings, spec) -> None:
+def apply(fire: FireObjects, settings: Settings, spec: SceneSpec) -> None:
     fire.domain_settings.flame_smoke = settings.amount * spec.fuel.soot
     nodes, links = fire.material.node_tree.nodes, fire.material.node_tree.links
     density = nodes.new("ShaderNodeAttribute")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...pure.checked_json import require
-from ...pure.shutter import Timing, lines
+from ..checked_json import require
+from ..timing import Picture, Timing
 
 
 @dataclass(frozen=True)
@@ -24,5 +24,5 @@ def steps_per_frame(settings: Settings) -> int:
     return settings.steps
 
 
-def timing(settings: Settings, spec, camera: int, frame: int) -> Timing:
-    return Timing(line=settings.readout_s / lines(spec))
+def timing(settings: Settings, picture: Picture) -> Timing:
+    return Timing(line=settings.readout_s / picture.lines)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...pure.checked_json import require
+from ..checked_json import require
+from ..timing import Picture
 
 
 @dataclass(frozen=True)
@@ -24,9 +25,9 @@ class Settings:
         require(self.read_noise >= 0, "effects.sensor_noise.read_noise", "0 or more", self.read_noise)
 
 
-def expose(light: np.ndarray, settings: Settings, spec, camera: int, frame: int) -> np.ndarray:
+def expose(light: np.ndarray, settings: Settings, picture: Picture) -> np.ndarray:
     """Shot noise as a normal variable of the right variance, which holds from about 10 electrons on."""
-    rng = np.random.default_rng([spec.seed, 5, camera, frame + 1])
+    rng = np.random.default_rng([picture.seed, 5, picture.camera, picture.frame + 1])
     mean = np.clip(light, 0, None) * settings.electrons
     noise = rng.standard_normal(light.shape) * np.sqrt(mean + settings.read_noise**2)
     return np.clip((mean + noise) / settings.electrons, 0, None)

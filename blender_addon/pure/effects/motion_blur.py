@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...pure.checked_json import require
-from ...pure.shutter import Timing
+from ..checked_json import require
+from ..timing import Picture, Timing
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,6 @@ def steps_per_frame(settings: Settings) -> int:
     return settings.steps
 
 
-def timing(settings: Settings, spec, camera: int, frame: int) -> Timing:
-    open_s = settings.shutter / spec.clip.fps
+def timing(settings: Settings, picture: Picture) -> Timing:
+    open_s = settings.shutter / picture.fps
     return Timing(delay=-open_s / 2, open=open_s)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...pure.checked_json import require
+from ..checked_json import require
+from ..timing import Picture
 
 
 @dataclass(frozen=True)
@@ -20,11 +21,11 @@ class Settings:
         require(self.spread_ev >= 0, "effects.exposure.spread_ev", "0 or more", self.spread_ev)
 
 
-def stops(settings: Settings, spec, camera: int, frame: int) -> float:
+def stops(settings: Settings, picture: Picture) -> float:
     """Exposure error of a picture in stops; the plate (frame -1) counts as frame 0."""
-    own = settings.spread_ev * np.random.default_rng([spec.seed, 4, camera]).standard_normal()
-    return float(own + settings.drift_ev_per_s * max(frame, 0) / spec.clip.fps)
+    own = settings.spread_ev * np.random.default_rng([picture.seed, 4, picture.camera]).standard_normal()
+    return float(own + settings.drift_ev_per_s * max(picture.frame, 0) / picture.fps)
 
 
-def expose(light: np.ndarray, settings: Settings, spec, camera: int, frame: int) -> np.ndarray:
-    return light * 2.0 ** stops(settings, spec, camera, frame)
+def expose(light: np.ndarray, settings: Settings, picture: Picture) -> np.ndarray:
+    return light * 2.0 ** stops(settings, picture)

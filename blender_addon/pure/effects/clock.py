@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...pure.checked_json import require
-from ...pure.shutter import Timing
+from ..checked_json import require
+from ..timing import Picture, Timing
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ def steps_per_frame(settings: Settings) -> int:
     return settings.steps
 
 
-def timing(settings: Settings, spec, camera: int, frame: int) -> Timing:
-    offset = _draw(spec.seed, 2, camera)
-    jitter = _draw(spec.seed, 3, camera, frame)
+def timing(settings: Settings, picture: Picture) -> Timing:
+    offset = _draw(picture.seed, 2, picture.camera)
+    jitter = _draw(picture.seed, 3, picture.camera, picture.frame)
     return Timing(delay=settings.offset_s * offset + settings.jitter_s * jitter)
 
 

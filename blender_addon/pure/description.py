@@ -1,0 +1,102 @@
+"""dataset.json: what a finished dataset says of itself. `gof.dataset.description` is the library's own form of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from .io import FileFormatError
+from .io.records import read_record, write_record
+
+FILE = "dataset.json"
+TEST_EVERY, TEST_FIRST = 8, 4  # every 8th frame is held out (paper, "Results"), from the fifth on
+
+
+@dataclass(frozen=True)
+class Splits:
+    """Frame numbers, each in increasing order: what a method may learn from, and what it is scored on."""
+
+    train: tuple[int, ...]
+    test: tuple[int, ...]
+
+
+def held_out(count: int) -> Splits:
+    """The splits of a clip of `count` frames by the paper's rule."""
+    test = tuple(range(TEST_FIRST, count, TEST_EVERY))
+    return Splits(tuple(frame for frame in range(count) if frame not in test), test)
+
+
+@dataclass(frozen=True)
+class CameraEntry:
+    """One camera. File names are relative to the dataset; patterns hold `{frame:06d}`.
+
+    Attributes:
+        K: (3, 3) intrinsics, pixels; pixel centres are at integer + 0.5.
+        world_to_camera: (4, 4) pose in OpenCV axes (x right, y down, z forward), metres.
+        row_time_s: from the start of one line to that of the next, s.
+        readout: direction in the stored picture in which lines follow each other: "down", "up", "left" or "right".
+        role: "train", or "eval" for novel views that no method may learn from.
+        roll_deg: by how much the camera was turned about its axis; pictures are stored upright.
+        rgb: pattern of display sRGB pictures.     static: the same view without fire.
+        mask: pattern of pictures, 255 where flame is.     exr: pattern of linear pictures.
+        flow: pattern of true optical flow.     board_mask: picture, 255 on the LED board.
+        time_s: the camera's own frame times on the dataset clock, s (middle of the first line's exposure).
+    """
+
+    name: str
+    width: int
+    height: int
+    K: tuple[tuple[float, ...], ...]
+    world_to_camera: tuple[tuple[float, ...], ...]
+    row_time_s: float = 0.0
+    readout: str = "down"
+    role: Literal["train", "eval"] = "train"
+    roll_deg: float = 0.0
+    rgb: str | None = None
+    static: str | None = None
+    mask: str | None = None
+    exr: str | None = None
+    flow: str | None = None
+    board_mask: str | None = None
+    time_s: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class DatasetDescription:
+    """dataset.json.
+
+    Attributes:
+        name: of the scene.
+        time_s: (T,) frame times on the dataset clock, s, strictly increasing.
+        cameras: those of role "train" and "eval"; names differ.
+        splits: which frames are for training, which are held out.
+        velocity: name of the store of true velocities; None for a real capture.
+        spec: the scene spec it was generated from, as JSON; None for a real capture.
+        effects: names of the effects that were simulated.
+        provenance: what made it, in words and numbers.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-dataset"
+    VERSION: ClassVar[int] = 1
+
+    name: str
+    time_s: tuple[float, ...]
+    cameras: tuple[CameraEntry, ...]
+    splits: Splits
+    velocity: str | None = None
+    spec: dict[str, Any] | None = None
+    effects: tuple[str, ...] = ()
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, folder: Path) -> DatasetDescription:
+        """Read `folder/dataset.json`. Raises FileFormatError: absent, of another schema or version, a wrong field."""
+        try:
+            return read_record(cls, folder / FILE)
+        except FileFormatError as error:
+            raise FileFormatError(f"{error}; choose the folder of a finished dataset") from None
+
+    def write(self, folder: Path) -> None:
+        """Write `folder/dataset.json`. Written last, it says that the dataset is complete."""
+        write_record(folder / FILE, self)

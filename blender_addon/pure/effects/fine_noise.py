@@ -1,0 +1,24 @@
+"""Fine noise: Mantaflow's wavelet noise adds detail to flame and smoke below the cell size of the flow.
+
+Kim et al. 2008, "Wavelet Turbulence for Fluid Simulation". The velocity stays that of the coarse grid: the added
+detail moves with it, but its own swirl is not in the ground truth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..checked_json import require
+
+
+@dataclass(frozen=True)
+class Settings:
+    scale: int = 2
+    """Cells of detail per cell of the flow, along each side."""
+    strength: float = 1.0
+    """Strength of the noise."""
+    size: float = 2.0
+    """Size of the largest swirl, in cells of the flow."""
+
+    def __post_init__(self):
+        require(2 <= self.scale <= 8, "effects.fine_noise.scale", "between 2 and 8", self.scale)

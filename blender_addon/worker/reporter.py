@@ -1,0 +1,75 @@
+"""What a worker says to the process that started it: progress, and what it cost. What Blender prints goes to a log."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+
+class Reporter:
+    """Prints progress lines to the original standard output and sends everything else that is printed to a log file.
+
+    Blender's own messages are buffered in C and would otherwise cut progress lines in two.
+    """
+
+    def __init__(self, stage: str, log: Path):
+        self.stage = stage
+        log.parent.mkdir(parents=True, exist_ok=True)
+        self._out = os.fdopen(os.dup(1), "w")
+        sys.stdout.flush()
+        with open(log, "ab") as file:
+            os.dup2(file.fileno(), 1)
+
+    def __call__(self, done: int, total: int) -> None:
+        self.line(progress={"stage": self.stage, "done": done, "total": total})
+
+    def line(self, **message) -> None:
+        print(json.dumps(message), file=self._out, flush=True)
+
+
+class Watch:
+    """While a block keeps the main thread busy, reports count() of total, twice a second."""
+
+    def __init__(self, count: Callable[[], int], total: int, progress: Reporter):
+        self._count = count
+        self._total = total
+        self._progress = progress
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        while not self._done.wait(0.5):
+            self._progress(self._count(), self._total)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_) -> None:
+        self._done.set()
+        self._thread.join()
+        self._progress(self._count(), self._total)
+
+
+def peak_mb() -> float | None:
+    """Peak resident memory of this process, None where it is not known."""
+    status = Path("/proc/self/status")
+    if status.is_file():  # getrusage would count what the process that started this one had in memory
+        return int(status.read_text().partition("VmHWM:")[2].split()[0]) / 1024
+    try:
+        import resource
+    except ModuleNotFoundError:  # Windows
+        return None
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # macOS counts bytes
+
+
+def leave(status: int) -> None:
+    """End this process, which may have baked: the wheel's own exit would abort then."""
+    if "bpy" in sys.modules:
+        from ..scene import mantaflow
+
+        mantaflow.leave(status)
+    sys.exit(status)
