@@ -9,8 +9,10 @@ from pathlib import Path
 
 import tyro
 
-from gof.costs import StageLog
-from gof.io.files import read_json, write_json
+from gof.costs import StageCost, StageLog
+from gof.evaluate.scores import Scores
+from gof.io.files import write_json
+from gof.io.records import to_json
 from gof.worker import run_worker
 
 
@@ -46,10 +48,12 @@ class Stage:
 
 
 def stages_of(config: DemoConfig) -> list[Stage]:
+    """The steps in order, each a `gof` command."""
     out, dataset = config.out, config.out / "dataset"
-    result, scores = out / "reconstruct" / "result.npz", out / "evaluate" / "evaluation.json"
+    result, preview = out / "reconstruct" / "result.npz", out / "preview.png"
     preset = ["--preset", config.preset] if config.preset else []
     effort = [x for name in ("gaussians", "iterations") if (n := getattr(config, name)) for x in (f"--{name}", n)]
+    into_blender = ["--dataset", dataset, "--blend", out / "result.blend", "--preview", preview, "--samples", 8]
     return [
         Stage(
             "generate",
@@ -63,65 +67,60 @@ def stages_of(config: DemoConfig) -> list[Stage]:
             [result],
             result.parent / "costs.json",
         ),
-        Stage("evaluate", ["evaluate", result, "--truth", dataset, "--json", scores], [scores]),
-        Stage(
-            "import",
-            [
-                "import",
-                result,
-                "--dataset",
-                dataset,
-                "--blend",
-                out / "result.blend",
-                "--preview",
-                out / "preview.png",
-                "--samples",
-                8,
-            ],
-            [out / "result.blend", out / "preview.png"],
-        ),
+        Stage("evaluate", ["evaluate", result, "--truth", dataset, "--json", evaluation(config)], [evaluation(config)]),
+        Stage("import", ["import", result, *into_blender], [out / "result.blend", preview]),
         Stage("report", ["report", out, "--dataset", dataset], [out / "report.html"]),
     ]
+
+
+def evaluation(config: DemoConfig) -> Path:
+    """Where the stage "evaluate" writes its `Scores`."""
+    return config.out / "evaluate" / "evaluation.json"
 
 
 def main(argv: list[str]) -> int:
     """`gof demo [--out DIR]`; see --help."""
     config = tyro.cli(DemoConfig, prog="gof demo", args=argv)
     config.out.mkdir(parents=True, exist_ok=True)
-    log, start, changed = StageLog(config.out / "costs.json"), time.perf_counter(), False
-    for stage in stages_of(config):
-        if not changed and all(path.exists() for path in stage.outputs):
-            print(f"{stage.name}: finished before")
-            continue
-        changed = True
-        if stage.name == "report":
-            write_json(config.out / "scores.json", collect_scores(config))
-        for path in stage.outputs:  # results of an earlier stage that has changed since
-            if stage.name in ("evaluate", "import", "report"):
-                path.unlink(missing_ok=True)
-        cost = run_worker(
-            [sys.executable, "-m", "gof", *map(str, stage.command)], stage.name, config.out / f"{stage.name}.log"
-        )
-        if not stage.costs:  # the others keep their own, part by part
-            log.record(stage.name, cost.seconds, cost.peak_mb)
-        print(f"{stage.name}: {cost.seconds:.0f} s, {cost.peak_mb:.0f} MB")
-    scores = collect_scores(config)
-    write_json(config.out / "scores.json", scores)
+    start = time.perf_counter()
+    run_stages(config)
+    scores = Scores.read(evaluation(config))
+    content = to_json(scores) | {"stages": [asdict(cost) for cost in stage_costs(config)]}
+    write_json(config.out / "scores.json", content)
     if config.json:
-        write_json(config.json, scores)
+        write_json(config.json, content)
     summarise(scores)
     print(f"total of this run {time.perf_counter() - start:.0f} s; open {config.out / 'report.html'}")
     return 0
 
 
-def collect_scores(config: DemoConfig) -> dict:
-    """The evaluation's scores, and what every stage cost."""
-    scores = read_json(config.out / "evaluate" / "evaluation.json")
+def run_stages(config: DemoConfig) -> None:
+    """Run what is not finished, and whatever comes after it."""
+    log, changed = StageLog(config.out / "costs.json"), False
+    for stage in stages_of(config):
+        if not changed and all(path.exists() for path in stage.outputs):
+            print(f"{stage.name}: finished before")
+            continue
+        changed = True
+        if stage.name in ("evaluate", "import", "report"):  # made from what has changed; the others resume
+            for path in stage.outputs:
+                path.unlink(missing_ok=True)
+        if stage.name == "report":  # which reads them here
+            Scores.read(evaluation(config)).write(config.out / "scores.json")
+        command = [sys.executable, "-m", "gof", *map(str, stage.command)]
+        cost = run_worker(command, stage.name, config.out / f"{stage.name}.log")
+        if not stage.costs:  # the others keep their own, part by part
+            log.record(stage.name, cost.seconds, cost.peak_mb)
+        print(f"{stage.name}: {cost.seconds:.0f} s, {cost.peak_mb:.0f} MB")
+
+
+def stage_costs(config: DemoConfig) -> list[StageCost]:
+    """What every stage cost, part by part where it keeps account."""
     logs = [stage.costs for stage in stages_of(config) if stage.costs] + [config.out / "costs.json"]
-    return scores | {"stages": [asdict(cost) for log in logs for cost in StageLog(log).stages()]}
+    return [cost for log in logs for cost in StageLog(log).stages()]
 
 
-def summarise(scores: dict) -> None:
+def summarise(scores: Scores) -> None:
     """Print the scores next to what they must beat."""
     from rich.console import Console
     from rich.table import Table
@@ -129,17 +128,15 @@ def summarise(scores: dict) -> None:
     table = Table(title="motion: DVE against the simulation's own velocity")
     for column in ("velocities", "L2 (lower is better)", "CosSim (higher is better)"):
         table.add_column(column)
-    table.add_row(
-        "[bold]reconstruction[/]", f"[bold]{scores['dve']['l2']:.3f}[/]", f"[bold]{scores['dve']['cos_sim']:.3f}[/]"
-    )
-    for name, control in scores["controls"].items():
-        table.add_row(f"control: {name}", f"{control['l2']:.3f}", f"{control['cos_sim']:.3f}")
+    table.add_row("[bold]reconstruction[/]", f"[bold]{scores.dve.l2:.3f}[/]", f"[bold]{scores.dve.cos_sim:.3f}[/]")
+    for name, control in scores.controls.items():
+        table.add_row(f"control: {name}", f"{control.l2:.3f}", f"{control.cos_sim:.3f}")
     console = Console()
     console.print(table)
-    if scores["psnr_flame"] is not None:
+    if scores.psnr_flame is not None:
         console.print(
-            f"held-out pictures, flame only: PSNR [bold]{scores['psnr_flame']:.2f} dB[/] (plate alone "
-            f"{scores['psnr_flame_plate']:.2f} dB), SSIM {scores['ssim_flame']:.3f} ({scores['ssim_flame_plate']:.3f})"
+            f"held-out pictures, flame only: PSNR [bold]{scores.psnr_flame:.2f} dB[/] (plate alone "
+            f"{scores.psnr_flame_plate:.2f} dB), SSIM {scores.ssim_flame:.3f} ({scores.ssim_flame_plate:.3f})"
         )
 
 
