@@ -12,6 +12,7 @@ import tyro
 from gof.dataset import Dataset
 from gof.gaussians import TransientGaussians
 from gof.io.files import write_json
+from gof.report.preview import Preview
 from gof.worker import run_worker
 
 
@@ -64,7 +65,7 @@ def main(argv: list[str]) -> int:
     cost = run_worker(worker, "import into Blender")
     names = [c.name for c in dataset.cameras]
     # Which truth the preview belongs to, for `gof report`.
-    write_json(preview.with_suffix(".json"), {"image": preview.name, "camera": names.index(camera), "frame": frame})
+    Preview(preview.name, names.index(camera), frame).write(preview.with_suffix(".json"))
     if config.json:
         files = {"blend": str(config.blend), "preview": str(preview)}
         write_json(config.json, files | {"seconds": cost.seconds, "peak_mb": cost.peak_mb})
