@@ -22,7 +22,8 @@ def run(*arguments, **kwargs):
 def test_help_names_every_command_and_loads_nothing_heavy():
     code = (
         "import sys; from gof.cli import main; main(['--help']);"
-        "heavy = {'numpy', 'torch', 'drjit', 'mitsuba', 'bpy', 'cv2', 'tyro'} & set(sys.modules); assert not heavy, heavy"
+        "heavy = {'numpy', 'torch', 'drjit', 'mitsuba', 'bpy', 'cv2', 'tyro'} & set(sys.modules);"
+        "assert not heavy, heavy"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -81,14 +82,33 @@ def test_imports_point_one_way(room, forbidden):
 
 
 def test_a_broken_machine_is_named(monkeypatch, capsys):
+    from gof import checks
     from gof.commands import doctor
 
-    checks = [("Dr.Jit", "rendering", doctor.check_drjit), ("disk", "space", doctor.check_disk)]
-    monkeypatch.setattr(doctor, "CHECKS", checks)
+    few = [check for check in checks.CHECKS if check.name in ("Dr.Jit", "disk")]
+    monkeypatch.setattr(doctor, "checks", lambda: few)
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/nothing/libLLVM.so")
     with pytest.raises(GofError, match=r"not ready: Dr\.Jit"):
         doctor.main([])
     assert "libLLVM was not found" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_a_check_that_fails_is_a_finding():
+    from gof.checks import Check, examine
+
+    def fails():
+        raise RuntimeError("no such thing")
+
+    (finding,) = examine([Check("thing", "nothing", fails, 1)])
+    assert finding.status == "broken" and finding.detail == "RuntimeError: no such thing"
+
+
+def test_checks_of_other_packages_are_made_in_their_place():
+    from gof.checks import checks
+
+    names = [check.name for check in checks()]
+    assert names[:8] == ["Python", "packages", "Dr.Jit", "OpenEXR", "Blender", "Mantaflow", "disk", "CUDA"]
+    assert names[8:] == ["weights/depth_anything_v2", "weights/memfof", "weights/scores"]
 
 
 def test_this_machine_is_fit(tmp_path):

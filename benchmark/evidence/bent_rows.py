@@ -1,5 +1,4 @@
-"""What straight sensor lines cost. Undistorting a picture bends the lines of its sensor; the renderer draws straight
-ones.
+"""What straight sensor lines cost: undistorting bends the lines of a sensor, the renderer draws straight ones.
 
     python -m gof_benchmark.evidence.bent_rows [--captures FOLDER] [--json FILE]
 

@@ -1,0 +1,44 @@
+"""What scenes need of the machine: Blender and its fire. The entry point `gof.checks` brings it into `gof doctor`."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from gof.checks import Check, Outcome, child, last_line
+from gof_blender.pure import spec
+from gof_blender.pure.clip import Clip
+from gof_blender.pure.spec import Domain, SceneSpec
+
+SMALLEST = SceneSpec("doctor", clip=Clip(frames=1, warm_up_frames=2), domain=Domain(resolution=16), background="studio")
+
+
+def check_blender() -> Outcome:
+    done = child(["-c", "import bpy, os; print(bpy.app.version_string, flush=True); os._exit(0)"])
+    if done.returncode:
+        why = last_line(done.stderr)
+        if "No module named" in why:
+            return "broken", "the bpy package is not installed. Run: pip install 'gaussians-on-fire[blender]'"
+        return (
+            "broken",
+            f"import bpy fails: {why}. A missing lib*.so comes from apt-get install (see tools/system_packages.sh)",
+        )
+    return "ok", f"Blender {done.stdout.strip().splitlines()[-1]} as a Python module"
+
+
+def check_mantaflow() -> Outcome:
+    """A real bake of three frames in a throw-away folder, with the worker that the generator uses."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "spec.json"
+        spec.save(SMALLEST, path)
+        done = child(["-m", "gof_blender.worker.generate", "--spec", str(path), "--out", folder, "--stage", "bake"])
+    if done.returncode:
+        why = last_line(done.stdout + done.stderr)
+        return "broken", f"a 3-frame fire bake failed with status {done.returncode}: {why}"
+    return "ok", "3 frames of fire baked"
+
+
+CHECKS = (
+    Check("Blender", "scenes, cameras, rendering", check_blender, 50),
+    Check("Mantaflow", "fire simulation and its velocities", check_mantaflow, 60),
+)
