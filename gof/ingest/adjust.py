@@ -1,7 +1,8 @@
-"""Camera poses from known points (a marker, measured points), refined with image matches: for scenes where SfM alone goes wrong."""
+"""Poses from known points (a marker, measured points), refined with image matches: where SfM alone goes wrong."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -9,12 +10,17 @@ from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
-from gof.ingest.sfm import Features, PoseError, Poses, epipolar_distance
+from gof.dataset.poses import PointCheck
+from gof.ingest.marked_points import MarkedPoint
+from gof.ingest.sfm import Features, Model, PoseError, epipolar_distance
 from gof.lens import Lens
 
 GATES_PX = (25.0, 8.0, 4.0, 2.5)  # epipolar gates, each followed by a bundle adjustment
 MAX_TRACKS = 300
 KNOWN_WEIGHT = 3.0  # points with known coordinates against one feature
+AGREEMENT_PX = 10.0  # a match this far from its epipolar line counts 1/e
+
+Track = dict[int, np.ndarray]  # camera -> (2,) px
 
 
 def triangulate(matrices: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -29,38 +35,43 @@ def triangulate(matrices: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return V[-1, :3] / V[-1, 3]
 
 
-def from_known_points(points: list[dict], features: Features, lenses: list[Lens], names: list[str]) -> Poses:
+# ---- a start: perspective-n-point in every camera --------------------------------------------------------------------
+
+
+def from_known_points(points: list[MarkedPoint], features: Features, lenses: list[Lens], names: list[str]) -> Model:
     """Perspective-n-point in every camera, then feature tracks near the epipolar lines join a robust bundle adjustment.
 
     A plane seen by one camera has two poses that fit almost equally; all combinations are tried and the one that most
     feature matches agree with starts.
 
     Args:
-        points: as `read_points`; xyz in metres. "rough" points (True) start the pose but their xyz are not believed.
+        points: xyz in metres; those of rough points start the poses, but the adjustment does not hold to them.
     Raises:
         PoseError: a camera sees fewer than four points with xyz, or no pose fits them.
     """
     options = [_pnp(c, points, lens, name) for c, (lens, name) in enumerate(zip(lenses, names, strict=True))]
-    start = max(
+    poses = max(
         (np.stack(combination) for combination in product(*options)),
-        key=lambda poses: _agreement(features, lenses, poses),
+        key=lambda candidate: _agreement(features, lenses, candidate),
     )
-    poses = start
     for gate in GATES_PX:
-        poses, cloud, error = bundle(poses, lenses, points, tracks(features, lenses, poses, gate))
-    return Poses(poses, cloud, {"points": len(cloud), "reprojection_px": round(error, 3)})
+        model = bundle(poses, lenses, points, tracks(features, lenses, poses, gate))
+        poses = model.world_to_camera
+    return model
 
 
-def _pnp(c: int, points: list[dict], lens: Lens, name: str) -> list[np.ndarray]:
+def _pnp(camera: int, points: list[MarkedPoint], lens: Lens, name: str) -> list[np.ndarray]:
+    """The (4, 4) poses of one camera that fit its points with xyz: two when they lie in a plane."""
     import cv2
 
-    seen = [p for p in points if c in p["pixels"] and p["xyz"] is not None]
+    seen = [p for p in points if camera in p.pixels and p.xyz is not None]
     if len(seen) < 4:
         raise PoseError(
-            f"camera '{name}' sees {len(seen)} points with known coordinates, 4 are needed. Mark more with --points, or move "
-            "the board to where every camera sees all of its marker"
+            f"camera '{name}' sees {len(seen)} points with known coordinates, 4 are needed. Mark more with --points, "
+            "or move the board to where every camera sees all of its marker"
         )
-    xyz, pixels = np.array([p["xyz"] for p in seen]), np.array([p["pixels"][c] for p in seen])
+    xyz = np.array([p.xyz for p in seen])
+    pixels = np.array([p.pixels[camera] for p in seen])
     spread = np.linalg.svd(xyz - xyz.mean(0), compute_uv=False)
     if spread[1] < 1e-6 * spread[0]:
         raise PoseError(f"camera '{name}': its known points lie on one line; add one beside it")
@@ -71,155 +82,201 @@ def _pnp(c: int, points: list[dict], lens: Lens, name: str) -> list[np.ndarray]:
     for r, t in zip(rotations, shifts, strict=True):
         r, t = cv2.solvePnPRefineLM(xyz, pixels, lens.K, None, r, t)
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(r)[0], t.ravel()
+        pose[:3, :3] = cv2.Rodrigues(r)[0]
+        pose[:3, 3] = t.ravel()
         if np.isfinite(pose).all() and ((xyz @ pose[:3, :3].T + pose[:3, 3])[:, 2] > 0).all():
             poses.append(pose)
     if not poses:
         raise PoseError(
-            f"camera '{name}': no pose puts its known points in front of it; are their pixels and xyz in the same order?"
+            f"camera '{name}': no pose puts its known points in front of it; "
+            "are their pixels and xyz in the same order?"
         )
     return poses
 
 
-def _believed(point: dict) -> bool:
-    return point["xyz"] is not None and not point.get("rough")
-
-
-def _agreement(features: Features, lenses, poses) -> float:
-    """How well raw matches fit: mean of exp(-error / 10 px), 0 without matches."""
+def _agreement(features: Features, lenses: list[Lens], poses: np.ndarray) -> float:
+    """How well raw matches fit: mean of exp(-error / AGREEMENT_PX), 0 without matches."""
     fits = [
-        np.exp(-epipolar_distance(lenses, poses, i, j, *features.pair(i, j)) / 10)
+        np.exp(-epipolar_distance(lenses, poses, i, j, *features.pair(i, j)) / AGREEMENT_PX)
         for (i, j), m in features.matches.items()
         if len(m)
     ]
     return float(np.concatenate(fits).mean()) if fits else 0.0
 
 
-def tracks(features: Features, lenses, poses, gate: float) -> list[dict[int, np.ndarray]]:
-    """Matches within `gate` px of their epipolar lines, joined over views: {camera: pixel} per track."""
-    track_of, chains = {}, []
+def tracks(features: Features, lenses: list[Lens], poses: np.ndarray, gate: float) -> list[Track]:
+    """Matches within `gate` px of their epipolar lines, joined over views; at most MAX_TRACKS, those in most views."""
+    track_of: dict[tuple[int, int], int] = {}  # (camera, keypoint) -> number of its track
+    chains: list[Track] = []
     for (i, j), m in features.matches.items():
         near = epipolar_distance(lenses, poses, i, j, *features.pair(i, j)) < gate
         for a, b in m[near]:
-            ka, kb = (i, int(a)), (j, int(b))
-            t = track_of.get(ka, track_of.get(kb))
-            if t is None:
-                t = len(chains)
+            ends = (i, int(a)), (j, int(b))
+            track = track_of.get(ends[0], track_of.get(ends[1]))
+            if track is None:
+                track = len(chains)
                 chains.append({})
-            for key in (ka, kb):
-                if track_of.get(key, t) == t and key[0] not in chains[t]:
-                    track_of[key] = t
-                    chains[t][key[0]] = features.keypoints[key[0]][key[1]]
+            for end in ends:
+                camera, keypoint = end
+                if track_of.get(end, track) == track and camera not in chains[track]:
+                    track_of[end] = track
+                    chains[track][camera] = features.keypoints[camera][keypoint]
     chains = [t for t in chains if len(t) >= 2]
     # Poses of a few cameras are settled by some hundred points; those in most views say most.
     order = np.random.default_rng(0).permutation(len(chains))
     return sorted((chains[k] for k in order), key=len, reverse=True)[:MAX_TRACKS]
 
 
-def bundle(
-    poses: np.ndarray, lenses: list[Lens], points: list[dict], chains: list[dict[int, np.ndarray]]
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Robust bundle adjustment (soft L1 at 1 px) with fixed intrinsics; points with believed xyz stay where they are.
+# ---- bundle adjustment -----------------------------------------------------------------------------------------------
 
-    Returns:
-        poses (C, 4, 4), triangulated points (N, 3) that lie in front of their cameras, median reprojection error in px.
+
+@dataclass(frozen=True)
+class _Observations:
+    """Who sees what, O of them.
+
+    Attributes:
+        camera, point: (O,) numbers; points that move count from 0, known ones are -1, -2, ...
+        pixel: (O, 2).   weight: (O,).
     """
-    known = [p for p in points if _believed(p)]
-    free = chains + [p["pixels"] for p in points if not _believed(p) and len(p["pixels"]) >= 2]
-    matrices = np.stack([lens.K @ pose[:3] for lens, pose in zip(lenses, poses, strict=True)])
-    start, kept = [], []
+
+    camera: np.ndarray
+    point: np.ndarray
+    pixel: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, known: list[MarkedPoint], free: list[Track]) -> _Observations:
+        rows = [(c, -1 - k, pixel, KNOWN_WEIGHT) for k, p in enumerate(known) for c, pixel in p.pixels.items()]
+        rows += [(c, k, pixel, 1.0) for k, track in enumerate(free) for c, pixel in track.items()]
+        if not rows:
+            raise PoseError("no feature and no marked point is in two pictures, and no marked point has believed xyz")
+        camera, point, pixel, weight = zip(*rows, strict=True)
+        return cls(np.array(camera), np.array(point), np.array(pixel), np.array(weight))
+
+
+def bundle(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], chains: list[Track]) -> Model:
+    """Robust bundle adjustment (soft L1 at 1 px) with fixed intrinsics; points whose xyz are known stay where they are.
+
+    Args:
+        poses: (C, 4, 4) world to camera to start from.
+    Returns:
+        the refined poses, and the triangulated points (N, 3) that lay in front of their cameras.
+    Raises:
+        PoseError: nothing to adjust to.
+    """
+    known = [p for p in points if p.is_known]
+    free = chains + [p.pixels for p in points if not p.is_known and len(p.pixels) >= 2]
+    free, start = _triangulated(poses, lenses, free)
+    seen = _Observations.of(known, free)
+    fixed = np.array([p.xyz for p in known]).reshape(-1, 3)
+    K = np.stack([lens.K for lens in lenses])
+    count = len(poses)
+    unit = _typical_distance(poses, np.concatenate([start, fixed]))
+
+    def unpack(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rotations (C, 3, 3), shifts (C, 3) and free points (N, 3) of the parameters."""
+        R = Rotation.from_rotvec(x[: 3 * count].reshape(count, 3)).as_matrix()
+        return R, x[3 * count : 6 * count].reshape(count, 3), x[6 * count :].reshape(-1, 3)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        R, t, moving = unpack(x)
+        world = np.concatenate([moving, fixed[::-1]])[seen.point]  # -1 is the last: the first known point
+        local = np.einsum("oij,oj->oi", R[seen.camera], world) + t[seen.camera]
+        uv = local[:, :2] / np.maximum(local[:, 2:], 1e-6 * unit)
+        projected = np.einsum("oij,oj->oi", K[seen.camera][:, :2, :2], uv) + K[seen.camera][:, :2, 2]
+        return ((projected - seen.pixel) * seen.weight[:, None]).ravel()
+
+    rotations = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
+    x0 = np.concatenate([rotations.ravel(), poses[:, :3, 3].ravel(), start.ravel()])
+    # Steps of a hundredth of a radian, and of the typical distance, so that they do not depend on the unit.
+    x_scale = np.concatenate([np.full(3 * count, 0.01), np.full(len(x0) - 3 * count, 0.01 * unit)])
+    sparsity = _sparsity(seen, count, len(x0))
+    found = least_squares(residuals, x0, jac_sparsity=sparsity, loss="soft_l1", x_scale=x_scale, max_nfev=30)
+    R, t, cloud = unpack(found.x)
+    refined = np.tile(np.eye(4), (count, 1, 1))
+    refined[:, :3, :3] = R
+    refined[:, :3, 3] = t
+    return Model(refined, cloud)
+
+
+def _triangulated(poses: np.ndarray, lenses: list[Lens], free: list[Track]) -> tuple[list[Track], np.ndarray]:
+    """The tracks whose point lies in front of all its cameras, and the points (N, 3)."""
+    matrices = _projection_matrices(lenses, poses)
+    kept, points = [], []
     for track in free:
         views = list(track)
         x = triangulate(matrices[views], np.array([track[v] for v in views]))
         if np.isfinite(x).all() and all((poses[v, 2, :3] @ x + poses[v, 2, 3]) > 0 for v in views):
-            start.append(x)
             kept.append(track)
-    observations = [(c, -1 - k, pixel, KNOWN_WEIGHT) for k, p in enumerate(known) for c, pixel in p["pixels"].items()]
-    observations += [(c, k, pixel, 1.0) for k, track in enumerate(kept) for c, pixel in track.items()]
-    camera, point = np.array([o[0] for o in observations]), np.array([o[1] for o in observations])
-    pixel, weight = np.array([o[2] for o in observations]), np.array([o[3] for o in observations])
-    fixed = np.array([p["xyz"] for p in known]).reshape(-1, 3)
-    n = len(poses)
-    K = np.stack([lens.K for lens in lenses])
+            points.append(x)
+    return kept, np.array(points).reshape(-1, 3)
 
-    def unpack(x):
-        return (
-            Rotation.from_rotvec(x[: 3 * n].reshape(n, 3)).as_matrix(),
-            x[3 * n : 6 * n].reshape(n, 3),
-            x[6 * n :].reshape(-1, 3),
-        )
 
-    def residuals(x):
-        R, t, free_points = unpack(x)
-        # Known points are numbered -1, -2, ...
-        world = np.concatenate([free_points, fixed[::-1]])[point]
-        local = np.einsum("oij,oj->oi", R[camera], world) + t[camera]
-        uv = local[:, :2] / np.maximum(local[:, 2:], 1e-6 * scale)
-        projected = np.einsum("oij,oj->oi", K[camera][:, :2, :2], uv) + K[camera][:, :2, 2]
-        return ((projected - pixel) * weight[:, None]).ravel()
+def _projection_matrices(lenses: list[Lens], poses: np.ndarray) -> np.ndarray:
+    """(C, 3, 4) world to homogeneous pixels."""
+    return np.stack([lens.K @ pose[:3] for lens, pose in zip(lenses, poses, strict=True)])
 
-    # Lengths in units of the cameras' mean distance to the points, so that steps do not depend on the unit.
+
+def _typical_distance(poses: np.ndarray, points: np.ndarray) -> float:
+    """Median distance of points (N, 3) from the cameras."""
     centers = np.stack([-p[:3, :3].T @ p[:3, 3] for p in poses])
-    everything = np.concatenate([np.array(start).reshape(-1, 3), fixed])
-    scale = float(np.median(np.linalg.norm(everything[:, None] - centers, axis=-1)))
-    x0 = np.concatenate(
-        [
-            Rotation.from_matrix(poses[:, :3, :3]).as_rotvec().ravel(),
-            poses[:, :3, 3].ravel(),
-            np.array(start).ravel(),
-        ]
-    )
-    sparsity = lil_matrix((2 * len(camera), len(x0)), dtype=np.int8)
-    rows = np.arange(len(camera))
+    return float(np.median(np.linalg.norm(points[:, None] - centers, axis=-1)))
+
+
+def _sparsity(seen: _Observations, cameras: int, parameters: int) -> lil_matrix:
+    """Which parameters (rotations, shifts, free points) each residual depends on, (2 O, parameters)."""
+    sparsity = lil_matrix((2 * len(seen.camera), parameters), dtype=np.int8)
+    rows = np.arange(len(seen.camera))
+    moving = seen.point >= 0
     for d in range(2):
         for k in range(3):
-            sparsity[2 * rows + d, 3 * camera + k] = 1
-            sparsity[2 * rows + d, 3 * n + 3 * camera + k] = 1
-            mine = point >= 0
-            sparsity[2 * rows[mine] + d, 6 * n + 3 * point[mine] + k] = 1
-    x_scale = np.concatenate([np.full(3 * n, 0.01), np.full(len(x0) - 3 * n, 0.01 * scale)])
-    result = least_squares(residuals, x0, jac_sparsity=sparsity, loss="soft_l1", x_scale=x_scale, max_nfev=30)
-    R, t, cloud = unpack(result.x)
-    refined = np.tile(np.eye(4), (n, 1, 1))
-    refined[:, :3, :3], refined[:, :3, 3] = R, t
-    error = np.linalg.norm(residuals(result.x).reshape(-1, 2) / weight[:, None], axis=1)
-    return refined, cloud, float(np.median(error))
+            sparsity[2 * rows + d, 3 * seen.camera + k] = 1
+            sparsity[2 * rows + d, 3 * cameras + 3 * seen.camera + k] = 1
+            sparsity[2 * rows[moving] + d, 6 * cameras + 3 * seen.point[moving] + k] = 1
+    return sparsity
 
 
-def check_points(points: list[dict], lenses: list[Lens], poses: np.ndarray) -> dict | None:
-    """How well marked points fit poses that need not have used them, from points in two or more views.
+# ---- what marked points say of poses ---------------------------------------------------------------------------------
 
-    Returns:
-        reprojection_px (mean), metres_per_unit (median over pairs of believed points with xyz; None for fewer than two) and
-        its spread (relative median deviation); None when no point is in two views.
+
+def check_points(points: list[MarkedPoint], lenses: list[Lens], poses: np.ndarray) -> PointCheck | None:
+    """Triangulate the points that two or more cameras see; None when there is none.
+
+    Args:
+        poses: (C, 4, 4) world to camera.
     """
-    matrices = np.stack([lens.K @ pose[:3] for lens, pose in zip(lenses, poses, strict=True)])
-    found, truth, errors = [], [], []
+    matrices = _projection_matrices(lenses, poses)
+    errors, known, found = [], [], []
     for p in points:
-        views = list(p["pixels"])
+        views = list(p.pixels)
         if len(views) < 2:
             continue
-        pixels = np.array([p["pixels"][v] for v in views])
+        pixels = np.array([p.pixels[v] for v in views])
         x = triangulate(matrices[views], pixels)
         if not np.isfinite(x).all():
             errors.append(np.inf)
             continue
         projected = matrices[views] @ np.append(x, 1)
         errors.append(float(np.linalg.norm(projected[:, :2] / projected[:, 2:] - pixels, axis=1).mean()))
-        if _believed(p):
+        if p.is_known:
+            known.append(p.xyz)
             found.append(x)
-            truth.append(p["xyz"])
     if not errors:
         return None
-    ratio, spread = None, None
-    if len(found) >= 2:
-        a, b = (
-            np.linalg.norm(np.array(v)[:, None] - np.array(v), axis=-1)[np.triu_indices(len(v), 1)]
-            for v in (truth, found)
-        )
-        good = (a > 0) & (b > 0)
-        if good.any():
-            ratios = a[good] / b[good]
-            ratio = float(np.median(ratios))
-            spread = float(np.median(np.abs(ratios - ratio)) / ratio)
-    return {"reprojection_px": float(np.mean(errors)), "metres_per_unit": ratio, "spread": spread}
+    error = float(np.mean(errors))
+    return PointCheck(round(error, 6) if np.isfinite(error) else None, *_unit(np.array(known), np.array(found)))
+
+
+def _unit(known: np.ndarray, found: np.ndarray) -> tuple[float | None, float | None]:
+    """Metres per unit of the found points (N, 3), and its relative spread, from the distances between all pairs."""
+    if len(known) < 2:
+        return None, None
+    pairs = np.triu_indices(len(known), 1)
+    truth = np.linalg.norm(known[:, None] - known, axis=-1)[pairs]
+    solved = np.linalg.norm(found[:, None] - found, axis=-1)[pairs]
+    apart = (truth > 0) & (solved > 0)
+    if not apart.any():
+        return None, None
+    ratios = truth[apart] / solved[apart]
+    ratio = float(np.median(ratios))
+    return round(ratio, 6), round(float(np.median(np.abs(ratios - ratio)) / ratio), 6)

@@ -1,4 +1,4 @@
-"""From partial stereo to whole depth maps: a monocular estimate or an edge-aware fill, aligned in disparity; the fused point cloud."""
+"""From partial stereo to whole depth maps, by an aligned monocular estimate or an edge-aware fill; a point cloud."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from gof.cameras import Camera
 from gof.errors import DataFormatError, GofError, MissingDependencyError
+from gof.io import ply
 from gof.io.files import atomic_path
 
 
@@ -15,14 +16,15 @@ def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
     """Relative disparity (H, W) float32, larger = nearer, of an (H, W, 3) uint8 RGB picture by Depth-Anything-V2.
 
     Args:
-        weights: folder of a Hugging Face checkpoint (config.json, model.safetensors, preprocessor_config.json); nothing is downloaded.
+        weights: folder of a Hugging Face checkpoint (config.json, model.safetensors, preprocessor_config.json); nothing
+            is downloaded.
     Raises:
         DataFormatError: no checkpoint in the folder.   MissingDependencyError: transformers or torch is not installed.
     """
     if not (Path(weights) / "config.json").is_file():
         raise DataFormatError(
-            f"{weights}: no config.json; give the folder of a Depth-Anything-V2 checkpoint in Hugging Face form, or leave it "
-            "away: the stereo depth is then completed along the picture's edges"
+            f"{weights}: no config.json; give the folder of a Depth-Anything-V2 checkpoint in Hugging Face form, or "
+            "leave it away: the stereo depth is then completed along the picture's edges"
         )
     try:
         import torch
@@ -40,10 +42,10 @@ def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
 
 
 def align(disparity: np.ndarray, depth: np.ndarray, iterations: int = 20) -> tuple[float, float]:
-    """a, b of 1 / depth = a * disparity + b over pixels that have both, by iteratively reweighted (Huber) least squares.
+    """a, b of 1 / depth = a * disparity + b where both are known, by iteratively reweighted (Huber) least squares.
 
-    In disparity, not depth: the monocular network is trained on disparity up to scale and shift, so only there is the relation
-    linear; stereo errors have one size there as well, while in depth far pixels would outweigh all others.
+    In disparity, not depth: the monocular network is trained on disparity up to scale and shift, so only there is the
+    relation linear; stereo errors have one size there as well, while in depth far pixels would outweigh all others.
 
     Args:
         disparity: (H, W) relative.   depth: (H, W) m, NaN where unknown.
@@ -74,7 +76,7 @@ def align(disparity: np.ndarray, depth: np.ndarray, iterations: int = 20) -> tup
 
 
 def complete(depth: np.ndarray, picture: np.ndarray, smoothness: float = 100.0, edge: float = 12.0) -> np.ndarray:
-    """Depth everywhere: known inverse depths spread over the picture, stopping at its edges; known pixels stay as they are.
+    """Depth everywhere: known inverse depths spread over the picture, stopping at its edges; known pixels stay.
 
     Normalised fast global smoothing (Min et al. 2014), repeated wider until every pixel is reached.
 
@@ -106,7 +108,12 @@ def complete(depth: np.ndarray, picture: np.ndarray, smoothness: float = 100.0, 
 
 
 def whole_depth(stereo: np.ndarray, picture: np.ndarray, weights: Path | None) -> np.ndarray:
-    """Stereo depth where it is known (NaN elsewhere), filled by aligned monocular depth (with `weights`) or by `complete`; (H, W) m."""
+    """Depth everywhere, (H, W) m: stereo's where it is known, elsewhere aligned monocular depth or `complete`.
+
+    Args:
+        stereo: (H, W) m, NaN where unknown.   picture: (H, W, 3) uint8.
+        weights: folder of the monocular network's checkpoint; None for `complete`.
+    """
     if weights is None:
         return complete(stereo, picture)
     relative = monocular(picture, weights)
@@ -117,23 +124,16 @@ def whole_depth(stereo: np.ndarray, picture: np.ndarray, weights: Path | None) -
 
 
 def back_project(depth: np.ndarray, picture: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """World points (N, 3) m and colours (N, 3) uint8 of the pixels with known depth."""
+    """World points (N, 3) m and colours (N, 3), as in the picture, of the pixels with known depth (H, W) m."""
     rows, columns = np.nonzero(np.isfinite(depth))
-    pixels = np.column_stack([columns + 0.5, rows + 0.5, np.ones(len(rows))])
-    local = pixels @ np.linalg.inv(camera.K).T * depth[rows, columns, None]
-    return (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3], picture[rows, columns]
+    points = camera.unproject(np.column_stack([columns, rows]) + 0.5, depth[rows, columns])
+    return points, picture[rows, columns]
 
 
 def write_points(path: Path, points: np.ndarray, colors: np.ndarray) -> None:
     """Binary PLY of points (N, 3) m and colours (N, 3) uint8."""
-    rows = np.empty(
-        len(points),
-        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
+    columns = dict(zip(("x", "y", "z"), points.T, strict=True)) | dict(
+        zip(("red", "green", "blue"), colors.T, strict=True)
     )
-    for i, name in enumerate(rows.dtype.names):
-        rows[name] = points[:, i] if i < 3 else colors[:, i - 3]
-    kinds = {"<f4": "float", "|u1": "uchar"}
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
-    header += [f"property {kinds[rows.dtype[n].str]} {n}" for n in rows.dtype.names]
     with atomic_path(path) as temporary:
-        temporary.write_bytes("\n".join([*header, "end_header\n"]).encode() + rows.tobytes())
+        ply.write(temporary, columns, comments=[])

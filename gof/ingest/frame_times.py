@@ -7,14 +7,27 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
 from gof.errors import DataFormatError, GofError
-from gof.io.files import read_json
+from gof.io.records import read_record
+from gof.lens import Turn
+
+CLOCKWISE = ("down", "left", "up", "right")  # readout directions, each a clockwise quarter after the one before
+QUARTERS = {"none": 0, "clockwise": 1, "counterclockwise": 3}
+MAX_STEP = 1.5  # of the usual time between frames; a longer one hides a dropped frame
 
 
 @dataclass(frozen=True)
-class Clock:
-    """Per camera: frames (range of stored frame numbers, all of one length T), time_s (T,) start of each frame on the
-    dataset clock (camera 0's first is 0), row_time_s per stored line and readout of the upright picture; and where it is from."""
+class FrameTimes:
+    """The frames that are used, per camera, and their times.
+
+    Attributes:
+        frames: stored frame numbers, all of one length T.
+        time_s: (T,) start of each frame on the dataset clock, on which camera 0's first is 0.
+        row_time_s: from one stored line to the next.
+        readout: direction of later lines in the picture.
+        source: where the times are from, in words.
+    """
 
     frames: list[range]
     time_s: list[np.ndarray]
@@ -22,94 +35,145 @@ class Clock:
     readout: list[str]
     source: str
 
-    def turned(self, turn: str) -> Clock:
+    def turned(self, turn: Turn) -> FrameTimes:
         """For pictures that are turned: readout directions turn with them."""
-        circle = ["down", "left", "up", "right"]  # each a clockwise quarter after the one before
-        quarters = {"none": 0, "clockwise": 1, "counterclockwise": 3}[turn]
-        return replace(self, readout=[circle[(circle.index(r) + quarters) % 4] for r in self.readout])
+        turned = [CLOCKWISE[(CLOCKWISE.index(r) + QUARTERS[turn]) % 4] for r in self.readout]
+        return replace(self, readout=turned)
 
 
-def read_clock(times: Path | None, fps: float | None, counts: list[int], start: int, limit: int | None) -> Clock:
-    """Times by `gof capture sync`, or equal steps at `fps` with all videos starting together.
+@dataclass(frozen=True)
+class Timing:
+    """What is known of the frame times, and which frames to use.
 
-    With measured times, each camera's clip starts at its frame nearest to the first camera's frame `start`; the clips end
-    together.
+    Attributes:
+        times: times.json of `gof capture sync`, or None.
+        fps: true capture rate of all videos, or None; exactly one of the two is given.
+        start: first frame of the first camera to use.
+        limit: use at most so many frames; None for all.
 
     Raises:
-        DataFormatError: times.json is not what `gof capture sync` writes, has another number of cameras or frames, or lacks
-            a camera (it says which and why); dropped frames inside the range.
-        GofError: neither times nor fps; fewer than two frames are left.
+        GofError: neither times nor fps, or both.
     """
-    if (times is None) == (fps is None):
-        raise GofError("give the frame times with either --times times.json (of 'gof capture sync') or --fps RATE")
-    if fps is not None:
-        if not fps > 0:
-            raise GofError(f"--fps {fps}: must be positive")
-        count = _length([n - start for n in counts], limit)
-        line = np.arange(count) / fps
-        return Clock(
-            [range(start, start + count)] * len(counts),
-            [line] * len(counts),
-            [0.0] * len(counts),
-            ["down"] * len(counts),
-            f"{fps:g} frames per second, all cameras starting together",
-        )
 
-    d = read_json(times)
-    entries = d.get("cameras") if isinstance(d, dict) and d.get("schema") == "gof-times" else None
-    if not isinstance(entries, list) or len(entries) != len(counts):
-        raise DataFormatError(
-            f"{times}: must be a times.json of 'gof capture sync' for {len(counts)} videos in the same order"
-        )
-    clocks, rows, readouts = [], [], []
-    for entry, count in zip(entries, counts, strict=True):
-        if "error" in entry:
+    times: Path | None = None
+    fps: float | None = None
+    start: int = 0
+    limit: int | None = None
+
+    def __post_init__(self):
+        if (self.times is None) == (self.fps is None):
+            raise GofError("give the frame times with either --times times.json (of 'gof capture sync') or --fps RATE")
+
+
+def read_frame_times(timing: Timing, counts: list[int]) -> FrameTimes:
+    """The times by `gof capture sync`, or equal steps, for videos of `counts` frames.
+
+    Raises:
+        DataFormatError, GofError: see `measured_times` and `equal_times`.
+    """
+    if timing.times is None:
+        return equal_times(timing.fps, counts, timing.start, timing.limit)
+    return measured_times(timing.times, counts, timing.start, timing.limit)
+
+
+def equal_times(fps: float, counts: list[int], start: int, limit: int | None) -> FrameTimes:
+    """Equal steps with all videos starting together.
+
+    Raises:
+        GofError: a rate that is not positive; fewer than two frames are left.
+    """
+    if not fps > 0:
+        raise GofError(f"--fps {fps}: must be positive")
+    cameras = len(counts)
+    length = _length([count - start for count in counts], limit)
+    return FrameTimes(
+        frames=[range(start, start + length)] * cameras,
+        time_s=[np.arange(length) / fps] * cameras,
+        row_time_s=[0.0] * cameras,
+        readout=["down"] * cameras,
+        source=f"{fps:g} frames per second, all cameras starting together",
+    )
+
+
+def measured_times(path: Path, counts: list[int], start: int, limit: int | None) -> FrameTimes:
+    """Each camera's clip starts at its frame nearest to the first camera's frame `start`; the clips end together.
+
+    Frames are paired by the middle of the picture: where the flame is, whatever the readout direction.
+
+    Raises:
+        DataFormatError: not what `gof capture sync` writes, another number of cameras or frames, a camera without times
+            (says which and why); dropped frames inside the range.
+        GofError: the videos do not overlap; fewer than two frames are left.
+    """
+    videos = _read_sync(path, counts)
+    cameras = [video.times for video in videos]
+    middles = [np.array([frame.time_s for frame in camera.frames]) for camera in cameras]
+    first = _first_frames(path, middles, start)
+    length = _length([len(m) - k for m, k in zip(middles, first, strict=True)], limit)
+    frames = [range(k, k + length) for k in first]
+    # Sync gives the middle of the picture; a dataset's frame starts when its first line is read.
+    starts = [m - _readout_s(camera) / 2 for m, camera in zip(middles, cameras, strict=True)]
+    zero = starts[0][first[0]]
+    time_s = [t[f.start : f.stop] - zero for t, f in zip(starts, frames, strict=True)]
+    for video, t in zip(videos, time_s, strict=True):
+        _require_steady(path, video.name, t)
+    row_time_s = [camera.row_time_us * 1e-6 for camera in cameras]
+    return FrameTimes(frames, time_s, row_time_s, [camera.readout for camera in cameras], "gof capture sync")
+
+
+def _read_sync(path: Path, counts: list[int]) -> list[SyncedVideo]:
+    """The videos of a times.json, which all have times, for videos of `counts` frames."""
+    videos = read_record(FrameTimesFile, path).cameras
+    if len(videos) != len(counts):
+        raise DataFormatError(f"{path}: has {len(videos)} cameras; it must be made of the same {len(counts)} videos")
+    for video, count in zip(videos, counts, strict=True):
+        if video.times is None:
             raise DataFormatError(
-                f"{times}: camera '{entry.get('name')}' has no times ({entry['error']}); film the board whole and lit, "
+                f"{path}: camera '{video.name}' has no times ({video.error}); film the board whole and lit, "
                 "leave this camera out, or use --fps"
             )
-        try:
-            middle = np.array([f["time_s"] for f in entry["frames"]], np.float64)
-            row, readout = float(entry.get("row_time_us") or 0) * 1e-6, str(entry.get("readout") or "down")
-            lines = int(entry["width"] if readout in ("left", "right") else entry["height"])
-        except (KeyError, TypeError, ValueError) as e:
-            raise DataFormatError(f"{times}: camera '{entry.get('name')}': field {e} is missing or malformed") from e
-        if len(middle) != count:
-            raise DataFormatError(f"{times}: camera '{entry['name']}' has {len(middle)} frames, its video {count}")
-        # Sync gives the middle of the picture; a dataset's frame starts when its first line is read.
-        clocks.append(middle - row * (lines - 1) / 2)
-        rows.append(row)
-        readouts.append(readout)
-    if not 0 <= start < len(clocks[0]):
-        raise GofError(f"--start {start}: the first video has {len(clocks[0])} frames")
-    # Pairing by the middle of the picture: where the flame is, whatever the readout direction.
-    middles = [
-        t + r * (int(e["width"] if o in ("left", "right") else e["height"]) - 1) / 2
-        for t, r, o, e in zip(clocks, rows, readouts, entries, strict=True)
-    ]
-    while start < len(middles[0]) and any(m[0] > middles[0][start] + 0.5 * np.median(np.diff(m)) for m in middles):
-        start += 1  # a camera that began later
-    if start == len(middles[0]):
-        raise GofError(f"{times}: the videos do not overlap in time")
-    first = [int(np.abs(m - middles[0][start]).argmin()) for m in middles]
-    count = _length([len(m) - k for m, k in zip(middles, first, strict=True)], limit)
-    ranges = [range(k, k + count) for k in first]
-    zero = clocks[0][first[0]]
-    result = [t[r.start : r.stop] - zero for t, r in zip(clocks, ranges, strict=True)]
-    for entry, t in zip(entries, result, strict=True):
-        step = np.diff(t)
-        if len(step) and (step.min() <= 0 or step.max() > 1.5 * np.median(step)):
+        if len(video.times.frames) != count:
             raise DataFormatError(
-                f"{times}: camera '{entry['name']}' repeats or drops frames at {int(np.argmax(np.abs(step - np.median(step))))} of the "
-                "paired range; choose a range without with --start and --frames"
+                f"{path}: camera '{video.name}' has {len(video.times.frames)} frames, its video {count}"
             )
-    return Clock(ranges, result, rows, readouts, "gof capture sync")
+    return list(videos)
+
+
+def _readout_s(times: VideoTimes) -> float:
+    """How long a picture is read, from its first to its last line."""
+    lines = times.width if times.readout in ("left", "right") else times.height
+    return times.row_time_us * 1e-6 * (lines - 1)
+
+
+def _first_frames(path: Path, middles: list[np.ndarray], start: int) -> list[int]:
+    """Each camera's frame nearest to the first camera's frame `start`, or to its first after all have begun."""
+    reference = middles[0]
+    if not 0 <= start < len(reference):
+        raise GofError(f"--start {start}: the first video has {len(reference)} frames")
+    begun = max(m[0] - 0.5 * np.median(np.diff(m)) for m in middles)
+    together = np.flatnonzero(reference[start:] >= begun)
+    if not len(together):
+        raise GofError(f"{path}: the videos do not overlap in time")
+    common = reference[start + together[0]]
+    return [int(np.abs(m - common).argmin()) for m in middles]
+
+
+def _require_steady(path: Path, name: str, time_s: np.ndarray) -> None:
+    """Raises DataFormatError: a frame of the range is repeated or missing."""
+    step = np.diff(time_s)
+    usual = np.median(step)
+    if step.min() <= 0 or step.max() > MAX_STEP * usual:
+        raise DataFormatError(
+            f"{path}: camera '{name}' repeats or drops frames at {int(np.argmax(np.abs(step - usual)))} of the paired "
+            "range; choose a range without with --start and --frames"
+        )
 
 
 def _length(available: list[int], limit: int | None) -> int:
-    count = min(available) if limit is None else min(limit, *available)
-    if count < 2:
+    """How many frames all cameras have, at most `limit`."""
+    length = min(available) if limit is None else min(limit, *available)
+    if length < 2:
         raise GofError(
-            f"{count} frames are left in common; at least 2 are needed (check --start, --frames and the times)"
+            f"{length} frames are left in common; at least 2 are needed (check --start, --frames and the times)"
         )
-    return count
+    return length

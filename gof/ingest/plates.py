@@ -1,28 +1,17 @@
-"""Fire-free plates from footage of a fixed camera: fire adds light, so its absence is the dark end of every pixel's history."""
+"""Fire-free plates of a fixed camera: fire adds light, so its absence is the dark end of every pixel's history."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
+from gof.errors import DataFormatError
+from gof.lens import Lens, Turn, prepare
+
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
-WARM, GROW_PX = (
-    12,
-    3,
-)  # display steps of 255 by which red outgrows blue where fire or its light passed; mask margin
-
-
-def darkest(stack: np.ndarray, fraction: float) -> np.ndarray:
-    """Mean of each pixel's darkest frames, by luminance. stack (T, H, W, 3) uint8 RGB; at least one frame is used;
-    `fraction` near 0 is the paper's minimum projection. Returns (H, W, 3) uint8."""
-    count = max(1, round(fraction * len(stack)))
-    plate = np.empty(stack.shape[1:], np.uint8)
-    for y in range(stack.shape[1]):  # by rows: a whole clip's luminance would not fit in memory
-        rows = stack[:, y].astype(np.float32)
-        luma = rows @ LUMA
-        chosen = np.argpartition(luma, count - 1, axis=0)[:count] if count < len(stack) else None
-        picked = rows if chosen is None else np.take_along_axis(rows, chosen[..., None], 0)
-        plate[y] = np.rint(picked.mean(0))
-    return plate
+WARM = 12  # display steps of 255 by which red outgrows blue where fire or its light passed
+GROW_PX = 3  # margin around these places
 
 
 def rank(stack: np.ndarray, fraction: float) -> np.ndarray:
@@ -37,7 +26,11 @@ def rank(stack: np.ndarray, fraction: float) -> np.ndarray:
 
 
 def fire_reached(stack: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """(H, W) bool: pixels that fire, or much of its light, reached: red rose above the plate `low` (uint8) more than blue did."""
+    """(H, W) bool: pixels that fire, or much of its light, reached: red rose above the plate `low` more than blue did.
+
+    Args:
+        stack: (T, H, W, 3) uint8 RGB.   low: (H, W, 3) uint8 minimum plate.
+    """
     import cv2
 
     warmest = np.full(low.shape[:2], -255, np.int16)
@@ -50,9 +43,10 @@ def fire_reached(stack: np.ndarray, low: np.ndarray) -> np.ndarray:
 
 
 def steady(stack: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """The minimum `low` where fire passed, the temporal median where it never did, blended at the seam. (H, W, 3) uint8.
+    """The minimum `low` where fire passed, the temporal median where it never did, blended between; (H, W, 3) uint8.
 
-    A minimum over noise lies below the scene by two to three standard deviations; where there is no fire nothing is gained by it.
+    A minimum over noise lies below the scene by two to three standard deviations; where there is no fire nothing is
+    gained by it.
     """
     import cv2
 
@@ -62,3 +56,20 @@ def steady(stack: np.ndarray, low: np.ndarray) -> np.ndarray:
     for y in range(stack.shape[1]):
         median[y] = np.median(stack[:, y], axis=0)
     return np.rint(weight * low + (1 - weight) * median).astype(np.uint8)
+
+
+def read_plate(folder: Path, name: str, lens: Lens, turn: Turn) -> np.ndarray:
+    """(H, W, 3) uint8: a plate filmed without fire, folder/NAME.png or of another suffix, prepared as the frames are.
+
+    Raises:
+        DataFormatError: there is none, or it has another size than the footage.
+    """
+    import cv2
+
+    files = sorted(folder.glob(f"{name}.*")) if folder.is_dir() else []
+    if not files:
+        raise DataFormatError(f"{folder}: no picture {name}.png there")
+    picture = cv2.imread(str(files[0]), cv2.IMREAD_COLOR)
+    if picture is None or picture.shape[:2] != (lens.height, lens.width):
+        raise DataFormatError(f"{files[0]}: must be a picture of {lens.width}x{lens.height} pixels, as the footage")
+    return prepare(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), lens, turn)

@@ -1,121 +1,135 @@
-"""`gof background`: the fire-free scene as static Gaussians, from the plates and their depth (paper, "Static Scene").
+"""The fire-free scene as static Gaussians, from the plates and their depth (paper, "Static Scene").
 
 For views that no camera took; from the cameras themselves a plate is exact. Seeds are the back-projected depth maps.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tyro
 
 from gof.cameras import Camera
 from gof.costs import StageLog
 from gof.dataset import Dataset
+from gof.dataset.poses import Poses
 from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
 from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
-from gof.io.files import write_json
 from gof.progress import progress_bar
 from gof.reconstruct.shrink import shrink
 
 
-@dataclass
-class BackgroundConfig:
-    """The scene without fire as static Gaussians: background.npz and background.ply, for views that no camera took."""
+@dataclass(frozen=True)
+class BackgroundOptions:
+    """How the still scene is reconstructed.
 
-    dataset: tyro.conf.Positional[Path]
-    """Dataset folder. Uses its depth/CAMERA.npy (from `gof static --depth`), else stereo between its plates."""
-    out: Path
-    """Folder for the result; a finished one there is kept."""
+    Attributes:
+        steps: of the optimisation, one plate each; the paper's are 10 000.
+        gaussians: at most so many.
+        longest_side: px; plates with a longer side are shrunk to it.
+        depth_term: hold the Gaussians to the depth maps.
+        depth_weights: folder of a Depth-Anything-V2 checkpoint that completes stereo depth; None: the plate's edges do.
+        seed: of the order of plates and of splitting.
+    """
+
     steps: int = 3000
-    """Optimisation steps, one plate each; the paper's are 10 000."""
     gaussians: int = 120_000
-    """At most so many."""
     longest_side: int = 640
-    """Pictures with a longer side, in pixels, are shrunk to it."""
     depth_term: bool = True
-    """Hold the Gaussians to the depth maps."""
     depth_weights: Path | None = None
-    """Folder of a Depth-Anything-V2 checkpoint that completes stereo depth; without it edges of the plate do."""
-    flame: Path | None = None
-    """Result of `gof reconstruct` to add: scene.npz and scene.ply hold both."""
     seed: int = 0
-    """Random seed of the order of pictures and of splitting."""
-    json: Path | None = None
-    """Also write the summary to this file."""
 
 
-def make_background(config: BackgroundConfig) -> Path:
-    """Run what is not there yet; returns the path of background.npz.
+def make_background(folder: Path, out: Path, options: BackgroundOptions) -> TransientGaussians:
+    """Reconstruct the still scene of a dataset: out/background.npz and .ply; a finished one there is kept.
 
     Raises:
-        GofError: no depth can be had; see `stereo_depth` and `depth.whole_depth`.
+        GofError: no depth can be had; see `plate_depths`.
     """
-    result = config.out / "background.npz"
-    if not result.exists():
-        from gof.reconstruct.splatting import optimize_background
+    result = out / "background.npz"
+    if result.exists():
+        return TransientGaussians.load(result)
+    from gof.reconstruct.splatting import optimize_background
 
-        config.out.mkdir(parents=True, exist_ok=True)
-        full, log = Dataset.open(config.dataset), StageLog(config.out / "costs.json")
-        dataset = shrink(full, config.longest_side)
-        plates = [dataset.static(c) for c in range(len(dataset.cameras))]
-        with log.measure("depth"):
-            depths = plate_depths(dataset, plates, config.depth_weights)
-        rng = np.random.default_rng(config.seed)
-        with log.measure("background") as figures, progress_bar("background") as progress:
-            seeds = seed_background(dataset.cameras, plates, depths, config.gaussians // 2, rng)
-            gaussians = optimize_background(
-                seeds,
-                dataset.cameras,
-                plates,
-                depths if config.depth_term else None,
-                config.steps,
-                config.gaussians,
-                rng,
-                progress,
-            )
-            figures.update(gaussians=len(gaussians), steps=config.steps)
-        source = f"gof background {full.meta['name']}"
-        gaussians.save(config.out / "background.ply", source=source)
-        gaussians.save(result, source=source)
-    if config.flame is not None:
-        both = TransientGaussians.concatenate([TransientGaussians.load(result), TransientGaussians.load(config.flame)])
-        for name in ("scene.npz", "scene.ply"):
-            both.save(config.out / name, source="gof background and gof reconstruct")
-    return result
+    log = StageLog(out / "costs.json")
+    rng = np.random.default_rng(options.seed)
+    full = Dataset.open(folder)
+    dataset = shrink(full, options.longest_side)
+    plates = [dataset.static(c) for c in range(len(dataset.cameras))]
+
+    # ---- depth of the plates -----------------------------------------------------------------------------------------
+    with log.measure("depth"):
+        depths = plate_depths(dataset, plates, options.depth_weights)
+
+    # ---- seeds, and their optimisation -------------------------------------------------------------------------------
+    with log.measure("background") as figures, progress_bar("background") as progress:
+        seeds = seed_background(dataset.cameras, plates, depths, options.gaussians // 2, rng)
+        gaussians = optimize_background(
+            seeds,
+            dataset.cameras,
+            plates,
+            depths if options.depth_term else None,
+            options.steps,
+            options.gaussians,
+            rng,
+            progress,
+        )
+        figures.update(gaussians=len(gaussians), steps=options.steps)
+    for path in (out / "background.ply", result):  # the .npz last: it says that the result is finished
+        gaussians.save(path, source=f"gof background {full.description.name}")
+    return gaussians
+
+
+def add_flame(background: TransientGaussians, flame: Path, out: Path) -> None:
+    """out/scene.npz and .ply: the still scene and a flame's result file together."""
+    both = TransientGaussians.concatenate([background, TransientGaussians.load(flame)])
+    for name in ("scene.npz", "scene.ply"):
+        both.save(out / name, source="gof background and gof reconstruct")
 
 
 def plate_depths(dataset: Dataset, plates: list[np.ndarray], weights: Path | None) -> list[np.ndarray]:
-    """C x (H, W) camera depth in m, everywhere: the dataset's own maps, else stereo between the plates, completed."""
-    files = [dataset.path / "depth" / f"{camera.name}.npy" for camera in dataset.cameras]
-    pictures = [np.uint8(np.rint(255 * plate)) for plate in plates]
-    if all(file.is_file() for file in files):
-        found = [np.load(file, allow_pickle=False) for file in files]
-        import cv2
+    """C x (H, W) camera depth in m, everywhere: the dataset's own maps, else stereo between the plates, completed.
 
-        for file, depth in zip(files, found, strict=True):
-            if depth.ndim != 2 or not (np.isfinite(depth) & (depth > 0)).all():
-                raise DataFormatError(f"{file}: not an (H, W) map of positive depths; run gof static --depth again")
-        # Nearest: a mean of two surfaces is a place where nothing is.
-        return [
-            cv2.resize(d.astype(np.float32), p.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-            for d, p in zip(found, plates, strict=True)
-        ]
+    Args:
+        plates: (H, W, 3) display values in [0, 1] per camera.
+    Raises:
+        DataFormatError: a map of the dataset is not one of positive depths.
+        GofError: no map, and a single camera or nothing to match; see `depth.whole_depth`.
+    """
+    files = [dataset.path / "depth" / f"{camera.name}.npy" for camera in dataset.cameras]
+    if all(file.is_file() for file in files):
+        return [_stored_depth(file, plate.shape[1::-1]) for file, plate in zip(files, plates, strict=True)]
     if len(plates) < 2:
         raise GofError(f"{dataset.path}: one camera has no stereo depth; give depth/{files[0].name}")
-    points = np.array(dataset.meta.get("points", []), np.float64).reshape(-1, 3)
+    poses = Poses.read(dataset.path)
+    points = np.zeros((0, 3)) if poses is None else poses.points_array()
+    pictures = [np.uint8(np.rint(255 * plate)) for plate in plates]
     partial = stereo_depth(pictures, dataset.cameras, points)
     return [depth_maps.whole_depth(d, picture, weights) for d, picture in zip(partial, pictures, strict=True)]
+
+
+def _stored_depth(file: Path, size: tuple[int, int]) -> np.ndarray:
+    """(H, W) float32 m of a depth map of the dataset, at `size` (width, height)."""
+    import cv2
+
+    depth = np.load(file, allow_pickle=False)
+    if depth.ndim != 2 or not (np.isfinite(depth) & (depth > 0)).all():
+        raise DataFormatError(f"{file}: not an (H, W) map of positive depths; run gof ingest --depth again")
+    # Nearest: a mean of two surfaces is a place where nothing is.
+    return cv2.resize(depth.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
 
 
 def seed_background(
     cameras: list[Camera], plates: list[np.ndarray], depths: list[np.ndarray], budget: int, rng: np.random.Generator
 ) -> TransientGaussians:
-    """At most `budget` pixels of the plates as Gaussians at their depth, as large as the way to their three nearest neighbours."""
+    """At most `budget` pixels of the plates as Gaussians at their depth, as large as the way to their neighbours.
+
+    Args:
+        plates: C x (H, W, 3) display values.   depths: C x (H, W) m.
+    """
     from scipy.spatial import cKDTree
 
     clouds = [
@@ -138,21 +152,3 @@ def seed_background(
         color=colors,
         dynamic=np.zeros(n, bool),
     )
-
-
-def main(argv: list[str]) -> int:
-    """`gof background DATASET --out DIR`; see --help."""
-    config = tyro.cli(BackgroundConfig, prog="gof background", args=argv)
-    result = make_background(config)
-    stages = StageLog(config.out / "costs.json").stages()
-    summary = {
-        "result": str(result),
-        "gaussians": len(TransientGaussians.load(result)),
-        "stages": [asdict(s) for s in stages],
-    }
-    if config.json:
-        write_json(config.json, summary)
-    for stage in stages:
-        print(f"{stage.name:<12} {stage.seconds:8.1f} s {stage.peak_mb:8.0f} MB")
-    print(f"{summary['gaussians']} Gaussians -> {result}")
-    return 0

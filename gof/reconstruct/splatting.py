@@ -1,13 +1,14 @@
 """3D Gaussian Splatting of a few fire-free plates, held to their depth maps (paper, "Static Scene").
 
-Loss: 0.8 L1 + 0.2 (1 - SSIM) + w mean |1/D - 1/D_render| z, w falling exponentially from 1 to 0.01: 3DGS' own final weight, 100
-times as much at the start. The depth term is in disparity times the scene's median depth z, which has no unit and is what
-stereo measures evenly. Gaussians are cloned and split where the pictures pull hardest, and none is pruned.
+Loss: 0.8 L1 + 0.2 (1 - SSIM) + w mean |1/D - 1/D_render| z, w falling exponentially from 1 to 0.01: 3DGS' own final
+weight, 100 times as much at the start. The depth term is in disparity times the scene's median depth z, which has no
+unit and is what stereo measures evenly. Gaussians are cloned and split where the pictures pull hardest, and none is
+pruned.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import numpy as np
@@ -18,21 +19,18 @@ from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.render import Splats, Target, l1_ssim, render_splats
 from gof.render.backend import Array3f, Array4f, Float
+from gof.render.rasterizer import Frame
 from gof.rotations import rotation_matrices
 
 SSIM_WEIGHT = 0.2
 DEPTH_WEIGHT = (1.0, 0.01)  # first and last step; 3DGS' 0.01 at the end, 100 times as much at the start (paper)
-DENSIFY_EVERY, DENSIFY_UNTIL = 100, 0.5  # steps; share of the steps
+DENSIFY_EVERY = 100  # steps
+DENSIFY_UNTIL = 0.5  # of all steps
 PULL = 2e-4  # mean gradient of the centre, in half picture widths, above which a Gaussian is cloned or split (3DGS)
 LARGE = 0.01  # of the scene's size, larger ones are split, smaller ones cloned (3DGS)
 SPLIT_SHRINK = 1.6  # (3DGS)
-RATES = {
-    "position": 1.6e-4,
-    "log_scale": 5e-3,
-    "rotation": 1e-3,
-    "opacity": 0.05,
-    "color": 2.5e-3,
-}  # 3DGS; position times the size
+# 3DGS; that of positions times the scene's size.
+RATES = {"position": 1.6e-4, "log_scale": 5e-3, "rotation": 1e-3, "opacity": 0.05, "color": 2.5e-3}
 POSITION_DECAY = 0.01
 
 
@@ -54,32 +52,27 @@ def optimize_background(
     Raises:
         NonFiniteError: the loss became NaN or Inf.
     """
-    # 3DGS takes the cameras' spread as the scene's size; three cameras side by side say little, their distance says more.
+    # 3DGS takes the cameras' spread as the scene's size; of three cameras side by side their distance says more.
     size = float(np.median(np.concatenate([c.to_camera(seeds.position)[:, 2] for c in cameras])))
-    raw = _to_raw(seeds)
-    optimizer = _adam(raw, size)
+    optimizer = _adam(_to_raw(seeds), size)
     targets = [Target(plate) for plate in plates]
     disparity = None if depths is None else [Float(np.ascontiguousarray(size / d.ravel(), np.float32)) for d in depths]
-    pull, seen, order = np.zeros(len(seeds)), np.zeros(len(seeds)), []
+    pull = _Pull.none(len(seeds))
+    order: list[int] = []
     for step in range(steps):
-        if not order:
-            order = rng.permutation(len(plates)).tolist()
-        c, done = order.pop(), step / max(steps - 1, 1)
+        order = order or rng.permutation(len(plates)).tolist()
+        c = order.pop()
+        done = step / max(steps - 1, 1)
         optimizer.set_learning_rate({"position": RATES["position"] * size * POSITION_DECAY**done})
         frame = render_splats(_splats(optimizer), cameras[c], depth=depths is not None, near=0.01 * size)
         loss = l1_ssim(frame.color, targets[c], ssim_weight=SSIM_WEIGHT)
         if disparity is not None:
             weight = DEPTH_WEIGHT[0] * (DEPTH_WEIGHT[1] / DEPTH_WEIGHT[0]) ** done
-            covered = dr.detach(frame.alpha) > 0.5  # elsewhere the expected depth is of almost nothing
-            rendered = dr.select(covered, size / dr.maximum(frame.expected_depth, 1e-3 * size), disparity[c])
-            loss += weight * dr.mean(dr.abs(rendered - disparity[c]))
+            loss += weight * _depth_term(frame, disparity[c], size)
         dr.backward(loss)
         grows = step < DENSIFY_UNTIL * steps
         if grows:
-            moved = np.hypot(*np.array(frame.mean2d_grad)) * cameras[c].width / 2
-            drawn = frame.radius.numpy() > 0
-            pull[drawn] += moved[drawn]
-            seen[drawn] += 1
+            pull.add(frame, cameras[c].width)
         optimizer.step()
         dr.eval(list(optimizer.values()))
         if (step + 1) % DENSIFY_EVERY == 0:
@@ -88,15 +81,47 @@ def optimize_background(
                 raise NonFiniteError(
                     f"step {step}: the loss of the background is {value}; report this dataset as a bug"
                 )
-            if grows and len(pull) < budget:
-                optimizer = _densify(optimizer, pull / np.maximum(seen, 1), size, budget, rng)
-                pull, seen = np.zeros(dr.width(optimizer["opacity"])), np.zeros(dr.width(optimizer["opacity"]))
-            progress(step + 1, steps, note=f"loss {value:.4f}, {len(pull)} Gaussians")
+            if grows and len(pull.total) < budget:
+                optimizer = _densify(optimizer, pull.mean(), size, budget, rng)
+                pull = _Pull.none(dr.width(optimizer["opacity"]))
+            progress(step + 1, steps, note=f"loss {value:.4f}, {len(pull.total)} Gaussians")
     return _from_raw(optimizer)
 
 
+def _depth_term(frame: Frame, disparity: Float, size: float) -> Float:
+    """Mean difference of rendered and known disparity, both times the scene's size."""
+    covered = dr.detach(frame.alpha) > 0.5  # elsewhere the expected depth is of almost nothing
+    rendered = dr.select(covered, size / dr.maximum(frame.expected_depth, 1e-3 * size), disparity)
+    return dr.mean(dr.abs(rendered - disparity))
+
+
+@dataclass
+class _Pull:
+    """How hard pictures pull at each Gaussian's centre: sum of gradients (N,), and in how many pictures it was (N,)."""
+
+    total: np.ndarray
+    seen: np.ndarray
+
+    @classmethod
+    def none(cls, count: int) -> _Pull:
+        return cls(np.zeros(count), np.zeros(count))
+
+    def add(self, frame: Frame, width: int) -> None:
+        """The gradients of a frame after the backward pass, in half picture widths (3DGS)."""
+        moved = np.hypot(*np.array(frame.mean2d_grad)) * width / 2
+        drawn = frame.radius.numpy() > 0
+        self.total[drawn] += moved[drawn]
+        self.seen[drawn] += 1
+
+    def mean(self) -> np.ndarray:
+        return self.total / np.maximum(self.seen, 1)
+
+
 def _densify(optimizer: Adam, pull: np.ndarray, size: float, budget: int, rng: np.random.Generator) -> Adam:
-    """Clone small and split large Gaussians that the pictures pull hardest, at most up to the budget; Adam starts anew for them."""
+    """Clone small and split large Gaussians that the pictures pull hardest, up to the budget.
+
+    Adam starts anew for them; those that were there keep their moments.
+    """
     g = _from_raw(optimizer)
     wanted = np.flatnonzero(pull > PULL)
     wanted = wanted[np.argsort(-pull[wanted], kind="stable")][: budget - len(g)]
@@ -112,8 +137,8 @@ def _densify(optimizer: Adam, pull: np.ndarray, size: float, budget: int, rng: n
     for name in grown.keys():  # those that were there keep their moments
         value, promoted, rate, (t, *_, extra) = grown.state[name]
         _, _, _, (t, m, v, _) = optimizer.state[name]
-        kind, new = type(dr.detach(value)), len(wanted)
-        moments = [kind(np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, new)])) for x in (np.array(m), np.array(v))]
+        kind = type(dr.detach(value))
+        moments = [kind(np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, len(wanted))])) for x in (np.array(m), np.array(v))]
         grown.state[name] = (value, promoted, rate, (t, *moments, extra))
     return grown
 

@@ -92,7 +92,7 @@ def relative(poses) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def pose_errors(poses, truth) -> tuple[float, float]:
-    """Largest rotation error in degrees, largest translation error as a share of the longest baseline, scale removed."""
+    """Largest rotation error in degrees, largest translation error as a share of the longest baseline, at any scale."""
     angles, a, b = [], [], []
     for (R, t), (R_true, t_true) in zip(relative(poses), relative(truth), strict=True):
         angles.append(np.rad2deg(np.arccos(np.clip((np.trace(R @ R_true.T) - 1) / 2, -1, 1))))

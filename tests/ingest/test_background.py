@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from gof.dataset import Dataset
+from gof.dataset.poses import PoseReport, Poses
 from gof.errors import DataFormatError
 from gof.evaluate.image import psnr
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.background import BackgroundConfig, make_background, plate_depths, seed_background
+from gof.ingest.stereo import consistent, neighbours_matched
+from gof.reconstruct.background import BackgroundOptions, add_flame, make_background, plate_depths, seed_background
 from gof.reconstruct.splatting import optimize_background
 from gof.render import render
 from tests.conftest import look_at, write_dataset
@@ -74,8 +76,9 @@ def test_from_a_dataset_with_the_flame_added(views, tmp_path, gaussians):
         np.save(folder / "depth" / f"{camera.name}.npy", depth)
     flame = tmp_path / "flame.npz"
     gaussians.save(flame, source="test")
-    config = BackgroundConfig(folder, tmp_path / "out", steps=20, gaussians=3000, flame=flame)
-    result = make_background(config)
+    options = BackgroundOptions(steps=20, gaussians=3000)
+    add_flame(make_background(folder, tmp_path / "out", options), flame, tmp_path / "out")
+    result = tmp_path / "out" / "background.npz"
     background = TransientGaussians.load(result)
     scene_file = TransientGaussians.load(tmp_path / "out" / "scene.npz")
     assert (
@@ -83,7 +86,8 @@ def test_from_a_dataset_with_the_flame_added(views, tmp_path, gaussians):
         and (scene_file.dynamic == np.concatenate([background.dynamic, gaussians.dynamic])).all()
     )
     stamp = result.stat().st_mtime_ns
-    make_background(config)
+    again = make_background(folder, tmp_path / "out", options)
+    np.testing.assert_array_equal(again.position, background.position)
     assert result.stat().st_mtime_ns == stamp, "what is finished is kept"
 
 
@@ -99,3 +103,23 @@ def test_without_depth_maps_stereo_is_used_and_bad_maps_are_named(views, tmp_pat
         np.save(folder / "depth" / f"{camera.name}.npy", np.where(depth > np.median(depth), np.nan, depth))
     with pytest.raises(DataFormatError, match="positive depths"):
         plate_depths(dataset, plates, None)
+
+
+def test_the_sparse_points_of_the_poses_set_the_depths_that_are_searched(views, tmp_path):
+    """They once were written to poses.json and looked for in dataset.json: every search took the fallback range."""
+    cameras, plates, _ = (list(x) for x in zip(*views[:3], strict=True))
+    folder = write_dataset(tmp_path / "data", cameras, np.stack([plates]), plates, [0.0])
+    dataset = Dataset.open(folder)
+    plates = [dataset.static(c) for c in range(3)]
+    fallback = plate_depths(dataset, plates, None)
+    points = np.random.default_rng(0).uniform([-1, -0.5, 0], [1, 2.5, 1.5], (50, 3))
+    Poses.of(PoseReport("features", "metres, from --cameras"), points).write(folder)
+    found = plate_depths(dataset, plates, None)
+
+    depth = np.concatenate([c.to_camera(points)[:, 2] for c in cameras])
+    near, far = np.percentile(depth, 1) / 1.5, np.percentile(depth, 99) * 1.5
+    pictures = [np.uint8(np.rint(255 * plate)) for plate in plates]
+    expected = consistent(neighbours_matched(pictures, cameras, near, far), cameras)
+    known = np.isfinite(expected[1])
+    np.testing.assert_allclose(found[1][known], expected[1][known], rtol=1e-5)
+    assert not np.allclose(found[1], fallback[1]), "otherwise the test says nothing"

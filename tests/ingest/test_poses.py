@@ -1,14 +1,17 @@
 """Camera poses against exact truth: by structure from motion, by known points, and what is said when neither works."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from gof.dataset.poses import PoseReport, Poses
 from gof.errors import DataFormatError
 from gof.ingest import adjust, sfm
+from gof.ingest.marked_points import MarkedPoint, read_points
 from gof.ingest.place import upright_world
-from tests.ingest.scene import cameras, draw, lens, pose_errors
+from tests.ingest.scene import HEIGHT, WIDTH, cameras, draw, lens, pose_errors
 
 pytest.importorskip("pycolmap")
 NAMES = ["cam_0", "cam_1", "cam_2"]
@@ -18,10 +21,8 @@ NAMES = ["cam_0", "cam_1", "cam_2"]
 def solved():
     rig = cameras()
     pictures = [draw(c)[0] for c in rig]
-    found, features, report = sfm.solve(
-        pictures, [np.ones(p.shape[:2], bool) for p in pictures], [lens(c) for c in rig], NAMES
-    )
-    return rig, found, features, report
+    masks = [np.ones(p.shape[:2], bool) for p in pictures]
+    return rig, sfm.solve(pictures, masks, [lens(c) for c in rig], NAMES)
 
 
 def board(rig, side=0.3, noise=0.0, scale=1.0):
@@ -32,22 +33,22 @@ def board(rig, side=0.3, noise=0.0, scale=1.0):
     points = []
     for k, (flat, x) in enumerate(zip(xy, world, strict=True)):
         pixels = {c: rig[c].project(x[None] * scale)[0][0] + rng.normal(0, noise, 2) for c in range(len(rig))}
-        points.append({"pixels": pixels, "xyz": np.append(flat * scale, 0.0), "rough": k >= 4})
+        points.append(MarkedPoint(pixels, np.append(flat * scale, 0.0), rough=k >= 4))
     return points
 
 
 def test_structure_from_motion_finds_the_truth(solved):
-    rig, found, features, report = solved
-    assert report["registered"] == NAMES and report["reprojection_px"] < 0.6
-    angle, shift = pose_errors(found.world_to_camera, [c.world_to_camera for c in rig])
+    rig, solution = solved
+    assert solution.figures.registered == tuple(NAMES) and solution.figures.reprojection_px < 0.6
+    angle, shift = pose_errors(solution.model.world_to_camera, [c.world_to_camera for c in rig])
     assert angle < 0.3 and shift < 0.02
-    share = sfm.consistent_share(features, [lens(c) for c in rig], np.array([c.world_to_camera for c in rig]))
+    share = sfm.consistent_share(solution.features, [lens(c) for c in rig], np.array([c.world_to_camera for c in rig]))
     assert min(share.values()) > 0.8
 
 
 @pytest.mark.parametrize("scale", [1.0, 1000.0])
 def test_known_points_give_pose_and_scale(solved, scale):
-    _, _, features, _ = solved
+    features = solved[1].features
     rig = cameras(scale)
     poses = adjust.from_known_points(board(rig, noise=0.1, scale=scale), features, [lens(c) for c in rig], NAMES)
     angle, shift = pose_errors(poses.world_to_camera, [c.world_to_camera for c in rig])
@@ -57,26 +58,26 @@ def test_known_points_give_pose_and_scale(solved, scale):
 
 
 def test_marked_points_tell_true_poses_from_wrong_ones(solved):
-    rig, _, features, _ = solved
+    rig, features = solved[0], solved[1].features
     lenses = [lens(c) for c in rig]
     truth = np.array([c.world_to_camera for c in rig])
     good = adjust.check_points(board(rig), lenses, truth)
-    assert good["reprojection_px"] < 1e-6 and good["metres_per_unit"] == pytest.approx(1) and good["spread"] < 1e-6
+    assert good.reprojection_px < 1e-6 and good.metres_per_unit == pytest.approx(1) and good.spread < 1e-6
     wrong = truth.copy()
     wrong[1, :3, 3] += [0.3, 0.1, 0.2]
-    assert adjust.check_points(board(rig), lenses, wrong)["reprojection_px"] > 3
+    assert adjust.check_points(board(rig), lenses, wrong).reprojection_px > 3
     assert sfm.consistent_share(features, lenses, wrong)[0, 1] < 0.6
     assert adjust.check_points([], lenses, truth) is None
 
 
 def test_a_camera_without_enough_points_is_named(solved):
-    rig, _, features, _ = solved
+    rig, features = solved[0], solved[1].features
     points = board(rig)
     for p in points[3:]:
-        del p["pixels"][1]
+        del p.pixels[1]
     with pytest.raises(sfm.PoseError, match=r"'cam_1' sees 3 points.*--points"):
         adjust.from_known_points(points, features, [lens(c) for c in rig], NAMES)
-    line = [p | {"xyz": np.array([k, 0.0, 0.0])} for k, p in enumerate(board(rig))]
+    line = [replace(p, xyz=np.array([k, 0.0, 0.0])) for k, p in enumerate(board(rig))]
     with pytest.raises(sfm.PoseError, match="one line"):
         adjust.from_known_points(line, features, [lens(c) for c in rig], NAMES)
 
@@ -110,8 +111,8 @@ def test_points_file(tmp_path):
             }
         )
     )
-    points = sfm.read_points(path, NAMES)
-    assert points[0]["pixels"][2].tolist() == [3, 4] and points[1]["xyz"] is None
+    points = read_points(path, NAMES)
+    assert points[0].pixels[2].tolist() == [3, 4] and points[1].xyz is None
     for bad in (
         {"points": [{"pixels": {"left": [1, 2]}}]},
         {"points": [{"pixels": {"cam_0": [1]}}]},
@@ -120,4 +121,16 @@ def test_points_file(tmp_path):
     ):
         path.write_text(json.dumps(bad))
         with pytest.raises(DataFormatError, match=r"points\.json"):
-            sfm.read_points(path, NAMES)
+            read_points(path, NAMES)
+
+
+def test_rays_that_never_meet_are_said_to_be_parallel(tmp_path):
+    """They once gave a miss of infinity, which JSON cannot hold: with known cameras the command ended in an error."""
+    rig = cameras()
+    ahead = MarkedPoint({c: np.array([WIDTH / 2, HEIGHT / 2]) for c in (0, 1)})
+    poses = np.array([rig[0].world_to_camera] * 2)
+    poses[1, 0, 3] += 0.5
+    check = adjust.check_points([ahead], [lens(c) for c in rig[:2]], poses)
+    assert check.reprojection_px is None
+    Poses.of(PoseReport("--cameras", "metres", check=check), np.zeros((0, 3))).write(tmp_path)
+    assert Poses.read(tmp_path).report.check == check

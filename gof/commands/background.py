@@ -1,0 +1,58 @@
+"""`gof background`: the fire-free scene of a dataset as static Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import tyro
+
+from gof.costs import StageLog
+from gof.io.files import write_json
+from gof.reconstruct.background import BackgroundOptions, add_flame, make_background
+
+
+@dataclass
+class BackgroundConfig:
+    """The scene without fire as static Gaussians: background.npz and background.ply, for views that no camera took."""
+
+    dataset: tyro.conf.Positional[Path]
+    """Dataset folder. Uses its depth/CAMERA.npy (from `gof ingest --depth`), else stereo between its plates."""
+    out: Path
+    """Folder for the result; a finished one there is kept."""
+    steps: int = BackgroundOptions.steps
+    """Optimisation steps, one plate each; the paper's are 10 000."""
+    gaussians: int = BackgroundOptions.gaussians
+    """At most so many."""
+    longest_side: int = BackgroundOptions.longest_side
+    """Pictures with a longer side, in pixels, are shrunk to it."""
+    depth_term: bool = BackgroundOptions.depth_term
+    """Hold the Gaussians to the depth maps."""
+    depth_weights: Path | None = None
+    """Folder of a Depth-Anything-V2 checkpoint that completes stereo depth; without it edges of the plate do."""
+    flame: Path | None = None
+    """Result of `gof reconstruct` to add: scene.npz and scene.ply hold both."""
+    seed: int = BackgroundOptions.seed
+    """Random seed of the order of pictures and of splitting."""
+    json: Path | None = None
+    """Also write the summary to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """`gof background DATASET --out DIR`; see --help."""
+    config = tyro.cli(BackgroundConfig, prog="gof background", args=argv)
+    options = BackgroundOptions(
+        config.steps, config.gaussians, config.longest_side, config.depth_term, config.depth_weights, config.seed
+    )
+    gaussians = make_background(config.dataset, config.out, options)
+    if config.flame is not None:
+        add_flame(gaussians, config.flame, config.out)
+    stages = StageLog(config.out / "costs.json").stages()
+    result = config.out / "background.npz"
+    if config.json:
+        summary = {"result": str(result), "gaussians": len(gaussians), "stages": [asdict(s) for s in stages]}
+        write_json(config.json, summary)
+    for stage in stages:
+        print(f"{stage.name:<12} {stage.seconds:8.1f} s {stage.peak_mb:8.0f} MB")
+    print(f"{len(gaussians)} Gaussians -> {result}")
+    return 0

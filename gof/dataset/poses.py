@@ -1,0 +1,103 @@
+"""poses.json of a dataset made from videos: the sparse points its poses rest on, and what was measured about both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from gof.io.records import read_record, write_record
+
+FILE = "poses.json"
+
+
+@dataclass(frozen=True)
+class FeatureFigures:
+    """What structure from motion found.
+
+    Attributes:
+        keypoints: per camera name.   matches: raw ones per pair, "cam_0-cam_1".
+        registered: names of the cameras that got a pose.
+        points, reprojection_px: of the model; None when there is no model.
+    """
+
+    keypoints: dict[str, int]
+    matches: dict[str, int]
+    registered: tuple[str, ...] = ()
+    points: int | None = None
+    reprojection_px: float | None = None
+
+
+@dataclass(frozen=True)
+class PointCheck:
+    """How well marked points fit poses that need not have used them, from points in two or more views.
+
+    Attributes:
+        reprojection_px: mean over the points; None where the rays to a point are parallel and never meet.
+        metres_per_unit: median over pairs of points of known distance; None without such a pair.
+        spread: relative median deviation of `metres_per_unit`.
+    """
+
+    reprojection_px: float | None
+    metres_per_unit: float | None
+    spread: float | None
+
+
+@dataclass(frozen=True)
+class PoseReport:
+    """Where the poses are from, and the figures they were judged by.
+
+    Attributes:
+        method: "features": structure from motion; "points": the board or points by hand; "--cameras": given.
+        scale: how the unit of length is known.
+        notes: what could not be used, for people.
+        sfm: None when no features were looked for.
+        consistent: share of a pair's raw matches near their epipolar lines, per pair that has matches.
+        check: None when no marked point is in two views.
+    """
+
+    method: Literal["--cameras", "features", "points"]
+    scale: str
+    notes: tuple[str, ...] = ()
+    sfm: FeatureFigures | None = None
+    consistent: dict[str, float] | None = None
+    check: PointCheck | None = None
+
+
+@dataclass(frozen=True)
+class Poses:
+    """poses.json. The poses themselves are in dataset.json.
+
+    Attributes:
+        points: (N, 3) sparse points on what stands still, world metres (or the unit that `report.scale` names).
+    """
+
+    SCHEMA: ClassVar[str] = "gof-poses"
+    VERSION: ClassVar[int] = 1
+
+    report: PoseReport
+    points: tuple[tuple[float, float, float], ...] = ()
+
+    @classmethod
+    def of(cls, report: PoseReport, points: np.ndarray) -> Poses:
+        """From points (N, 3), to the micrometre."""
+        return cls(report, tuple(map(tuple, np.round(points, 6).tolist())))
+
+    @classmethod
+    def read(cls, folder: Path) -> Poses | None:
+        """Read `folder/poses.json`; None where there is none, as in a generated dataset.
+
+        Raises:
+            DataFormatError: another schema or version, a wrong field (named).
+        """
+        return read_record(cls, folder / FILE) if (folder / FILE).is_file() else None
+
+    def write(self, folder: Path) -> None:
+        """Write `folder/poses.json`."""
+        write_record(folder / FILE, self)
+
+    def points_array(self) -> np.ndarray:
+        """(N, 3) float64."""
+        return np.array(self.points, np.float64).reshape(-1, 3)

@@ -1,0 +1,284 @@
+"""From videos of a fire by fixed cameras to a dataset that `gof reconstruct` reads, stage by stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from gof.cameras import Camera
+from gof.costs import StageLog
+from gof.dataset import CameraEntry, DatasetDescription, held_out
+from gof.dataset.poses import Poses
+from gof.errors import GofError
+from gof.flame_mask import flame_mask
+from gof.ingest import plates
+from gof.ingest.depth import back_project, whole_depth, write_points
+from gof.ingest.footage import Footage
+from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
+from gof.ingest.place import Placed, PoseOptions, place_cameras
+from gof.ingest.stereo import stereo_depth
+from gof.io.files import atomic_path
+from gof.lens import ROLL_DEG
+
+PlateKind = Literal["steady", "minimum"]
+
+
+@dataclass(frozen=True)
+class Ingested:
+    """The finished dataset's folder, and what its poses.json says."""
+
+    folder: Path
+    poses: Poses
+
+
+def make_dataset(
+    out: Path,
+    footage: Footage,
+    timing: Timing,
+    pose_options: PoseOptions,
+    plate: PlateKind = "steady",
+    plates_folder: Path | None = None,
+    width: int | None = None,
+    depth: bool = False,
+    depth_weights: Path | None = None,
+) -> Ingested:
+    """Write a dataset.
+
+    Args:
+        out: folder of the dataset.
+        plate: how plates are made from the footage, when there is no `plates_folder`: "minimum" over time, or "steady",
+            that where fire passed and the temporal median elsewhere.
+        plates_folder: pictures cam_0.png ... as stored, filmed without fire.
+        width: of the dataset's pictures in px, None for the footage's; poses are always solved at full size.
+        depth: also write depth maps of the plates and their point cloud.
+        depth_weights: folder of the checkpoint for `gof.ingest.depth.monocular`; None: see `complete` there.
+    Raises:
+        GofError: `out` holds a dataset already, the width is not one of the footage; see the stages for what can be
+            wrong with footage, times and poses.
+    """
+    if (out / "dataset.json").exists():
+        raise GofError(f"{out}: already holds a dataset; choose another --out or remove it")
+    for lens in footage.upright_lenses:
+        if width is not None and not 1 <= width <= lens.width:
+            raise GofError(f"--width {width}: the footage is {lens.width} pixels wide")
+
+    log = StageLog(out / "costs.json")
+
+    # ---- frame times, footage ----------------------------------------------------------------------------------------
+    with log.measure("read") as figures:
+        times = read_frame_times(timing, footage.counts()).turned(footage.turn)
+        clips = footage.clips(times.frames)
+        figures.update(cameras=len(clips), frames=len(clips[0]))
+
+    # ---- plates ------------------------------------------------------------------------------------------------------
+    with log.measure("plates") as figures:
+        figures["plate"] = "given" if plates_folder else plate
+        lowest = [plates.rank(clip, 0.0) for clip in clips]
+        without_fire = read_plates(plates_folder, footage) if plates_folder else make_plates(clips, lowest, plate)
+
+    # ---- poses -------------------------------------------------------------------------------------------------------
+    with log.measure("poses") as figures:
+        placed = place_cameras(
+            clips, lowest, footage.upright_lenses, footage.names, footage.world_to_camera, pose_options
+        )
+        figures.update(method=placed.report.method, points=len(placed.points))
+    cameras = placed_cameras(footage, times, placed)
+    stored = [stored_view(camera, picture, width) for camera, picture in zip(cameras, without_fire, strict=True)]
+
+    # ---- depth -------------------------------------------------------------------------------------------------------
+    scene = None
+    if depth:
+        with log.measure("depth") as figures:
+            scene = scene_depth(without_fire, cameras, placed.points, stored, depth_weights)
+            figures["stereo_share"] = list(scene.stereo_share)
+
+    # ---- write -------------------------------------------------------------------------------------------------------
+    with log.measure("write"):
+        if scene is not None:
+            write_depth(out, stored, scene)
+        for view, clip in zip(stored, clips, strict=True):
+            write_pictures(out, view, clip)
+        poses = Poses.of(placed.report, placed.points)
+        poses.write(out)
+        provenance = {
+            "footage": [video.name for video in footage.videos],
+            "plate": "given" if plates_folder else plate,
+            "clock": times.source,
+            "mask": "estimated from the plates",
+            "scale": placed.report.scale,
+        }
+        describe(out.name, footage, times, stored, provenance).write(out)  # last: says that the rest is there
+    return Ingested(out, poses)
+
+
+# ---- plates ----------------------------------------------------------------------------------------------------------
+
+
+def make_plates(clips: list[np.ndarray], lowest: list[np.ndarray], kind: PlateKind) -> list[np.ndarray]:
+    """(H, W, 3) uint8 per camera from clips (T, H, W, 3) and their minimum plates."""
+    if kind == "minimum":
+        return lowest
+    return [plates.steady(clip, plate) for clip, plate in zip(clips, lowest, strict=True)]
+
+
+def read_plates(folder: Path, footage: Footage) -> list[np.ndarray]:
+    """(H, W, 3) uint8 per camera, filmed without fire."""
+    return [
+        plates.read_plate(folder, name, lens, footage.turn)
+        for name, lens in zip(footage.names, footage.lenses, strict=True)
+    ]
+
+
+# ---- cameras ---------------------------------------------------------------------------------------------------------
+
+
+def placed_cameras(footage: Footage, times: FrameTimes, placed: Placed) -> list[Camera]:
+    """The cameras of the prepared pictures at full size."""
+    return [
+        Camera(name, lens.width, lens.height, lens.K, pose, row_time_s, readout)
+        for name, lens, pose, row_time_s, readout in zip(
+            footage.names,
+            footage.upright_lenses,
+            placed.world_to_camera,
+            times.row_time_s,
+            times.readout,
+            strict=True,
+        )
+    ]
+
+
+@dataclass(frozen=True)
+class StoredView:
+    """A camera and its plate (H, W, 3) uint8 RGB at the size of the dataset's pictures."""
+
+    camera: Camera
+    plate: np.ndarray
+
+    @property
+    def rgb(self) -> str:
+        """Pattern of its pictures' names."""
+        return f"cameras/{self.camera.name}/rgb/{{frame:06d}}.png"
+
+    @property
+    def mask(self) -> str:
+        """Pattern of its flame masks' names."""
+        return f"cameras/{self.camera.name}/mask/{{frame:06d}}.png"
+
+    @property
+    def static(self) -> str:
+        """Name of its plate."""
+        return f"static/{self.camera.name}.png"
+
+
+def stored_view(camera: Camera, plate: np.ndarray, width: int | None) -> StoredView:
+    """The camera and its plate at `width`; None keeps the size."""
+    width = width or camera.width
+    small = camera.scaled(width, round(camera.height * width / camera.width))
+    return StoredView(small, resized(plate, small))
+
+
+def resized(picture: np.ndarray, camera: Camera) -> np.ndarray:
+    """The picture at the camera's size; every new pixel is the mean of the old ones it covers."""
+    import cv2
+
+    size = (camera.width, camera.height)
+    return picture if picture.shape[1::-1] == size else cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+
+
+# ---- depth -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SceneDepth:
+    """Depth of the scene without fire.
+
+    Attributes:
+        maps: (H, W) float32 camera depth in m per stored view, everywhere.
+        points, colors: (N, 3) world m and (N, 3) uint8, all pixels of all maps.
+        stereo_share: of each view's pixels, the others are filled.
+    """
+
+    maps: list[np.ndarray]
+    points: np.ndarray
+    colors: np.ndarray
+    stereo_share: tuple[float, ...]
+
+
+def scene_depth(
+    full_plates: list[np.ndarray],
+    cameras: list[Camera],
+    points: np.ndarray,
+    stored: list[StoredView],
+    weights: Path | None,
+) -> SceneDepth:
+    """Stereo between the plates at full size, completed at the stored size.
+
+    Args:
+        cameras: of the plates at full size.   points: (N, 3) sparse, for the range of depths.
+    """
+    import cv2
+
+    maps, clouds, share = [], [], []
+    for view, partial in zip(stored, stereo_depth(full_plates, cameras, points), strict=True):
+        # Nearest: a mean of two surfaces is a place where nothing is.
+        partial = cv2.resize(partial, view.plate.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        whole = whole_depth(partial, view.plate, weights)
+        maps.append(whole)
+        clouds.append(back_project(whole, view.plate, view.camera))
+        share.append(round(float(np.isfinite(partial).mean()), 3))
+    cloud, colors = (np.concatenate(parts) for parts in zip(*clouds, strict=True))
+    return SceneDepth(maps, cloud, colors, tuple(share))
+
+
+# ---- write -----------------------------------------------------------------------------------------------------------
+
+
+def write_depth(out: Path, stored: list[StoredView], scene: SceneDepth) -> None:
+    """depth/CAMERA.npy and points.ply."""
+    for view, depth in zip(stored, scene.maps, strict=True):
+        with atomic_path(out / "depth" / f"{view.camera.name}.npy") as temporary:
+            np.save(temporary, depth)
+    write_points(out / "points.ply", scene.points, scene.colors)
+
+
+def write_pictures(out: Path, view: StoredView, clip: np.ndarray) -> None:
+    """A camera's plate, its clip (T, H, W, 3) uint8, and where fire is in it: an estimate, as no truth exists."""
+    write_picture(out / view.static, view.plate)
+    plate = view.plate.astype(np.float32) / 255
+    for k, frame in enumerate(clip):
+        picture = resized(frame, view.camera)
+        write_picture(out / view.rgb.format(frame=k), picture)
+        flame = flame_mask(picture.astype(np.float32) / 255, plate)
+        write_picture(out / view.mask.format(frame=k), flame[..., None].astype(np.uint8) * 255)
+
+
+def write_picture(path: Path, picture: np.ndarray) -> None:
+    """Write an (H, W, 3) RGB or (H, W, 1) uint8 picture."""
+    import cv2
+
+    with atomic_path(path) as temporary:
+        if not cv2.imwrite(str(temporary), picture[..., ::-1]):
+            raise GofError(f"{path}: cannot be written; is the disk full?")
+
+
+def describe(
+    name: str, footage: Footage, times: FrameTimes, stored: list[StoredView], provenance: dict
+) -> DatasetDescription:
+    """What dataset.json says."""
+    entries = [
+        CameraEntry.of(
+            view.camera,
+            role="train",
+            roll_deg=ROLL_DEG[footage.turn],
+            rgb=view.rgb,
+            mask=view.mask,
+            static=view.static,
+            time_s=tuple(time_s.tolist()),
+        )
+        for view, time_s in zip(stored, times.time_s, strict=True)
+    ]
+    clock = times.time_s[0]
+    return DatasetDescription(name, tuple(clock.tolist()), tuple(entries), held_out(len(clock)), provenance=provenance)
