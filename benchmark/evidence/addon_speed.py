@@ -2,25 +2,124 @@
 
     python -m gof_benchmark.evidence.addon_speed
 
-Every case runs in a Blender process of its own and is measured there: seconds on the clock, and seconds of processor time
-over all threads, which the clock cannot exceed on a machine without other work; memory held, which is the growth of the
-resident size once the C library has returned what is free; and its peak. Goals are judged by processor time. Playback is `scene.frame_set`, which evaluates the modifier, without drawing.
+Every case runs in a Blender process of its own and is measured there: seconds on the clock, and seconds of processor
+time over all threads, which the clock cannot exceed on a machine without other work; memory held, which is the growth
+of the resident size once the C library has returned what is free; and its peak. Goals are judged by processor time.
+Playback is `scene.frame_set`, which evaluates the modifier, without drawing.
 """
 
 from __future__ import annotations
 
 import ctypes
-import json
-import subprocess
-import sys
 import tempfile
 import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tyro
+
+from gof.io.files import write_json
+from gof_benchmark.evidence import child
 
 FRAMES = 36  # of the baked sequence, and of the playback
+FPS = 100
 BYTES_EACH = 77  # of the arrays of a result: 18 float32 and a bool, and its colour
+LEAST_ALPHA = 1 / 255
+
+
+@dataclass(frozen=True)
+class AddonSpeed:
+    """Seconds and memory of the add-on's cloud of 1e5 and 1e6 Gaussians, and whether they meet the goals."""
+
+    json: Path | None = None
+    """Also write the figures to this file."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A result of so many Gaussians, shown by the add-on (kind "cloud", in a mode) or as baked frames ("baked")."""
+
+    count: int
+    suffix: str
+    kind: str = "cloud"
+    mode: str = "points"
+
+    @property
+    def shown_as(self) -> str:
+        return self.mode if self.kind == "cloud" else f"{FRAMES} baked frames"
+
+
+CASES = [
+    Case(100_000, ".npz"),
+    Case(100_000, ".npz", mode="ellipsoids"),
+    Case(100_000, ".npz", mode="arrows"),
+    Case(100_000, ".npz", mode="streaks"),
+    Case(100_000, ".npz", kind="baked"),
+    Case(1_000_000, ".npz"),
+    Case(1_000_000, ".ply"),
+    Case(1_000_000, ".npz", kind="baked"),
+]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a case cost; seconds of a frame are medians over the playback, memory is in MB (2^20 bytes)."""
+
+    import_s: float
+    import_cpu_s: float
+    frame_s: float
+    frame_cpu_s: float
+    peak_mb: float
+    mb: float
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the table and the goals."""
+    config = tyro.cli(AddonSpeed, prog="python -m gof_benchmark.evidence.addon_speed", args=argv)
+    print(
+        "| Gaussians | file | shown as | import s (CPU s) | frame ms (CPU ms) | memory held MB | held / arrays | "
+        "peak MB |"
+    )
+    print("|---" * 8 + "|")
+    costs: dict[Case, Cost] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for case in CASES:
+            path = Path(folder) / f"{case.count}{case.suffix}"
+            if not path.exists():
+                write_result(path, case.count)
+            costs[case] = Cost(**child.call(measure, case.kind, str(path), case.mode))
+            print(row(case, costs[case]), flush=True)
+    print_goals(costs)
+    if config.json:
+        write_json(config.json, [asdict(case) | asdict(cost) for case, cost in costs.items()])
+
+
+def row(case: Case, cost: Cost) -> str:
+    imported = f"{cost.import_s:.2f} ({cost.import_cpu_s:.2f})"
+    frame = f"{1000 * cost.frame_s:.1f} ({1000 * cost.frame_cpu_s:.1f})"
+    memory = f"{cost.mb:.0f} | {share_of_arrays(case, cost):.2f} | {cost.peak_mb:.0f}"
+    return f"| {case.count:,} | {case.suffix} | {case.shown_as} | {imported} | {frame} | {memory} |"
+
+
+def share_of_arrays(case: Case, cost: Cost) -> float:
+    """Memory held, over the size of the result's arrays."""
+    return cost.mb / (case.count * BYTES_EACH / 1e6)
+
+
+def print_goals(costs: dict[Case, Cost]) -> None:
+    large = [Case(1_000_000, suffix) for suffix in (".npz", ".ply")]
+    import_s = max(costs[case].import_cpu_s for case in large)
+    frames_per_s = 1 / costs[Case(100_000, ".npz")].frame_cpu_s
+    share = max(share_of_arrays(case, costs[case]) for case in large)
+    for name, value, goal, met in (
+        ("import of 1e6, CPU s", import_s, 5.0, import_s <= 5.0),
+        ("playback of 1e5 points, frames per CPU s", frames_per_s, 10.0, frames_per_s >= 10.0),
+        ("memory held / arrays, 1e6", share, 1.5, share <= 1.5),
+    ):
+        print(f"{name}: {value:.2f}, goal {goal:g}: {'met' if met else 'MISSED'}")
 
 
 def write_result(path: Path, count: int) -> None:
@@ -42,26 +141,17 @@ def write_result(path: Path, count: int) -> None:
     ).save(path)
 
 
-def resident_mb(field: str = "VmRSS") -> float:
-    if field == "VmRSS":
-        ctypes.CDLL(None).malloc_trim(0)
-    return int(Path("/proc/self/status").read_text().split(f"{field}:")[1].split()[0]) / 1024
+# ---------------------------------------------------------------- in Blender
 
 
-def play(scene, before_frame=lambda number: None) -> dict:
-    """Median seconds of one frame, on the clock and of the processor."""
-    seconds = []
-    for number in range(FRAMES):
-        started = np.array([time.perf_counter(), time.process_time()])
-        before_frame(number)
-        scene.frame_set(1 + number)
-        seconds.append(np.array([time.perf_counter(), time.process_time()]) - started)
-    clock, cpu = np.median(seconds[1:], axis=0)
-    return {"frame_s": float(clock), "frame_cpu_s": float(cpu)}
+def measure(kind: str, result: str, mode: str) -> dict[str, float]:
+    """One case, as the fields of `Cost`."""
+    cost = measure_cloud(Path(result), mode) if kind == "cloud" else measure_baked(Path(result))
+    return asdict(cost)
 
 
-def measure_cloud(result: Path, mode: str) -> dict:
-    """Import by the operator, then play. Runs in Blender."""
+def measure_cloud(result: Path, mode: str) -> Cost:
+    """Import by the operator, then play."""
     import bpy
 
     import gof_blender
@@ -71,44 +161,79 @@ def measure_cloud(result: Path, mode: str) -> dict:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     gof_blender.register()
     scene = bpy.context.scene
-    scene.render.fps = 100
-    point_cloud.add_point_cloud(
-        gaussians_file.load(result, step=1000), 1, mode
-    )  # what a first import also loads is not counted
+    scene.render.fps = FPS
+    few = gaussians_file.load(result, step=1000)
+    point_cloud.add_point_cloud(few, 1, mode)  # what a first import also loads is not counted
     scene.frame_set(5)
     bpy.data.objects.remove(bpy.data.objects[0])
     before = resident_mb()
+    return _imported_and_played(before, scene, lambda: bpy.ops.gof.import_result(filepath=str(result), mode=mode))
+
+
+def measure_baked(result: Path) -> Cost:
+    """The same points as one mesh per frame, swapped at every frame."""
+    import bpy
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    before = resident_mb()
+    baked: list[Any] = []
+
+    def bake() -> None:
+        meshes = bake_meshes(result)
+        baked.extend([point_object(meshes[0]), meshes])
+
+    def swap(number: int) -> None:
+        thing, meshes = baked
+        thing.data = meshes[number]
+
+    return _imported_and_played(before, bpy.context.scene, bake, swap)
+
+
+def _imported_and_played(
+    before: float, scene: Any, make: Callable[[], Any], before_frame: Callable[[int], Any] = lambda number: None
+) -> Cost:
+    """`make` timed, then the playback; memory counts from `before`, MB."""
     started, cpu = time.perf_counter(), time.process_time()
-    bpy.ops.gof.import_result(filepath=str(result), mode=mode)
-    imported, cpu = time.perf_counter() - started, time.process_time() - cpu
-    return {
-        "import_s": imported,
-        "import_cpu_s": cpu,
-        **play(scene),
-        "peak_mb": resident_mb("VmHWM") - before,
-        "mb": resident_mb() - before,
-    }
+    make()
+    import_s, import_cpu_s = time.perf_counter() - started, time.process_time() - cpu
+    frame_s, frame_cpu_s = play(scene, before_frame)
+    peak_mb = resident_mb("VmHWM") - before
+    return Cost(import_s, import_cpu_s, frame_s, frame_cpu_s, peak_mb, resident_mb() - before)
 
 
-def measure_baked(result: Path, mode: str) -> dict:
-    """The same points as one mesh per frame, swapped at every frame. Runs in Blender."""
+def play(scene: Any, before_frame: Callable[[int], Any]) -> tuple[float, float]:
+    """Median seconds of one frame, on the clock and of the processor."""
+    seconds = []
+    for number in range(FRAMES):
+        started = np.array([time.perf_counter(), time.process_time()])
+        before_frame(number)
+        scene.frame_set(1 + number)
+        seconds.append(np.array([time.perf_counter(), time.process_time()]) - started)
+    clock, cpu = np.median(seconds[1:], axis=0)
+    return float(clock), float(cpu)
+
+
+def resident_mb(field: str = "VmRSS") -> float:
+    if field == "VmRSS":
+        ctypes.CDLL(None).malloc_trim(0)
+    return int(Path("/proc/self/status").read_text().split(f"{field}:")[1].split()[0]) / 1024
+
+
+def bake_meshes(result: Path) -> list[Any]:
+    """A mesh of the visible points for every frame."""
     import bpy
 
     from gof_blender.pure.io import gaussians_file
     from gof_blender.scene import display
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    before = resident_mb()
-    started, cpu = time.perf_counter(), time.process_time()
     cloud = gaussians_file.load(result)
-    light = display.emission(cloud, display.ToneCurve.measure(scene))
+    light = display.emission(cloud, display.ToneCurve.measure(bpy.context.scene))
     radius = np.cbrt(cloud.scale.prod(1))
     meshes = []
     for number in range(FRAMES):
-        age = number / 100 - cloud.t_mu
+        age = number / FPS - cloud.t_mu
         alpha = cloud.opacity * np.exp(-0.5 * (age / cloud.t_sigma) ** 2)
-        seen = np.flatnonzero(alpha >= 1 / 255)
+        seen = np.flatnonzero(alpha >= LEAST_ALPHA)
         mesh = bpy.data.meshes.new(f"frame {number}")
         mesh.vertices.add(len(seen))
         mesh.vertices.foreach_set("co", (cloud.position[seen] + age[seen, None] * cloud.velocity[seen]).ravel())
@@ -119,97 +244,25 @@ def measure_baked(result: Path, mode: str) -> dict:
         ):
             mesh.attributes.new(name, kind, "POINT").data.foreach_set(field, values[seen].ravel())
         meshes.append(mesh)
-    del cloud, light, alpha, age
-    thing = bpy.data.objects.new("baked", meshes[0])
-    scene.collection.objects.link(thing)
+    return meshes
+
+
+def point_object(mesh: Any) -> Any:
+    """An object that shows a mesh's vertices as points."""
+    import bpy
+
+    thing = bpy.data.objects.new("baked", mesh)
+    bpy.context.scene.collection.objects.link(thing)
     tree = bpy.data.node_groups.new("points", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    given, points, out = (
-        tree.nodes.new(kind) for kind in ("NodeGroupInput", "GeometryNodeMeshToPoints", "NodeGroupOutput")
-    )
+    kinds = ("NodeGroupInput", "GeometryNodeMeshToPoints", "NodeGroupOutput")
+    given, points, out = (tree.nodes.new(kind) for kind in kinds)
     tree.links.new(given.outputs[0], points.inputs["Mesh"])
     tree.links.new(points.outputs[0], out.inputs[0])
     thing.modifiers.new("points", "NODES").node_group = tree
-    baked, cpu = time.perf_counter() - started, time.process_time() - cpu
-
-    def swap(number: int) -> None:
-        thing.data = meshes[number]
-
-    return {
-        "import_s": baked,
-        "import_cpu_s": cpu,
-        **play(scene, swap),
-        "peak_mb": resident_mb("VmHWM") - before,
-        "mb": resident_mb() - before,
-    }
-
-
-def case(kind: str, result: Path, mode: str = "points") -> dict:
-    """One measurement in a process of its own."""
-    run = subprocess.run(
-        [sys.executable, "-m", "gof_benchmark.evidence.addon_speed", kind, str(result), mode],
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    if run.returncode:
-        raise RuntimeError(run.stdout[-1000:] + run.stderr[-2000:])
-    return json.loads(next(line for line in run.stdout.splitlines() if line.startswith("{")))
-
-
-CASES = [  # Gaussians, file, what shows them, how
-    (100_000, ".npz", "cloud", "points"),
-    (100_000, ".npz", "cloud", "ellipsoids"),
-    (100_000, ".npz", "cloud", "arrows"),
-    (100_000, ".npz", "cloud", "streaks"),
-    (100_000, ".npz", "baked", "points"),
-    (1_000_000, ".npz", "cloud", "points"),
-    (1_000_000, ".ply", "cloud", "points"),
-    (1_000_000, ".npz", "baked", "points"),
-]
-
-
-def main() -> int:
-    found = {}
-    print(
-        "| Gaussians | file | shown as | import s (CPU s) | frame ms (CPU ms) | memory held MB | held / arrays | peak MB |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
-    with tempfile.TemporaryDirectory() as folder:
-        for count, suffix, kind, mode in CASES:
-            path = Path(folder) / f"{count}{suffix}"
-            if not path.exists():
-                write_result(path, count)
-            row = found[count, suffix, kind, mode] = case(kind, path, mode)
-            row["share"] = row["mb"] / (count * BYTES_EACH / 1e6)
-            print(
-                f"| {count:,} | {suffix} | {mode if kind == 'cloud' else f'{FRAMES} baked frames'} | {row['import_s']:.2f} ({row['import_cpu_s']:.2f}) | "
-                f"{1000 * row['frame_s']:.1f} ({1000 * row['frame_cpu_s']:.1f}) | {row['mb']:.0f} | {row['share']:.2f} | {row['peak_mb']:.0f} |",
-                flush=True,
-            )
-    large = [found[1_000_000, suffix, "cloud", "points"] for suffix in (".npz", ".ply")]
-    fast = 1 / found[100_000, ".npz", "cloud", "points"]["frame_cpu_s"]
-    slowest = max(row["import_cpu_s"] for row in large)
-    for name, value, goal, met in (
-        ("import of 1e6, CPU s", slowest, 5.0, slowest <= 5),
-        ("playback of 1e5 points, frames per CPU s", fast, 10.0, fast >= 10),
-        (
-            "memory held / arrays, 1e6",
-            max(row["share"] for row in large),
-            1.5,
-            max(row["share"] for row in large) <= 1.5,
-        ),
-    ):
-        print(f"{name}: {value:.2f}, goal {goal:g}: {'met' if met else 'MISSED'}")
-    return 0
+    return thing
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        import os
-
-        measured = {"cloud": measure_cloud, "baked": measure_baked}[sys.argv[1]](Path(sys.argv[2]), sys.argv[3])
-        print(json.dumps(measured), flush=True)
-        os._exit(0)
-    sys.exit(main())
+    main()

@@ -1,19 +1,41 @@
 """A scene at a glance: its cameras (rows) at five times (columns), from a dataset or from just the pictures it needs.
 
-python -m gof_benchmark.evidence.contact_sheet cloister --work out/cloister --out benchmark/scenes/cloister/contact_sheet.jpg
+    python -m gof_benchmark.evidence.contact_sheet cloister --work out/cloister --out sheet.jpg
+
+The sheets of the built-in scenes lie beside their specs.
 """
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
-from gof_benchmark.commands.generate import claim, load_scene
+import tyro
+
 from gof_benchmark.generator.blender_process import Renderer, run_stage
+from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
 TIMES = 5
+
+
+@dataclass(frozen=True)
+class ContactSheet:
+    """Put pictures of a scene into one: cameras below each other, times side by side."""
+
+    scene: tyro.conf.Positional[str]
+    """Built-in scene or spec file."""
+    work: Path
+    """Dataset folder to use or to begin."""
+    out: Path
+    """Picture to write."""
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Write the sheet."""
+    config = tyro.cli(ContactSheet, prog="python -m gof_benchmark.evidence.contact_sheet", args=argv)
+    make(load_scene(config.scene), Layout(config.work.resolve()), config.out)
 
 
 def make(spec: SceneSpec, layout: Layout, out: Path) -> None:
@@ -41,15 +63,6 @@ def compose(rows: list[list[Path]], out: Path, gap: int = 4) -> None:
             sheet.paste(picture, (x * (width + gap), y * (height + gap)))
     out.parent.mkdir(parents=True, exist_ok=True)
     sheet.save(out, quality=88)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("scene", help="built-in scene or spec file")
-    parser.add_argument("--work", type=Path, required=True, help="dataset folder to use or to begin")
-    parser.add_argument("--out", type=Path, required=True, help="picture to write")
-    args = parser.parse_args()
-    make(load_scene(args.scene), Layout(args.work.resolve()), args.out)
 
 
 if __name__ == "__main__":

@@ -2,23 +2,23 @@
 
     python -m gof_benchmark.evidence.dve_speed --json dve_speed.json
 
-The fields are a closed-form swirling plume in a sparse chunked store (float16, written by the generator's own writer) in a
-temporary folder. Every case is a process of its own, so its peak memory is its own. "gof" is the whole of `dve`: it reads the
-store, chunk by chunk, evaluates 27 nodes per Gaussian and sums; "again" is a second score on the same frame, whose chunks are
-kept; the compiler's start is left out. "scipy" is the straightforward version of the expected velocities alone: the whole field in
-memory as float32, three calls of `map_coordinates(order=1)` on all nodes (in pieces that fit into memory).
+The fields are a closed-form swirling plume in a sparse chunked store (float16, written by the generator's own writer)
+in a temporary folder. Every case is a process of its own, so its peak memory is its own. "gof" is the whole of `dve`:
+it reads the store, chunk by chunk, evaluates 27 nodes per Gaussian and sums; "again" is a second score on the same
+frame, whose chunks are kept; the compiler's start is left out. "scipy" is the straightforward version of the expected
+velocities alone: the whole field in memory as float32, three calls of `map_coordinates(order=1)` on all nodes (in
+pieces that fit into memory).
 """
 
 from __future__ import annotations
 
-import json
 import resource
-import subprocess
-import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -26,13 +26,15 @@ import tyro
 from gof.fields import VelocitySequence
 from gof.gaussians import TransientGaussians
 from gof.io.files import write_json
+from gof_benchmark.evidence import child
 from gof_blender.pure.io.velocity_store import VelocityWriter
 
 SIZE_M = 2.0
+COMPARED = 200  # Gaussians whose expected velocities by both ways are compared
 
 
-@dataclass
-class DveSpeedConfig:
+@dataclass(frozen=True)
+class DveSpeed:
     """Table of seconds and peak memory, N Gaussians by field size."""
 
     counts: tuple[int, ...] = (10_000, 100_000, 1_000_000, 10_000_000)
@@ -43,6 +45,53 @@ class DveSpeedConfig:
     """Largest number of Gaussians for the scipy version, which is slow."""
     json: Path | None = None
     """File to write the figures to."""
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the table."""
+    config = tyro.cli(DveSpeed, prog="python -m gof_benchmark.evidence.dve_speed", args=argv)
+    print(
+        "| field | Gaussians | s | CPU s | again, s | peak MB | scipy, s | CPU s | MB | ratio | CPU ratio "
+        "| differ, m/s |"
+    )
+    print("|---|" + "---:|" * 11)
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="dve_speed_") as folder:
+        for n in config.sizes:
+            store = Path(folder) / f"{n}.zarr"
+            share = make_store(store, n)
+            for count in config.counts:
+                row = {"cells": n, "gaussians": count, "chunks_full": share}
+                row |= compare(store, count, n, with_scipy=count <= config.scipy_up_to)
+                print(table_row(row), flush=True)
+                rows.append(row)
+    if config.json:
+        write_json(config.json, {"schema": "gof-dve-speed", "version": 1, "rows": rows})
+
+
+def compare(store: Path, count: int, n: int, with_scipy: bool) -> dict[str, Any]:
+    """Costs of "gof", and of "scipy" where it is asked for, their ratios and how far their results differ."""
+    gof = child.call(run_gof, str(store), count, n)
+    mean = np.array(gof.pop("mean"))
+    if not with_scipy:
+        return {"gof": gof}
+    scipy = child.call(run_scipy, str(store), count, n)
+    differ = float(np.abs(mean - np.array(scipy.pop("mean"))).max())
+    ratio, ratio_cpu = (scipy[key] / gof[key] for key in ("seconds", "seconds_cpu"))
+    return {"gof": gof, "scipy": scipy, "ratio": ratio, "ratio_cpu": ratio_cpu, "differ": differ}
+
+
+def table_row(row: dict[str, Any]) -> str:
+    gof, scipy = row["gof"], row.get("scipy")
+    line = f"| {row['cells']}³ | {row['gaussians']:.0e} | {gof['seconds']:.2f} | {gof['seconds_cpu']:.2f} | "
+    line += f"{gof['again']:.2f} | {gof['peak_mb']:.0f} | "
+    if scipy is None:
+        return line + "- | - | - | - | - | - |"
+    line += f"{scipy['seconds']:.2f} | {scipy['seconds_cpu']:.2f} | {scipy['peak_mb']:.0f} | "
+    return line + f"{row['ratio']:.1f} | {row['ratio_cpu']:.1f} | {row['differ']:.0e} |"
+
+
+# ---------------------------------------------------------------- what is measured
 
 
 def plume(points: np.ndarray) -> np.ndarray:
@@ -93,7 +142,10 @@ def gaussians(count: int, n: int) -> TransientGaussians:
     )
 
 
-def with_scipy(sequence: VelocitySequence, position, scale, rotation) -> np.ndarray:
+def means_with_scipy(
+    sequence: VelocitySequence, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray
+) -> np.ndarray:
+    """Expected velocities (N, 3) m/s."""
     from scipy.ndimage import map_coordinates
 
     from gof.evaluate.quadrature import product_rule
@@ -113,83 +165,45 @@ def with_scipy(sequence: VelocitySequence, position, scale, rotation) -> np.ndar
     return out
 
 
-def run_case(store: str, method: str, count: int, n: int) -> dict:
+# ---------------------------------------------------------------- one case, in a process of its own
+
+
+def run_gof(store: str, count: int, n: int) -> dict[str, Any]:
+    """Seconds of a first and of another score of the frame, peak memory, and the first expected velocities."""
     from gof.evaluate import dve
-    from gof.evaluate.quadrature import expected_velocity
+    from gof.evaluate.expectation import expected_velocity
     from gof.evaluate.sparse_grid import StoredField
 
     g, sequence = gaussians(count, n), VelocitySequence.open(store)
-    shape = g.position.astype(np.float64), g.scale.astype(np.float64), g.rotation
-    field, out = StoredField(sequence, 0.0), {}
-
-    def timed(name: str, work):
-        start, cpu = time.perf_counter(), time.process_time()
-        result = work()
-        out[name], out[f"{name}_cpu"] = time.perf_counter() - start, time.process_time() - cpu
-        return result
-
-    if method == "gof":
-        dve(g[:5000], StoredField(sequence, 0.0), 0.0)  # starts the compiler
-        timed("seconds", lambda: dve(g, field, 0.0))
-        timed("again", lambda: dve(g, field, 0.0))
-    else:
-        mean = timed("seconds", lambda: with_scipy(sequence, *shape))
-    out["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    if method == "gof":
-        mean = expected_velocity(field, *(a[:5000] for a in shape)).mean
-    return out | {"mean": mean[:200].tolist()}
+    field = StoredField(sequence, 0.0)
+    dve(g[:5000], StoredField(sequence, 0.0), 0.0)  # starts the compiler
+    seconds, cpu = _timed(lambda: dve(g, field, 0.0))
+    again, again_cpu = _timed(lambda: dve(g, field, 0.0))
+    costs = {"seconds": seconds, "seconds_cpu": cpu, "again": again, "again_cpu": again_cpu, "peak_mb": _peak_mb()}
+    few = g[:COMPARED]
+    mean = expected_velocity(field, few.position.astype(np.float64), few.scale.astype(np.float64), few.rotation).mean
+    return costs | {"mean": mean.tolist()}
 
 
-def main(argv: list[str] | None = None) -> int:
-    config = tyro.cli(DveSpeedConfig, prog="python -m gof_benchmark.evidence.dve_speed", args=argv)
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="dve_speed_") as folder:
-        print(
-            "| field | Gaussians | s | CPU s | again, s | peak MB | scipy, s | CPU s | MB | ratio | CPU ratio | differ, m/s |"
-        )
-        print("|---|" + "---:|" * 11)
-        for n in config.sizes:
-            store = Path(folder) / f"{n}.zarr"
-            share = make_store(store, n)
-            for count in config.counts:
-                row = {"cells": n, "gaussians": count, "chunks_full": share}
-                for method in ("gof", "scipy") if count <= config.scipy_up_to else ("gof",):
-                    done = subprocess.run(
-                        [
-                            sys.executable,
-                            "-m",
-                            "gof_benchmark.evidence.dve_speed",
-                            "--case",
-                            str(store),
-                            method,
-                            str(count),
-                            str(n),
-                        ],
-                        capture_output=True,
-                        text=True,
-                    )
-                    if done.returncode:
-                        raise SystemExit(done.stderr)
-                    row[method] = json.loads(done.stdout.splitlines()[-1])
-                means = [np.array(row[m].pop("mean")) for m in ("gof", "scipy") if m in row]
-                gof, scipy = row["gof"], row.get("scipy")
-                line = f"| {n}³ | {count:.0e} | {gof['seconds']:.2f} | {gof['seconds_cpu']:.2f} | {gof['again']:.2f} | {gof['peak_mb']:.0f} | "
-                if scipy:
-                    row["ratio"], row["ratio_cpu"] = (scipy[k] / gof[k] for k in ("seconds", "seconds_cpu"))
-                    row["differ"] = float(np.abs(means[0] - means[1]).max())
-                    line += f"{scipy['seconds']:.2f} | {scipy['seconds_cpu']:.2f} | {scipy['peak_mb']:.0f} | "
-                    line += f"{row['ratio']:.1f} | {row['ratio_cpu']:.1f} | {row['differ']:.0e} |"
-                else:
-                    line += "- | - | - | - | - | - |"
-                print(line, flush=True)
-                rows.append(row)
-    if config.json:
-        write_json(config.json, {"schema": "gof-dve-speed", "version": 1, "rows": rows})
-    return 0
+def run_scipy(store: str, count: int, n: int) -> dict[str, Any]:
+    """The same figures of the straightforward version."""
+    g, sequence = gaussians(count, n), VelocitySequence.open(store)
+    means = []
+    shape = (g.position.astype(np.float64), g.scale.astype(np.float64), g.rotation)
+    seconds, cpu = _timed(lambda: means.append(means_with_scipy(sequence, *shape)))
+    return {"seconds": seconds, "seconds_cpu": cpu, "peak_mb": _peak_mb(), "mean": means[0][:COMPARED].tolist()}
+
+
+def _timed(work: Callable[[], object]) -> tuple[float, float]:
+    """Seconds on the clock and of the processor."""
+    start, cpu = time.perf_counter(), time.process_time()
+    work()
+    return time.perf_counter() - start, time.process_time() - cpu
+
+
+def _peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--case"]:
-        print(json.dumps(run_case(sys.argv[2], sys.argv[3], int(sys.argv[4]), int(sys.argv[5]))))
-    else:
-        sys.exit(main())
+    main()

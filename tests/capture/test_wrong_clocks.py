@@ -7,16 +7,16 @@ import pytest
 
 from gof.dataset import Dataset
 from gof.errors import GofError
-from gof_benchmark.evidence.no_sync import believing, mistakes
+from gof_benchmark.evidence.wrong_clocks import believing, mistakes
 
 
 def test_rounded_and_exaggerated_times(tiny_dataset):
     common = Dataset.open(tiny_dataset)
     with pytest.raises(GofError, match="effect 'clock'"):
         mistakes(common)
-    first, second = common.meta["cameras"]
-    late = {"time_s": [t + 0.013 for t in common.times_s]}  # 1.3 frames of 10 ms
-    dataset = replace(common, meta=common.meta | {"cameras": [first, second | late]})
+    first, second = common.description.cameras
+    late = replace(second, time_s=tuple(t + 0.013 for t in common.times_s))  # 1.3 frames of 10 ms
+    dataset = replace(common, description=replace(common.description, cameras=(first, late)))
     np.testing.assert_allclose(mistakes(dataset), [[0] * 4, [-0.003] * 4], atol=1e-9)
     for error, expected in ((0, 0.013), (1, 0.010), (2, 0.007)):
         wrong = believing(dataset, error)
