@@ -92,7 +92,7 @@ class Camera:
         return pixels, depth
 
     def unproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """World points (N, 3) in metres of continuous pixels (N, 2) at camera depths (N,) in metres; undoes `project`."""
+        """World points (N, 3) in metres of pixels (N, 2), as `project` gives them, at camera depths (N,) in metres."""
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.K).T  # at depth 1
         local = rays * np.asarray(depth, np.float64)[:, None]
         return (local - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]
