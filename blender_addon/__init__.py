@@ -9,7 +9,7 @@ bl_info = {  # for Blender before 4.2; later versions read blender_manifest.toml
     "version": (0, 1, 0),
     "blender": (3, 4, 0),
     "location": "3D View > Sidebar > Gaussians on Fire",
-    "description": "Fire benchmarks with exact ground-truth velocity, and reconstructions of fire as animated Gaussians",
+    "description": "Fire benchmarks with exact ground-truth velocity; reconstructions of fire as animated Gaussians",
     "category": "Import-Export",
 }
 

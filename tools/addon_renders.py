@@ -1,9 +1,10 @@
 """Render the pictures of a reconstruction in docs/addon.md: the modes, the errors, and the cloud beside the true frame.
 
-    python tools/addon_renders.py --result RESULT.npz --dataset DATASET [--out docs/images] [--frame 20] [--camera cam_1]
+    python tools/addon_renders.py --result RESULT.npz --dataset DATASET [--out docs/images] [--frame 20]
+                                  [--camera cam_1]
 
-Runs in a Python that has the bpy wheel and ImageMagick's `convert` beside it. The modes and errors are rendered on a dark
-floor; the last picture is the dataset's own scene with the cloud in place of the fire, and its PSNR is printed.
+Runs in a Python that has the bpy wheel and ImageMagick's `convert` beside it. The modes and errors are rendered on a
+dark floor; the last picture is the dataset's own scene with the cloud in place of the fire, and its PSNR is printed.
 """
 
 from __future__ import annotations
@@ -90,9 +91,8 @@ def side_by_side(result: Path, dataset: Path, folder: Path, frame: int, camera: 
     true = view / "rgb" / f"{frame:06d}.png"
     error = (pixels(own) - pixels(true)) ** 2
     flame = pixels(view / "mask" / f"{frame:06d}.png")[..., 0] > 0
-    print(
-        f"{camera}, frame {frame}: PSNR {-10 * np.log10(error.mean()):.2f} dB, on the flame {-10 * np.log10(error[flame].mean()):.2f} dB"
-    )
+    whole, on_flame = (-10 * np.log10(part.mean()) for part in (error, error[flame]))
+    print(f"{camera}, frame {frame}: PSNR {whole:.2f} dB, on the flame {on_flame:.2f} dB")
     return [true, own]
 
 

@@ -1,11 +1,12 @@
 """Open the add-on in a real window, press its buttons, and photograph the panels for docs/addon.md.
 
-    python tools/addon_screenshots.py --result RESULT.npz --dataset DATASET [--out docs/images] [--work out/addon_window]
+    python tools/addon_screenshots.py --result RESULT.npz --dataset DATASET [--out docs/images]
+                                      [--work out/addon_window]
 
-Needs Debian's packages blender, python3-numpy, python3-openimageio, xvfb, xdotool and imagemagick. The window is drawn by
-software on a virtual screen. Builds the zip, installs it into an empty user folder and starts that Blender; then plays
-a person: moves the pointer and presses. Every press is checked by what it has done to the scene; a press without effect
-ends the script with an error and a picture of the screen.
+Needs Debian's packages blender, python3-numpy, python3-openimageio, xvfb, xdotool and imagemagick. The window is
+drawn by software on a virtual screen. Builds the zip, installs it into an empty user folder and starts that Blender;
+then plays a person: moves the pointer and presses. Every press is checked by what it has done to the scene; a press
+without effect ends the script with an error and a picture of the screen.
 """
 
 from __future__ import annotations
@@ -258,7 +259,9 @@ def reconstruction(window: Window, out: Path, result: Path, dataset: Path, pytho
     window.python("bpy.ops.gof.show_errors()\nNone", 300)
     # EEVEE of Blender 3.4 draws no points
     window.python(
-        "from gaussians_on_fire.scene import point_cloud\npoint_cloud.inputs(bpy.data.objects['result Error'])['Mode'] = 1\nNone"
+        "from gaussians_on_fire.scene import point_cloud\n"
+        "point_cloud.inputs(bpy.data.objects['result Error'])['Mode'] = 1\n"
+        "None"
     )
     window.python(f"bpy.ops.view3d.view_all(); {DESELECT}\nNone")
     window.settle()

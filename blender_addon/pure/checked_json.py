@@ -1,4 +1,4 @@
-"""Frozen dataclasses from JSON objects, checked field by field. Never imports bpy."""
+"""Frozen dataclasses from JSON objects, checked field by field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fuels: how each burns and what its flame looks like. Never imports bpy."""
+"""Fuels: how each burns and what its flame looks like."""
 
 from __future__ import annotations
 

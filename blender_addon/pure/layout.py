@@ -1,4 +1,4 @@
-"""Where a dataset keeps its files; the one place that knows. Never imports bpy."""
+"""Where a dataset keeps its files; the one place that knows."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 Lengths are in marker sides, x along the marker's top edge and y down its left edge, as in the template "gof_board" of
 `gof capture`. Outputs are numbered as in the firmware: strips 0 to 4, Gray bits 5 to 19, disambiguation LED 20.
-Never imports bpy.
 """
 
 from __future__ import annotations

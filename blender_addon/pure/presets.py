@@ -1,4 +1,4 @@
-"""Cost presets: points on the accuracy/time curves of docs/costs.md. Never imports bpy."""
+"""Cost presets: points on the accuracy/time curves of docs/costs.md."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """The scene spec: everything that defines a generated dataset, as dataclasses with a JSON form.
 
-Never imports bpy, so that a spec can be read, checked and edited anywhere. World axes: right-handed, Z up, metres,
-seconds.
+It can be read, checked and edited anywhere, without Blender. World axes: right-handed, Z up, metres, seconds.
 """
 
 from __future__ import annotations

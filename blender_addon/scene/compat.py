@@ -29,8 +29,8 @@ def input_sockets(tree: bpy.types.NodeTree) -> dict[str, bpy.types.bpy_struct]:
 def scene_variable(driver: bpy.types.Driver, name: str, path: str, scene: bpy.types.Scene) -> None:
     """A driver variable that reads `path` of the scene.
 
-    The scene in use where Blender has that, so that the object can be appended elsewhere without pulling its first scene
-    along; else this very scene.
+    The scene in use where Blender has that, so that the object can be appended elsewhere without pulling its first
+    scene along; else this very scene.
     """
     variable = driver.variables.new()
     variable.name = name

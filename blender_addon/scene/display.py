@@ -1,12 +1,13 @@
 """Light from display values: what a cloud must emit to look in the scene as in its reconstruction.
 
-A reconstruction blends display values: a pixel that the cloud covers by the fraction W with mean colour c shows W c over
-the dark. Cycles blends light and applies the view transform f to the sum. Because f is steep in the dark and flat in the
-bright, f^-1(colour) of every Gaussian for itself would come out far too bright: thin places, and places whose Gaussians
-differ in colour, most of all. So each Gaussian emits f^-1(W c) / W with W and c of a pixel it is seen in: there the sum
-of the light is f^-1(W c), and the scene shows W c. Of several views the dimmest counts, because a Gaussian matters most
-where little else is in front of or behind it: at the border of the flame, not in its core. A few rounds of correction then
-scale every Gaussian's light by the mean of wanted over shown light of the pixels it is in, over all views and times.
+A reconstruction blends display values: a pixel that the cloud covers by the fraction W with mean colour c shows W c
+over the dark. Cycles blends light and applies the view transform f to the sum. Because f is steep in the dark and flat
+in the bright, f^-1(colour) of every Gaussian for itself would come out far too bright: thin places, and places whose
+Gaussians differ in colour, most of all. So each Gaussian emits f^-1(W c) / W with W and c of a pixel it is seen in:
+there the sum of the light is f^-1(W c), and the scene shows W c. Of several views the dimmest counts, because a
+Gaussian matters most where little else is in front of or behind it: at the border of the flame, not in its core. A few
+rounds of correction then scale every Gaussian's light by the mean of wanted over shown light of the pixels it is in,
+over all views and times.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class ToneCurve:
 def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
     """Light (N, 3) float32, finite, >= 0, that each Gaussian emits per unit of opacity.
 
-    W and c are those at its brightest time (to a time slice of one lifetime), in square pixels of two standard deviations.
+    W and c are those at its brightest time (to a time slice of one lifetime), in square pixels of two standard
+    deviations.
     """
     light = np.full((len(cloud), 3), np.inf, np.float32)
     for picture in _pictures(cloud):
@@ -92,7 +94,7 @@ class _Picture:
     depth: np.ndarray  # (M,) optical depth of each, spread over a pixel
 
     def blend(self, color: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean (P, 3) of colours (N, 3) in each of P pixels, coverage (P, 1), and share (M,) of each Gaussian in its pixel's."""
+        """Mean (P, 3) of colours (N, 3) in each of P pixels, coverage (P, 1), and each Gaussian's share (M,) of it."""
         total = np.bincount(self.owner, self.depth)
         sums = np.column_stack(
             [np.bincount(self.owner, self.depth * color[self.rows, channel]) for channel in range(3)]

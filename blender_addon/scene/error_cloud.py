@@ -1,7 +1,7 @@
-"""A cloud against the true velocity: the truth at its centres as one more attribute, and views that show the difference.
+"""A cloud against the true velocity: the truth at its centres as one more attribute, and views of the difference.
 
-The true velocity is that at each Gaussian's centre at its brightest time (t_mu), a quick look for the eye. DVE, the score,
-weighs each Gaussian's whole extent and its opacity over time: `gof evaluate` computes it.
+The true velocity is that at each Gaussian's centre at its brightest time (t_mu), a quick look for the eye. DVE, the
+score, weighs each Gaussian's whole extent and its opacity over time: `gof evaluate` computes it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class CentreError:
 
 
 def add_truth(thing: bpy.types.Object, truth: TrueVelocity) -> CentreError:
-    """Store the true velocity as gs_true_velocity; a Gaussian that rests or lies outside the domain gets its own velocity.
+    """Store the true velocity as gs_true_velocity; a Gaussian that rests or lies outside the domain gets its own.
 
     The cloud's own coordinates are the dataset's world, so it may have been moved since.
     """

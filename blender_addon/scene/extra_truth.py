@@ -1,4 +1,4 @@
-"""Ground truth beside the velocity, each only if the spec lists it: flame, heat and density grids, optical flow, OpenVDB.
+"""Ground truth beside the velocity, each only if the spec lists it: flame, heat and density grids, flow, OpenVDB.
 
 All of it is at the frames' nominal times, at cell centres, on the coarse grid also where fine noise adds detail.
 """

@@ -1,7 +1,7 @@
 """Materials of a cloud: each Gaussian looks as in splatting; arrows and streaks just glow.
 
-On the surface of the ellipsoid at EXTENT standard deviations, a ray that passes the centre at b standard deviations gets
-the opacity alpha(t) exp(-b^2 / 2).
+On the surface of the ellipsoid at EXTENT standard deviations, a ray that passes the centre at b standard deviations
+gets the opacity alpha(t) exp(-b^2 / 2).
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ def _splat(nodes: Nodes, hit, ray, place) -> None:
     alpha = pick(_attribute(nodes, "gs_alpha"), "Fac")
     front = nodes.math("SUBTRACT", 1.0, hit["Backfacing"])
     opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), front)
-    # Each sample either sees this Gaussian or passes, by chance: the same picture on average, but a ray ends after a few
-    # layers instead of crossing all of them, and dense parts have no noise because every sample ends in the flame.
+    # Each sample either sees this Gaussian or passes, by chance: the same picture on average, but a ray ends after a
+    # few layers instead of crossing all of them, and dense parts have no noise because every sample ends in the flame.
     chance = nodes.add(
         "ShaderNodeTexWhiteNoise", {"Vector": hit["Position"], "W": alpha}, noise_dimensions="4D"
     ).outputs["Value"]

@@ -103,7 +103,8 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
     )
     resolution: IntProperty(
         name="Cells",
-        description="Of the simulation in this scene, along the domain's longest side. A benchmark takes those of its preset",
+        description="Of the simulation in this scene, along the domain's longest side. "
+        "A benchmark takes those of its preset",
         default=48,
         min=8,
         max=2048,
@@ -140,7 +141,7 @@ class _SpecOperator:
 
 
 class GOF_OT_add_fire(_SpecOperator, bpy.types.Operator):
-    """Put a fire into the scene: an empty, its burner and its domain. A fire that is there is replaced, with its edits"""
+    """Put a fire into the scene: an empty, its burner and its domain. One that is there is replaced, with its edits"""
 
     bl_idname = "gof.add_fire"
     bl_label = "Add Fire"

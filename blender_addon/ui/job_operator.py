@@ -12,8 +12,8 @@ FAILURES = (SpecError, FileFormatError, OSError, RuntimeError)  # what is wrong 
 class JobOperator:
     """Mixed into ``bpy.types.Operator``; a subclass says which job, and what becomes of its outcome.
 
-    A job has ``poll()`` (whether there is more to do), ``run()`` (all of it now), ``stop()``, and its state as a string;
-    the first two raise one of FAILURES.
+    A job has ``poll()`` (whether there is more to do), ``run()`` (all of it now), ``stop()``, and its state as a
+    string; the first two raise one of FAILURES.
     """
 
     job = None

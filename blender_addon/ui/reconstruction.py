@@ -59,7 +59,7 @@ class GOF_PG_reconstruction(bpy.types.PropertyGroup):
 
 
 class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
-    """Add a reconstruction to the scene: result.npz or result.ply, an FTGS-PLY, a 3DGS PLY, or a folder of numbered PLYs"""
+    """Add a reconstruction to the scene: result.npz or result.ply, an FTGS-PLY, a 3DGS PLY, or numbered PLYs"""
 
     bl_idname = "gof.import_result"
     bl_label = "Import Reconstruction"
@@ -112,9 +112,9 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
             number = gaussians_file.count(source) // self.step
             if number > MANY and not self.everything:
                 raise FileFormatError(
-                    f"{number:,} Gaussians: about {number * SECONDS_EACH:.0f} s to import, {number * BYTES_EACH / 1e9:.1f} GB of memory and "
-                    f"{number * FRAME_SECONDS_EACH:.1f} s per frame. Set Every n-th to {-(-number * self.step // MANY)} or more, "
-                    "or tick Import However Many"
+                    f"{number:,} Gaussians: about {number * SECONDS_EACH:.0f} s to import, "
+                    f"{number * BYTES_EACH / 1e9:.1f} GB of memory and {number * FRAME_SECONDS_EACH:.1f} s per frame. "
+                    f"Set Every n-th to {-(-number * self.step // MANY)} or more, or tick Import However Many"
                 )
             cloud = gaussians_file.load(source, clock, self.step)
         except (FileFormatError, OSError, MemoryError) as error:

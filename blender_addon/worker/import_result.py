@@ -1,5 +1,6 @@
-"""Worker of `gof import`: a reconstruction back in the scene it was made from, as an animated cloud in a .blend, and one
-preview frame. (The panel's operator of the same name adds a cloud to the scene that is open.)
+"""Worker of `gof import`: a reconstruction back in the scene it was made from, as an animated cloud in a .blend.
+
+It also renders one preview frame. (The panel's operator of the same name adds a cloud to the scene that is open.)
 
     python -m gof_blender.worker.import_result --result result.npz --dataset DATASET --blend out.blend \\
         --preview preview.png --frame 5 --camera cam_0

@@ -52,6 +52,7 @@ def made(tmp_path_factory) -> Layout:
     return Layout(folder)
 
 
+@pytest.mark.blender
 def test_dataset_of_the_users_scene(made):
     dataset = Dataset.open(made.root)
     assert (dataset.description.name, dataset.description.effects) == ("cube fire", ("vorticity", "wind"))
@@ -78,6 +79,7 @@ def test_dataset_of_the_users_scene(made):
     assert "finished" in made.job_log.read_text()
 
 
+@pytest.mark.blender
 def test_it_is_what_gof_generate_makes_of_the_spec(made, tmp_path):
     for name in ("spec.json", "background.blend"):
         shutil.copy(made.root / name, tmp_path)
@@ -91,6 +93,7 @@ def test_it_is_what_gof_generate_makes_of_the_spec(made, tmp_path):
             np.testing.assert_array_equal(ours.image(camera, frame), theirs.image(camera, frame))
 
 
+@pytest.mark.blender
 def test_a_stopped_job_goes_on(tmp_path):
     layout = Layout(tmp_path / "stopped")
     layout.claim(TOY)
@@ -113,6 +116,7 @@ def test_a_stopped_job_goes_on(tmp_path):
     assert "stopped in render" in layout.job_log.read_text() and layout.job_log.read_text().count("bake ...") == 1
 
 
+@pytest.mark.blender
 def test_a_job_ends_with_the_process_that_started_it(tmp_path):
     import os
     import signal
@@ -150,6 +154,7 @@ while job.poll():
         pytest.fail("the child outlived its parent")
 
 
+@pytest.mark.blender
 def test_failed_stage_says_why(tmp_path):
     spec = replace(TOY, background="blend_file", blend_file=scene_spec.BlendFile(str(tmp_path / "gone.blend")))
     layout = Layout(tmp_path / "failing")
@@ -159,6 +164,7 @@ def test_failed_stage_says_why(tmp_path):
     assert "there is no file" in layout.job_log.read_text()
 
 
+@pytest.mark.blender
 def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("mine")
@@ -231,6 +237,7 @@ def test_costs_of_the_library_go_on_here(tmp_path):
     assert read_record(gof.costs.Costs, path).wall_s == pytest.approx(before + 1.5, abs=1e-3)
 
 
+@pytest.mark.blender
 def test_report_escapes_names(tmp_path, made):
     layout = Layout(tmp_path)
     data = json.loads(made.description.read_text()) | {"name": "<script>"}

@@ -6,6 +6,7 @@ import pytest
 from tests.blender.runs import in_blender
 
 pytest.importorskip("bpy", reason="the add-on's operators need the bpy wheel")
+pytestmark = pytest.mark.blender
 
 START = """
 import traceback
@@ -74,7 +75,8 @@ def test_parts_are_those_the_generator_builds():
         def facts(domain, emitter, cameras, where):
             settings, flow = domain.modifiers["Fluid"].domain_settings, emitter.modifiers["Fluid"].flow_settings
             return {
-                "burn": [settings.burning_rate, settings.flame_max_temp, settings.beta, flow.fuel_amount, settings.resolution_max],
+                "burn": [settings.burning_rate, settings.flame_max_temp, settings.beta],
+                "amount": [flow.fuel_amount, settings.resolution_max],
                 "mesh": [tuple(emitter.matrix_world @ v.co - where) for v in emitter.data.vertices],
                 "box": [tuple(domain.matrix_world @ v.co - where) for v in domain.data.vertices],
                 "lens": [(camera.data.lens, camera.data.sensor_fit) for camera in cameras],
@@ -84,11 +86,13 @@ def test_parts_are_those_the_generator_builds():
         from mathutils import Vector
         scene_ = scene
         names = spec.cameras.names
-        result["ours"] = facts(place.find(scene, "domain"), place.find(scene, "emitter"), place.cameras(scene), Vector((0, 0, 0)))
+        domain, emitter = place.find(scene, "domain"), place.find(scene, "emitter")
+        result["ours"] = facts(domain, emitter, place.cameras(scene), Vector((0, 0, 0)))
         build.scene(replace(spec, background="studio"))
         scene_ = bpy.context.scene
         bpy.context.view_layer.update()
-        result["its"] = facts(bpy.data.objects["Fire Domain"], bpy.data.objects["Fire Emitter"], [bpy.data.objects[n] for n in names], Vector((0, 0, 0)))
+        domain, emitter = bpy.data.objects["Fire Domain"], bpy.data.objects["Fire Emitter"]
+        result["its"] = facts(domain, emitter, [bpy.data.objects[n] for n in names], Vector((0, 0, 0)))
     """)
     assert found["ours"] == found["its"]
 
@@ -179,7 +183,8 @@ def test_save_and_reload_append_and_undo(tmp_path):
         bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
         scene = bpy.context.scene
         gof = scene.gof
-        result["reloaded"] = [gof.fire.fuel, gof.fire.effects.wind.use, round(gof.fire.effects.wind.strength, 6), gof.benchmark.preset]
+        wind = gof.fire.effects.wind
+        result["reloaded"] = [gof.fire.fuel, wind.use, round(wind.strength, 6), gof.benchmark.preset]
         result["parts"] = parts() == before
         bpy.ops.wm.read_factory_settings()
         with bpy.data.libraries.load(sys.argv[1], link=False) as (theirs, ours):
@@ -200,7 +205,8 @@ def test_operators_can_be_undone():
         bpy.ops.ed.undo_push(message="before")
         for call in (bpy.ops.gof.add_fire, bpy.ops.gof.add_cameras):
             call("EXEC_DEFAULT", True)
-        result["flags"] = ["UNDO" in getattr(bpy.types, name).bl_options for name in ("GOF_OT_add_fire", "GOF_OT_add_cameras")]
+        operators = bpy.types.GOF_OT_add_fire, bpy.types.GOF_OT_add_cameras
+        result["flags"] = ["UNDO" in operator.bl_options for operator in operators]
         result["before"] = len(parts())
         bpy.ops.ed.undo(); bpy.ops.ed.undo()
         scene = bpy.context.scene

@@ -21,7 +21,8 @@ print("Blender", bpy.app.version_string)
 assert state() == ([], False), state()
 if hasattr(bpy.ops, "extensions") and bpy.app.version >= (4, 2):
     name = "bl_ext.user_default.gaussians_on_fire"
-    print("install:", bpy.ops.extensions.package_install_files(filepath=zip_path, repo="user_default", enable_on_install=True))
+    options = {"repo": "user_default", "enable_on_install": True}
+    print("install:", bpy.ops.extensions.package_install_files(filepath=zip_path, **options))
 else:
     name = "gaussians_on_fire"
     print("install:", bpy.ops.preferences.addon_install(filepath=zip_path))
@@ -116,6 +117,7 @@ def test_only_numpy_and_blender_are_imported(built):
             assert {module.split(".")[0] for module in modules} <= known, path
 
 
+@pytest.mark.blender
 def test_blenders_own_check_accepts_the_zip(built):
     bpy = pytest.importorskip("bpy", reason="the validator comes with Blender")
     scripts = Path(bpy.__file__).resolve().parents[2]
@@ -126,6 +128,7 @@ def test_blenders_own_check_accepts_the_zip(built):
     assert done.returncode == 0 and "Success" in done.stdout, done.stdout + done.stderr
 
 
+@pytest.mark.blender
 def test_installs_as_an_extension(built, tmp_path):
     pytest.importorskip("bpy", reason="needs the bpy wheel")
     script = INSTALL.replace("ZIP", repr(str(built)), 1)
@@ -133,6 +136,7 @@ def test_installs_as_an_extension(built, tmp_path):
     assert (tmp_path / "extensions" / "user_default" / "gaussians_on_fire" / "__init__.py").is_file()
 
 
+@pytest.mark.blender
 @pytest.mark.skipif(not shutil.which("blender"), reason="no Blender application on this machine")
 def test_installs_into_the_blender_application(built, tmp_path):
     """Debian 12's is 3.4, which takes the zip as a legacy add-on."""

@@ -1,4 +1,4 @@
-"""The panel Reconstruction in real Blender: import by operator, settings, bad files, undo, saved and appended clouds."""
+"""The panel Reconstruction in real Blender: import by operator, settings, bad files, undo, saved clouds."""
 
 import shutil
 import subprocess
@@ -11,9 +11,11 @@ from gof.gaussians import TransientGaussians
 from tests.blender.runs import in_blender
 from tests.conftest import random_gaussians
 
+pytestmark = pytest.mark.blender
+
 ROOT = Path(__file__).resolve().parents[2]
 BLENDER = shutil.which("blender")
-# Works in all Blender versions: a cloud is drawn as a point cloud or a mesh, among the instances of the evaluated scene.
+# Works in all Blender versions: a cloud is a point cloud or a mesh among the instances of the evaluated scene.
 LOOK = """
 import os, sys, traceback
 from pathlib import Path
@@ -97,7 +99,8 @@ def test_every_format_and_every_mode(folder):
         LOOK
         + """
 scene.frame_set(26)
-for name, options in (("result.npz", {}), ("result.ply", {}), ("clip.ftgs.ply", {"clip_seconds": 1.0}), ("sequence/0001.ply", {})):
+files = {"result.npz": {}, "result.ply": {}, "clip.ftgs.ply": {"clip_seconds": 1.0}, "sequence/0001.ply": {}}
+for name, options in files.items():
     bpy.ops.gof.import_result(filepath=str(folder / name), **options)
     result[name] = [bpy.context.object.name, len(state(bpy.context.object)[1])]
 bpy.ops.gof.import_result(directory=str(folder / "sequence"), fps=10.0)
@@ -107,7 +110,8 @@ for frame in (1, 3.5, 8):
     result[f"sequence at {frame}"] = state(thing)[0].mean(0).tolist()
 scene.frame_set(16)
 result["after the sequence"] = len(state(thing)[1])
-bpy.ops.gof.import_result(directory=str(folder / "sequence"), files=[{"name": "0002.ply"}, {"name": "0000.ply"}], fps=10.0)
+files = [{"name": "0002.ply"}, {"name": "0000.ply"}]
+bpy.ops.gof.import_result(directory=str(folder / "sequence"), files=files, fps=10.0)
 result["two files"] = len(bpy.context.object.data.vertices)
 bpy.ops.gof.import_result(filepath=str(folder / "result.npz"), step=4)
 result["every fourth"] = len(bpy.context.object.data.vertices)
@@ -336,7 +340,8 @@ for link in (False, True):
     thing = here.objects[0]
     bpy.context.scene.collection.objects.link(thing)
     bpy.context.scene.frame_set(26)
-    result["linked" if link else "appended"] = [same(thing), thing.name, len(bpy.data.scenes), point_cloud.inputs(thing)["Start Frame"]]
+    start = point_cloud.inputs(thing)["Start Frame"]
+    result["linked" if link else "appended"] = [same(thing), thing.name, len(bpy.data.scenes), start]
 """,
         folder_with(folder, tmp_path),
     )
@@ -367,9 +372,10 @@ result["menu after"] = len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize())
 @pytest.mark.skipif(not BLENDER, reason="no Blender application on this machine (Debian: apt-get install blender)")
 def test_debians_blender(folder, tmp_path):
     """Blender 3.4: import by operator, all modes, the same positions and opacities."""
+    (tmp_path / "gof_blender").symlink_to(ROOT / "blender_addon")  # the name that the installed package has
     script = tmp_path / "look.py"
     script.write_text(
-        f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n"
+        f"import sys\nsys.path.insert(0, {str(tmp_path)!r})\n"
         + LOOK
         + """
 bpy.ops.gof.import_result(filepath=str(folder / "result.npz"), start_frame=-4.5)

@@ -1,4 +1,4 @@
-"""The panel Score in real Blender: DVE by `gof evaluate` in another Python, truth at the centres, views of the error."""
+"""The panel Score in real Blender: DVE by `gof evaluate` in another Python, truth at the centres, error views."""
 
 import subprocess
 import sys
@@ -43,7 +43,7 @@ thing, settings = bpy.context.object, scene.gof.score
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A dataset whose true velocity is (0, y, 1 + 10 t), and a result with other velocities inside and outside of it."""
+    """A dataset whose true velocity is (0, y, 1 + 10 t), and a result with others inside and outside of it."""
     folder = tmp_path_factory.mktemp("score")
     rng, cameras = np.random.default_rng(0), arc(2)
     images = rng.random((4, 2, 64, 36, 3))
@@ -67,6 +67,7 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.blender
 def test_score_is_that_of_the_library(folder):
     found = in_blender(
         START
@@ -108,6 +109,7 @@ def test_weight_outside_is_a_percentage_of_the_weight(folder, tmp_path):
     assert rows["L2 of no motion"] == f"{read.controls['zero'].l2:.3f}"
 
 
+@pytest.mark.blender
 def test_errors_at_the_centres_and_their_views(folder):
     found = in_blender(
         START
@@ -120,10 +122,12 @@ for _ in range(2):
 result["true"] = point_cloud.column(thing.data, "gs_true_velocity", 3).tolist()
 result["text"] = settings.centres
 views = {thing.name: thing for thing in bpy.data.objects}
-result["views"] = {name: [point_cloud.inputs(view)[key] for key in ("Mode", "Color By", "Arrows Show", "Color Max")] for name, view in views.items()}
+keys = "Mode", "Color By", "Arrows Show", "Color Max"
+result["views"] = {name: [point_cloud.inputs(view)[key] for key in keys] for name, view in views.items()}
 result["shared"] = len({view.data.name for view in views.values()}), len(bpy.data.meshes)
+bpy.context.view_layer.update()
 result["apart"] = [list(thing.matrix_world.inverted() @ views[name].matrix_world.translation) for name in
-                   ("result Error", "result True Velocity", "result Error Arrows")] if bpy.context.view_layer.update() is None else None
+                   ("result Error", "result True Velocity", "result Error Arrows")]
 bpy.context.view_layer.objects.active = views["result Error"]
 result["poll of a view"] = bpy.ops.gof.show_errors.poll()
 """,
@@ -156,6 +160,7 @@ result["poll of a view"] = bpy.ops.gof.show_errors.poll()
     )
 
 
+@pytest.mark.blender
 @pytest.mark.parametrize(
     "setup, message",
     [

@@ -64,6 +64,7 @@ def gas_run(tmp_path_factory) -> Layout:
     return run(spec, tmp_path_factory.mktemp("gas"))
 
 
+@pytest.mark.blender
 def test_grids_flow_and_vdb_are_written_when_listed(gas_run, camera_run):
     zarr = pytest.importorskip("zarr")
     flame = zarr.open_array(str(gas_run.grid("flame")), mode="r")
@@ -84,7 +85,7 @@ def test_grids_flow_and_vdb_are_written_when_listed(gas_run, camera_run):
         grids, _ = openvdb.readAll(sys.argv[1])
         for grid in grids:
             value = np.zeros((19, 19, 24) + ((3,) if "Vec3" in type(grid).__name__ else ()), np.float32)
-            result[grid.name] = [list(grid.transform.indexToWorld((0, 0, 0))), list(grid.transform.indexToWorld((1, 2, 3)))]
+            result[grid.name] = [list(grid.transform.indexToWorld(index)) for index in ((0, 0, 0), (1, 2, 3))]
             if grid.name == "velocity":
                 inside = np.zeros((6, 6, 12, 3), np.float32)
                 grid.copyToArray(inside, ijk=(3, 3, 0))
@@ -107,6 +108,7 @@ def test_grids_flow_and_vdb_are_written_when_listed(gas_run, camera_run):
     assert not (camera_run.root / "grids").exists() and not (camera_run.root / "vdb").exists(), "only where listed"
 
 
+@pytest.mark.blender
 def test_cameras_record_when_they_saw(camera_run):
     meta = json.loads(camera_run.description.read_text())
     assert [camera["role"] for camera in meta["cameras"]] == ["train", "train", "eval"]
@@ -119,6 +121,7 @@ def test_cameras_record_when_they_saw(camera_run):
     assert len(Dataset.open(camera_run.root).cameras) == 2, "evaluation cameras are not trained on"
 
 
+@pytest.mark.blender
 def test_lines_are_the_weighted_sum_of_the_steps_they_see(camera_run):
     found = in_blender(
         """
@@ -140,7 +143,7 @@ def test_lines_are_the_weighted_sum_of_the_steps_they_see(camera_run):
         for step, weight in enumerate(weights):
             render._go_to(spec.timeline.blender_frame(frame) + first + step)
             whole = render._flame(render._render(renderer._cameras[camera], layout.hidden / "shot.exr"))
-            total = total + whole * weight[None, ::-1, None]  # a sensor rolled by 90 degrees reads columns right to left
+            total = total + whole * weight[None, ::-1, None]  # rolled by 90 degrees, it reads columns right to left
             result[f"step {step}"] = float(whole.mean())
         result["error"], result["largest"] = float(abs(total - flame).max()), float(flame.max())
         result["steps"] = len(weights)
@@ -154,6 +157,7 @@ def test_lines_are_the_weighted_sum_of_the_steps_they_see(camera_run):
     assert found["error"] < 0.02 * found["largest"]
 
 
+@pytest.mark.blender
 def test_pictures_went_through_a_codec_and_light_did_not(camera_run):
     stages = {stage["name"] for stage in json.loads(camera_run.costs.read_text())["stages"]}
     assert stages == {"bake", "render", "video", "ground-truth", "finish"}
@@ -191,6 +195,7 @@ def test_exposure_and_noise_follow_their_laws():
     assert np.isfinite(dark).all() and (dark >= 0).all()
 
 
+@pytest.mark.blender
 def test_gas_flows_around_an_obstacle(gas_run):
     field = Dataset.open(gas_run.root).velocity.at(0.04)
     speed = np.linalg.norm(field.velocity.astype(float), axis=-1)
@@ -208,6 +213,7 @@ def test_gas_flows_around_an_obstacle(gas_run):
     assert upwards[below].mean() < 0.35 * upwards[beside].mean(), "no flow through its lower face"
 
 
+@pytest.mark.blender
 def test_noise_and_motion_reach_the_bake_and_nothing_else_does(gas_run, camera_run):
     assert list((gas_run.bake / "noise").glob("*")), "the detail is simulated"
     tile = "waveletNoiseTile.bin"
@@ -261,6 +267,7 @@ bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
 """
 
 
+@pytest.mark.blender
 def test_a_users_blend_file_is_the_background(tmp_path):
     from gof_blender.pure.spec import BlendFile
 

@@ -23,6 +23,7 @@ from gof_blender.pure.spec import SceneSpec
 from tests.blender.runs import TOY, channels, in_blender
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
+pytestmark = pytest.mark.blender
 
 IMAGES = TOY.clip.frames * TOY.cameras.count
 
@@ -287,7 +288,9 @@ def test_only_listed_effects_are_built(tmp_path):
                 "smoke": settings.flame_smoke,
                 "vorticity": settings.vorticity,
                 "flame_vorticity": settings.flame_vorticity,
-                "reads_density": "density" in [getattr(node, "attribute_name", "") for node in fire.material.node_tree.nodes],
+                "reads_density": any(
+                    getattr(node, "attribute_name", "") == "density" for node in fire.material.node_tree.nodes
+                ),
                 "fields": [o.field.type for o in bpy.data.objects if o.field and o.field.type != "NONE"],
                 "wind_to": list(wind.matrix_world.to_3x3().col[2]) if wind else None,
                 "noise": settings.use_noise,

@@ -18,6 +18,7 @@ from gof_blender.pure.layout import Layout
 from tests.blender.runs import TOY
 
 pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
+pytestmark = pytest.mark.blender
 SPEC = replace(
     TOY, name="graph", clip=replace(TOY.clip, frames=16, warm_up_frames=8), domain=replace(TOY.domain, resolution=64)
 )

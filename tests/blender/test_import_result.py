@@ -1,4 +1,4 @@
-"""The import command on a small scene: files, clock, errors. The scene needs no rendered dataset, only its description."""
+"""The import command on a small scene: files, clock, errors. It needs no rendered dataset, only its description."""
 
 import json
 import subprocess
@@ -11,6 +11,7 @@ from PIL import Image
 
 from gof.gaussians import TransientGaussians
 from gof_blender.pure.description import DatasetDescription, held_out
+from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.spec import SceneSpec
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,6 +87,7 @@ def done(folder) -> subprocess.CompletedProcess:
     return run_import(folder)
 
 
+@pytest.mark.blender
 def test_blend_and_preview(done, folder, spec):
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line)["progress"] for line in done.stdout.splitlines()]
@@ -102,6 +104,7 @@ def test_blend_and_preview(done, folder, spec):
     assert middle[0] > side[0] + 0.2, (middle, side)
 
 
+@pytest.mark.blender
 def test_saved_scene_opens_with_the_cloud_and_no_fire(done, folder, spec):
     looked = run("-c", LOOK, folder / "out" / "scene.blend", folder / "seen.json")
     assert looked.returncode == 0, looked.stderr
@@ -113,6 +116,7 @@ def test_saved_scene_opens_with_the_cloud_and_no_fire(done, folder, spec):
     assert seen["count"] == 400 and seen["later"] == 0  # 40 frames on, all have faded
 
 
+@pytest.mark.blender
 def test_existing_files_are_kept(done, folder):
     before = (folder / "out" / "scene.blend").stat().st_mtime_ns
     again = run_import(folder)
@@ -120,6 +124,7 @@ def test_existing_files_are_kept(done, folder):
     assert (folder / "out" / "scene.blend").stat().st_mtime_ns == before
 
 
+@pytest.mark.blender
 @pytest.mark.parametrize(
     "changes, message",
     [
@@ -136,10 +141,10 @@ def test_errors(folder, changes, message):
     assert not (folder / "new").exists()
 
 
+@pytest.mark.blender
 @pytest.mark.parametrize(
     "changes, message",
     [
-        ("{", "not readable as JSON"),
         ({"schema": "gof-capture"}, "not schema 'gof-dataset' version 1; choose the folder of a finished dataset"),
         ({"spec": None}, "no scene spec"),
         ({"spec": {}}, "gof-scene"),
@@ -150,3 +155,9 @@ def test_foreign_dataset(folder, tmp_path, changes, message):
     (tmp_path / "dataset.json").write_text(json.dumps(description))
     result = run_import(folder, dataset=tmp_path, blend=tmp_path / "scene.blend", preview=tmp_path / "preview.png")
     assert result.returncode == 2 and message in result.stderr
+
+
+def test_a_broken_description_is_named(tmp_path):
+    (tmp_path / "dataset.json").write_text("{")
+    with pytest.raises(FileFormatError, match=r"dataset\.json: not readable as JSON"):
+        DatasetDescription.read(tmp_path)

@@ -12,6 +12,8 @@ from gof.gaussians import TransientGaussians
 from gof_blender.pure.io import gaussians_file
 from gof_blender.pure.io.cloud import GaussianCloud
 
+pytestmark = pytest.mark.blender
+
 ROOT = Path(__file__).resolve().parents[2]
 START, FPS, CUT_OFF, EXTENT = 81, 100, 1 / 255, 2.5
 FRAMES = (75, 81, 81.5, 100, 121)
@@ -269,7 +271,7 @@ def rendered(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize("mode", ["ellipsoids", "points"])
 def test_cycles_shows_the_splat(rendered, mode):
-    """A white Gaussian over black, seen orthographically: the pixel is opacity exp(-d^2 / 2) of the projected Gaussian."""
+    """A white Gaussian over black, seen orthographically: a pixel is opacity exp(-d^2 / 2) of its projection."""
     g = gaussians_file.load(rendered / f"{mode}.npz")
     axes = rotation_matrix(g.rotation[0].astype(float)) * g.scale[0]
     covariance = (axes @ axes.T)[:2, :2]
@@ -332,7 +334,7 @@ leave()
 
 
 def test_any_moment_equals_the_library(cloud, tmp_path):
-    """Random times between frames (shutter times among them), clocks, start frames and affine objects: TransientGaussians.at."""
+    """Random times between frames, clocks, start frames and affine objects: as TransientGaussians.at."""
     import shutil
 
     rng, result = np.random.default_rng(8), TransientGaussians.load(cloud[1].with_name("result.npz"))
@@ -405,8 +407,8 @@ leave()
 
 
 def test_motion_blur(tmp_path):
-    """60 m/s past a shutter of 5 ms: a trail of 0.3 m around the place at the frame, though another Gaussian appears and
-    vanishes while the shutter is open, so that its ends show other numbers of points."""
+    """60 m/s past a shutter of 5 ms: a trail of 0.3 m around the place at the frame, though another Gaussian appears
+    and vanishes while the shutter is open, so that its ends show other numbers of points."""
     TransientGaussians(
         position=[[0, 0, 0], [0, 0.3, 0]],
         velocity=[[60, 0, 0], [0, 0, 0]],

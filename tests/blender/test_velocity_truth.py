@@ -12,6 +12,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("velocity_truth")
 
 
+@pytest.mark.blender
 @pytest.mark.timeout(240)  # 6 s each on two free cores
 @pytest.mark.parametrize("case", ["plain", "slow_50fps_2m"])
 def test_exported_velocity_moves_the_smoke(folder, case):
@@ -30,6 +31,7 @@ def test_exported_velocity_moves_the_smoke(folder, case):
     assert result["storage_max_abs_error"] < 1e-3 * result["fastest_m_s"]
 
 
+@pytest.mark.blender
 @pytest.mark.timeout(240)  # 6 s each on two free cores
 def test_posed_domain_gives_the_turned_field(folder):
     """A turned, moved domain with unapplied scale holds the same flow, seen in world axes."""

@@ -2,7 +2,7 @@
 
 Along the ray of a pixel, every point of glowing gas moves with the known velocity v; its image moves with J v, J being
 the derivative of the projection. The flow of the pixel is the mean of J v weighted by the light each point sends to the
-camera (its emission; the flame hardly absorbs). Never imports bpy.
+camera (its emission; the flame hardly absorbs).
 """
 
 from __future__ import annotations
