@@ -1,0 +1,301 @@
+"""What any solver hands over: a flame as grids on a clock. A flame has a source, and this is the source's contract.
+
+    <fire>/fire.json          what it is and where it comes from (`FireDescription`); written last
+          velocity.zarr       (T, X, Y, Z, 3) m/s, schema gof-velocity
+          emission.zarr       (T, X, Y, Z, 3) linear RGB radiance per metre, schema gof-grid
+          temperature.zarr    (T, X, Y, Z) K                 optional, as are those below
+          heat_release.zarr   (T, X, Y, Z) W/m3
+          fuel.zarr           (T, X, Y, Z) mass fraction of fuel
+          history.json        quick records of the solver (`FireHistory`), longer than the clip
+
+All grids are cell-centred cubes of one box, world axes (Z up, metres), on one clock that starts at 0. Emission is
+spectral radiance per metre of path, W m^-3 sr^-1 nm^-1 at the three wavelengths that stand for R, G and B, and true
+up to one factor for the whole fire, because no solver here knows the amount of soot; absorption is left out (a thin
+flame).
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from gof.errors import DataFormatError, require_finite
+from gof.fields import CHUNK, VelocitySequence, open_array, read_array
+from gof.io.records import read_record, write_record
+
+QUANTITIES = {"emission": "W m^-3 sr^-1 nm^-1", "temperature": "K", "heat_release": "W/m3", "fuel": "1"}
+COMMON = {"version": 1, "frame": "world", "layout": "cell_centred"}
+
+
+@dataclass(frozen=True)
+class Hearth:
+    """One burner, as far as the laws of fires ask for it.
+
+    Args:
+        heat_release_kw: of its fuel, burnt completely.
+        diameter_m: of the circle of equal area.
+        position_m: centre of its opening.
+        speed_m_s: of the fuel where it comes out, straight up.
+    """
+
+    heat_release_kw: float
+    diameter_m: float
+    position_m: tuple[float, float, float]
+    speed_m_s: float
+
+
+@dataclass(frozen=True)
+class FireDescription:
+    """What a fire is and where it comes from: the record `fire.json`.
+
+    Args:
+        solver: name and version of what solved it.
+        time_s: (T,) clock of all grids, from 0.
+        emission_law: how light follows from the gas, with its source.
+        hearths: its burners; none where they are not known.
+        wind_m_s: (x, y) velocity of the air that comes in.
+        parameters: the solver's own description, enough to make it again.
+        cpu_s: seconds of one core by part of the work.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-fire"
+    VERSION: ClassVar[int] = 1
+
+    name: str
+    solver: str
+    time_s: tuple[float, ...]
+    emission_law: str
+    fuel: str = ""
+    hearths: tuple[Hearth, ...] = ()
+    wind_m_s: tuple[float, float] = (0.0, 0.0)
+    seed: int = 0
+    parameters: dict[str, Any] = field(default_factory=dict)
+    cpu_s: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        times = np.asarray(self.time_s, float)
+        if len(times) == 0 or not np.isfinite(times).all() or times[0] != 0 or (np.diff(times) <= 0).any():
+            raise DataFormatError(f"fire '{self.name}': time_s must start at 0 and increase")
+
+
+@dataclass(frozen=True)
+class FireHistory:
+    """Quick records over more time than the clip, for what needs seconds (puffing): the record `history.json`.
+
+    Args:
+        time_s: (N,) on the clip's clock, negative before it; uneven where the solver's steps are.
+        heat_release_kw: (N,) of the whole domain.
+        probe_position_m: (P, 3).
+        rise_m_s: (N, P) vertical speed at the probes.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-fire-history"
+    VERSION: ClassVar[int] = 1
+
+    time_s: tuple[float, ...]
+    heat_release_kw: tuple[float, ...]
+    probe_position_m: tuple[tuple[float, float, float], ...]
+    rise_m_s: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self):
+        same = len(self.time_s) == len(self.heat_release_kw) == len(self.rise_m_s)
+        if not same or any(len(row) != len(self.probe_position_m) for row in self.rise_m_s):
+            raise DataFormatError(
+                "history: time_s, heat_release_kw and rise_m_s must have one row a time, one value a probe"
+            )
+        if (np.diff(self.time_s) <= 0).any():
+            raise DataFormatError("history: time_s must increase")
+
+
+@dataclass(frozen=True)
+class FireFrame:
+    """The grids of one time: velocity and emission (X, Y, Z, 3), the others (X, Y, Z) or None where not known."""
+
+    velocity: np.ndarray
+    emission: np.ndarray
+    temperature: np.ndarray | None = None
+    heat_release: np.ndarray | None = None
+    fuel: np.ndarray | None = None
+
+
+class GridSequence:
+    """A quantity over time in a chunked zarr store (schema gof-grid); frames are read when asked for.
+
+    Attributes:
+        times_s: (T,) seconds; index_to_world: (4, 4); quantity, units: what the numbers are.
+    Raises:
+        DataFormatError: not such a store.
+    """
+
+    def __init__(self, path: Path):
+        self.path, self._array = path, open_array(path)
+        attributes = dict(self._array.attrs)
+        if (attributes.get("schema"), attributes.get("version")) != ("gof-grid", 1):
+            raise DataFormatError(f"{path}: not a grid (schema gof-grid version 1)")
+        try:
+            self.times_s = np.asarray(attributes["time_s"], np.float64)
+            self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
+            self.quantity, self.units = str(attributes["quantity"]), str(attributes["units"])
+        except (KeyError, TypeError, ValueError) as e:
+            raise DataFormatError(f"{path}: zarr.json lacks time_s, index_to_world, quantity or units ({e})") from e
+        if self.times_s.shape != self._array.shape[:1] or self.index_to_world.shape != (4, 4):
+            raise DataFormatError(f"{path}: {self.times_s.shape} times do not fit shape {self._array.shape}")
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        return tuple(self._array.shape[1:4])
+
+    def frame(self, index: int) -> np.ndarray:
+        """(X, Y, Z) or (X, Y, Z, 3) of a stored frame. Raises DataFormatError when it is damaged or not finite."""
+        values = read_array(self._array, (index,), self.path)
+        if not np.isfinite(values).all():
+            raise DataFormatError(f"{self.path}: frame {index} holds NaN or Inf; bake the fire again")
+        return values
+
+
+@dataclass(frozen=True)
+class FireGrids:
+    """A fire on disk, opened: `FireGrids.open(folder)`."""
+
+    path: Path
+    description: FireDescription
+    velocity: VelocitySequence
+    grids: dict[str, GridSequence]
+    """By quantity: emission always, the others where the solver gave them."""
+    history: FireHistory | None
+
+    @property
+    def times_s(self) -> np.ndarray:
+        return self.velocity.times_s
+
+    @property
+    def index_to_world(self) -> np.ndarray:
+        return self.velocity.index_to_world
+
+    @property
+    def voxel_m(self) -> float:
+        """Edge of a cell (grids are cubes)."""
+        return float(np.cbrt(abs(np.linalg.det(self.index_to_world[:3, :3]))))
+
+    def centers(self, axis: int) -> np.ndarray:
+        """World positions (m) of the cells' centres along an axis."""
+        n = self.velocity.resolution[axis]
+        return self.index_to_world[axis, 3] + self.voxel_m * (np.arange(n) + 0.5)
+
+    @classmethod
+    def open(cls, path: str | Path) -> FireGrids:
+        """Open a fire for reading.
+
+        Raises:
+            DataFormatError: the folder is unfinished, or its grids differ in box or clock (names the file).
+        """
+        path = Path(path)
+        description = read_record(FireDescription, path / "fire.json")
+        velocity = VelocitySequence.open(path / "velocity.zarr")
+        if not np.array_equal(velocity.times_s, description.time_s):
+            raise DataFormatError(f"{path / 'velocity.zarr'}: its clock is not that of fire.json")
+        grids = {}
+        for quantity in QUANTITIES:
+            store = path / f"{quantity}.zarr"
+            if not store.exists() and quantity != "emission":
+                continue
+            grid = grids[quantity] = GridSequence(store)
+            if grid.quantity != quantity:
+                raise DataFormatError(f"{store}: holds '{grid.quantity}', not '{quantity}'")
+            if not np.array_equal(grid.times_s, velocity.times_s):
+                raise DataFormatError(f"{store}: its clock is not that of velocity.zarr")
+            same_box = np.allclose(grid.index_to_world, velocity.index_to_world, rtol=0, atol=1e-9)
+            if grid.resolution != velocity.resolution or not same_box:
+                raise DataFormatError(f"{store}: its box is not that of velocity.zarr")
+        box = velocity.index_to_world[:3, :3]
+        if not np.allclose(box, np.eye(3) * box[0, 0]) or box[0, 0] <= 0:
+            raise DataFormatError(f"{path / 'velocity.zarr'}: a fire's cells are upright cubes; resample it")
+        history = path / "history.json"
+        return cls(path, description, velocity, grids, read_record(FireHistory, history) if history.exists() else None)
+
+    def check(self) -> None:
+        """Read every frame once.
+
+        Raises:
+            DataFormatError: a frame is damaged, not finite, or has negative light, heat or fuel beyond rounding.
+        """
+        for k in range(len(self.times_s)):
+            self.velocity.frame(k)
+            for quantity, grid in self.grids.items():
+                values = grid.frame(k)
+                if values.min() < -1e-3 * max(1.0, np.abs(values).max()):
+                    raise DataFormatError(f"{grid.path}: frame {k} holds negative {quantity} ({values.min():.3g})")
+
+
+def write_fire(
+    path: Path,
+    description: FireDescription,
+    index_to_world: np.ndarray,
+    frame: Callable[[int], FireFrame],
+    history: FireHistory | None = None,
+) -> FireGrids:
+    """Write a fire, frame by frame; `path` appears only when it is whole.
+
+    Args:
+        index_to_world: (4, 4) continuous cell index to world metres; cells are cubes.
+        frame: called with 0, 1, ... for the frames of `description.time_s`.
+    Raises:
+        DataFormatError: the path exists, or the frames differ in shape or quantities.
+        NonFiniteError: a frame holds NaN or Inf; names the quantity.
+    """
+    if path.exists():
+        raise DataFormatError(f"{path}: exists already; remove it first or choose another name")
+    partial = path.with_name(f".{path.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    stores: dict[str, Any] = {}
+    for k in range(len(description.time_s)):
+        grids = {name: value for name, value in vars(frame(k)).items() if value is not None}
+        if k == 0:
+            shapes = {name: np.shape(value) for name, value in grids.items()}
+            stores = {
+                name: _create(partial, name, shape, description.time_s, index_to_world)
+                for name, shape in shapes.items()
+            }
+        if {name: np.shape(value) for name, value in grids.items()} != shapes:
+            raise DataFormatError(f"{path}: frame {k} has other quantities or another shape than frame 0")
+        for name, value in grids.items():
+            require_finite(name, value, f"frame {k} of fire '{description.name}'")
+            stores[name][k] = np.asarray(value, np.float32)
+    if history:
+        write_record(partial / "history.json", history)
+    write_record(partial / "fire.json", description)
+    partial.rename(path)
+    return FireGrids.open(path)
+
+
+def _create(folder: Path, name: str, shape: tuple[int, ...], times_s: tuple[float, ...], index_to_world: np.ndarray):
+    import zarr
+
+    vector = name in ("velocity", "emission")
+    if len(shape) != 3 + vector or (vector and shape[3] != 3):
+        raise DataFormatError(f"{name}: shape {shape}, expected (X, Y, Z{', 3' if vector else ''})")
+    what = {"schema": "gof-velocity", "units": "m/s"}
+    if name != "velocity":
+        what = {"schema": "gof-grid", "quantity": name, "units": QUANTITIES[name]}
+    attributes = {
+        **what,
+        **COMMON,
+        "index_to_world": np.asarray(index_to_world, float).tolist(),
+        "voxel_size": float(index_to_world[0][0]),
+        "time_s": list(times_s),
+    }
+    chunks = (1, CHUNK, CHUNK, CHUNK, 3)[: len(shape) + 1]
+    return zarr.create_array(
+        str(folder / f"{name}.zarr"),
+        shape=(len(times_s), *shape),
+        chunks=chunks,
+        dtype="float32",
+        fill_value=0,
+        attributes=attributes,
+    )

@@ -1,0 +1,188 @@
+"""Baking a fire: coarse mesh until the flame has developed, mapped to the fine mesh, a while to settle, then the clip.
+
+    <out>/fire.json            the description, as baked
+          coarse/, fine/       OpenFOAM cases; `log` in each holds what its programs said
+          steps/               one empty file per finished step: a bake that was stopped goes on where it was
+          grids/               what is handed over (`gof_benchmark.solvers.grids`)
+
+The solver writes every field at every frame of the clip, so that a killed run goes on from the last whole frame.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from gof.errors import DataFormatError, GofError
+from gof.io.files import only_run_in
+from gof.io.records import read_record, write_record
+from gof.progress import progress_bar
+from gof.worker import die_with_parent
+from gof_benchmark.solvers.grids import FireGrids
+from gof_benchmark.solvers.openfoam.case import FoamFire, write_case, write_control, write_fields
+from gof_benchmark.solvers.openfoam.chemistry import species_of
+from gof_benchmark.solvers.openfoam.dictionary import END
+from gof_benchmark.solvers.openfoam.fields import grids_of
+from gof_benchmark.solvers.openfoam.installation import Installation, find_installation
+
+TIME = re.compile(r"^Time = (\S+)")
+CPU = re.compile(r"^ExecutionTime = (\S+) s")
+
+
+def bake(fire: FoamFire, out: Path, keep_raw: bool = False) -> FireGrids:
+    """Bake a fire, or go on with it; returns its grids.
+
+    Args:
+        out: folder of this one bake.
+        keep_raw: keep OpenFOAM's own fields of the clip (about 1 GB) when the grids are written.
+    Raises:
+        MissingDependencyError: OpenFOAM is not installed.
+        DataFormatError: the folder holds another fire.
+        GofError: a program of OpenFOAM failed (names its log), or another run works in the folder.
+    """
+    installation = find_installation()
+    with only_run_in(out):
+        _claim(fire, out)
+        coarse, fine = out / "coarse", out / "fine"
+        frame = 1 / fire.frame_rate_hz
+        steps: list[tuple[str, Callable[[], None]]] = [
+            ("coarse mesh", lambda: _mesh(installation, fire, coarse, "coarse")),
+            ("warm-up", lambda: _solve(installation, fire, coarse, fire.warm_up_s, fire.warm_up_s / 20, "warm-up", 3)),
+            ("fine mesh", lambda: _mesh(installation, fire, fine, "fine")),
+            ("mapping", lambda: _map(installation, fire, coarse, fine)),
+            ("settling", lambda: _solve(installation, fire, fine, fire.start_s, fire.settle_s / 10, "settling", 3)),
+            ("clip", lambda: _solve(installation, fire, fine, fire.end_s, frame, "clip", 0)),
+            ("grids", lambda: _hand_over(installation, fire, out)),
+        ]  # fmt: skip
+        for number, (name, work) in enumerate(steps):
+            done = out / "steps" / f"{number}_{name.replace(' ', '_')}"
+            if not done.exists():
+                print(f"{fire.name}: {name}", file=sys.stderr, flush=True)
+                work()
+                done.parent.mkdir(exist_ok=True)
+                done.touch()
+        if not keep_raw:
+            for folder in times_of(fine):
+                shutil.rmtree(fine / folder)
+        return FireGrids.open(out / "grids")
+
+
+def _claim(fire: FoamFire, out: Path) -> None:
+    """Write the description into the folder, or check that the one there is the same."""
+    path = out / "fire.json"
+    if path.exists() and read_record(FoamFire, path) != fire:
+        raise DataFormatError(f"{path}: another fire was begun there; choose another --out, or remove the folder")
+    write_record(path, fire)
+
+
+def _mesh(installation: Installation, fire: FoamFire, case: Path, level: str) -> None:
+    shutil.rmtree(case, ignore_errors=True)
+    write_case(fire, case, level)
+    write_control(case, fire, end_s=fire.warm_up_s, write_every_s=fire.warm_up_s)
+    _run(installation, case, "blockMesh")
+    _run(installation, case, "topoSet")
+    _run(installation, case, "createPatch", "-overwrite")
+    write_fields(fire, case, level)
+
+
+def _map(installation: Installation, fire: FoamFire, coarse: Path, fine: Path) -> None:
+    """Interpolate the developed flame to the fine mesh, at the same time of the solver's clock."""
+    source = times_of(coarse)[-1]
+    if abs(float(source) - fire.warm_up_s) > 1e-6:
+        raise GofError(f"{coarse}: ends at {source} s, expected {fire.warm_up_s} s; remove the folder and its steps")
+    for folder in times_of(fine):
+        shutil.rmtree(fine / folder)
+    shutil.copytree(fine / "0", fine / source)  # boundaries as written; the insides come from the coarse flame
+    _run(installation, fine, "mapFields", "../coarse", "-consistent", "-sourceTime", source)
+
+
+def _solve(
+    installation: Installation, fire: FoamFire, case: Path, end_s: float, every_s: float, title: str, keep: int
+) -> None:
+    """Run fireFoam from the latest whole time to `end_s`, with a bar of simulated milliseconds."""
+    drop_torn_times(fire, case)
+    if float(times_of(case)[-1] if times_of(case) else 0) > end_s - 1e-6:
+        return
+    write_control(case, fire, end_s, every_s, keep)
+    with progress_bar(f"{fire.name} {title} (ms)", ticking=True) as update:
+        for line in _lines(installation, case, "fireFoam"):
+            if found := TIME.match(line):
+                update(round(1e3 * float(found.group(1))), round(1e3 * end_s))
+
+
+def _hand_over(installation: Installation, fire: FoamFire, out: Path) -> None:
+    cpu_s = {level: round(cpu_seconds(out / level / "log"), 1) for level in ("coarse", "fine")}
+    grids_of(fire, out, f"OpenFOAM {installation.version()} fireFoam", cpu_s)
+
+
+def times_of(case: Path) -> list[str]:
+    """Names of a case's time folders after 0, in order."""
+    names = [d.name for d in case.glob("*") if d.is_dir() and re.fullmatch(r"\d+(\.\d+)?(e-\d+)?", d.name)]
+    return sorted((n for n in names if float(n) > 0), key=float)
+
+
+def drop_torn_times(fire: FoamFire, case: Path) -> None:
+    """Remove the last time folders as long as a kill left files of them out, or cut off."""
+    needed = {"U", "T", "p", "p_rgh", "k", "nut", "alphat", "Qdot", *species_of(fire.gas)}
+    for name in reversed(times_of(case)):
+        files = [f for f in (case / name).iterdir() if f.is_file()]
+        if needed <= {f.name for f in files} and all(map(_whole, files)):
+            return
+        shutil.rmtree(case / name)
+
+
+def cpu_seconds(log: Path) -> float:
+    """Of all runs of the solver that wrote to a case's log, also those that were killed."""
+    total = last = 0.0
+    for line in open(log, errors="replace") if log.exists() else ():
+        if found := CPU.match(line):
+            now = float(found.group(1))
+            total, last = total + (now - last if now >= last else now), now
+    return total
+
+
+def _whole(file: Path) -> bool:
+    with open(file, "rb") as stream:
+        stream.seek(max(0, file.stat().st_size - 200))
+        return END[:4].encode() in stream.read()
+
+
+def _run(installation: Installation, case: Path, program: str, *arguments: str) -> None:
+    for _ in _lines(installation, case, program, *arguments):
+        pass
+
+
+def _lines(installation: Installation, case: Path, program: str, *arguments: str):
+    """Run a program of OpenFOAM in a case; yields its lines, and appends them to the case's log.
+
+    Raises:
+        GofError: it failed; the message holds its last lines.
+    """
+    log, last = case / "log", []
+    child = subprocess.Popen(
+        [installation.program(program), *arguments],
+        cwd=case,
+        env=installation.environment(case),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        preexec_fn=die_with_parent if sys.platform == "linux" else None,
+    )
+    try:
+        with open(log, "a") as file:
+            for line in child.stdout:
+                file.write(line)
+                last = [*last[-30:], line]
+                yield line
+        status = child.wait()
+    finally:
+        if child.poll() is None:
+            child.kill()
+            child.wait()
+    if status:
+        raise GofError(f"{program} in {case} ended with status {status} (whole log: {log}):\n{''.join(last)}")

@@ -1,0 +1,99 @@
+"""The contract of a flame's source: what is written is read, and what does not fit together is refused."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from gof.errors import DataFormatError, NonFiniteError
+from gof.fields import VelocitySequence
+from gof.io.records import from_json, to_json
+from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireGrids, FireHistory, write_fire
+from tests.solvers.conftest import write_small_fire
+
+
+def test_a_fire_comes_back_as_it_was(tmp_path):
+    written = write_small_fire(tmp_path / "fire", seed=7, wind_m_s=(1.5, 0.0), cpu_s={"fine": 12.5})
+    fire = FireGrids.open(tmp_path / "fire")
+    fire.check()
+    assert fire.description == written.description and fire.history == written.history
+    assert fire.voxel_m == pytest.approx(0.05) and fire.centers(2)[0] == pytest.approx(0.025)
+    assert set(fire.grids) == {"emission", "temperature", "heat_release", "fuel"}
+    np.testing.assert_allclose(fire.grids["emission"].frame(1)[2, 2, 0], [1, 0.5, 0.1], rtol=1e-6)
+    assert fire.grids["temperature"].units == "K"
+    # The house's own reader of velocities opens it: rendering and scores do not know which solver it was.
+    assert VelocitySequence.open(tmp_path / "fire" / "velocity.zarr").at(0.005).resolution == (6, 6, 8)
+    assert from_json(FireDescription, to_json(fire.description), "x") == fire.description
+
+
+def test_a_solver_may_give_velocity_and_light_only(tmp_path):
+    description = FireDescription("bare", "a VDB sequence", (0.0, 0.1), "as recorded")
+    zeros = np.zeros((2, 2, 2, 3))
+    fire = write_fire(tmp_path / "fire", description, np.eye(4), lambda k: FireFrame(zeros, zeros))
+    assert set(fire.grids) == {"emission"} and fire.history is None
+
+
+def change(path, **attributes):
+    content = json.loads(path.read_text())
+    content["attributes"].update(attributes)
+    path.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    ("store", "attributes", "says"),
+    [
+        ("emission", {"time_s": [0.0, 0.01, 0.03]}, "clock"),
+        ("temperature", {"index_to_world": np.diag([0.05, 0.05, 0.06, 1]).tolist()}, "box"),
+        ("fuel", {"quantity": "soot"}, "soot"),
+        ("velocity", {"time_s": [0.0, 0.02, 0.03]}, "fire.json"),
+    ],
+)
+def test_grids_that_do_not_belong_together_are_refused(tmp_path, store, attributes, says):
+    write_small_fire(tmp_path / "fire")
+    change(tmp_path / "fire" / f"{store}.zarr" / "zarr.json", **attributes)
+    with pytest.raises(DataFormatError, match=says):
+        FireGrids.open(tmp_path / "fire")
+
+
+def test_an_unfinished_or_lightless_fire_is_refused(tmp_path):
+    write_small_fire(tmp_path / "fire")
+    shutil.rmtree(tmp_path / "fire" / "emission.zarr")
+    with pytest.raises(DataFormatError, match="emission"):
+        FireGrids.open(tmp_path / "fire")
+    (tmp_path / "fire" / "fire.json").unlink()
+    with pytest.raises(DataFormatError, match=r"fire\.json"):
+        FireGrids.open(tmp_path / "fire")
+
+
+def test_nothing_is_written_over_and_nothing_bad_is_written(tmp_path):
+    write_small_fire(tmp_path / "fire")
+    with pytest.raises(DataFormatError, match="exists already"):
+        write_small_fire(tmp_path / "fire")
+    with pytest.raises(NonFiniteError, match="velocity"):
+        write_small_fire(tmp_path / "other", velocity=lambda z, k: np.nan if k == 1 else 0.0)
+    assert not (tmp_path / "other").exists()
+    zeros = np.zeros((2, 2, 2, 3))
+    sizes = [zeros, np.zeros((3, 2, 2, 3))]
+    with pytest.raises(DataFormatError, match="frame 1"):
+        write_fire(
+            tmp_path / "third",
+            FireDescription("x", "x", (0.0, 0.1), "x"),
+            np.eye(4),
+            lambda k: FireFrame(sizes[k], sizes[k]),
+        )
+
+
+def test_negative_light_is_found(tmp_path):
+    zeros = np.zeros((2, 2, 2, 3))
+    description = FireDescription("x", "x", (0.0,), "x")
+    fire = write_fire(tmp_path / "f", description, np.eye(4), lambda k: FireFrame(zeros, zeros - 1))
+    with pytest.raises(DataFormatError, match="negative emission"):
+        fire.check()
+
+
+def test_clocks_and_histories_are_checked():
+    with pytest.raises(DataFormatError, match="start at 0"):
+        FireDescription("x", "x", (0.1, 0.2), "x")
+    with pytest.raises(DataFormatError, match="one row a time"):
+        FireHistory((0.0, 1.0), (1.0,), (), ((), ()))
