@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -111,10 +112,27 @@ def _frame_velocity(
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
-def _without_board(dataset: Dataset, camera: int, images: np.ndarray, static: np.ndarray) -> np.ndarray:
-    """(F, H, W, 3) pictures, on the sync board like the plate: its LEDs are no fire and hide the flame behind them."""
-    weight = dataset.board_weight(camera)
-    return images if weight is None else static + weight[..., None] * (images - static)
+class _View(NamedTuple):
+    """What one camera saw; shapes as in `Observation`, without C."""
+
+    times_s: np.ndarray  # (T,) of all frames of the dataset
+    image: np.ndarray
+    static: np.ndarray
+    plate: np.ndarray
+    mask: np.ndarray
+    delivered: np.ndarray
+
+
+def _view(dataset: Dataset, camera: int, frames: np.ndarray, lit: bool) -> _View:
+    static = dataset.static(camera)
+    image = np.stack([dataset.image(camera, k) for k in frames])
+    counts = dataset.board_weight(camera)
+    if counts is not None:  # on the sync board like the plate: its LEDs are no fire and hide the flame behind them
+        image = static + counts[..., None] * (image - static)
+    mask = np.stack([flame_mask(picture, static) for picture in image])
+    delivered = was_delivered(image, static)
+    plate = lit_plate(static, image, mask | ~delivered[:, None, None]) if lit else static
+    return _View(dataset.camera_times_s(camera), image, static, plate, mask, delivered)
 
 
 def observe(
@@ -141,43 +159,47 @@ def observe(
     frames = np.array(sorted(dataset.train_frames))
     if not len(frames):
         raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
-    cameras = range(len(dataset.cameras))
-
-    # What is there without flame, and where the flame is.
-    static = [dataset.static(c) for c in cameras]
-    images = [_without_board(dataset, c, np.stack([dataset.image(c, k) for k in frames]), static[c]) for c in cameras]
-    masks = [np.stack([flame_mask(image, static[c]) for image in images[c]]) for c in cameras]
-    if not any(mask.any() for mask in masks):
+    views = [_view(dataset, c, frames, lit_plates) for c in range(len(dataset.cameras))]
+    if not any(view.mask.any() for view in views):
         raise DataFormatError(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
-    delivered = [was_delivered(images[c], static[c]) for c in cameras]
-    plates = static
-    if lit_plates:
-        plates = [lit_plate(static[c], images[c], masks[c] | ~delivered[c][:, None, None]) for c in cameras]
-
-    # How its light moves in each picture.
-    intensity = [np.stack([light_above(image, plates[c]).mean(-1) for image in images[c]]) for c in cameras]
-    pictures = [
-        {int(k): picture(image, plates[c]) for k, image in zip(frames, images[c], strict=True)} for c in cameras
-    ]
-    times = [dataset.camera_times_s(c) for c in cameras]
-    velocity = []
-    for i, k in enumerate(frames):
-        velocity.append([_frame_velocity(pictures[c], times[c], int(k), max_error_px, flow) for c in cameras])
-        if progress:
-            progress(i + 1, len(frames))
-
     return Observation(
         cameras=list(dataset.cameras),
         frames=frames,
         time_s=dataset.times_s[frames],
-        camera_time_s=np.stack([times[c][frames] for c in cameras]),
-        image=np.stack(images, axis=1),
-        static=np.stack(static),
-        plate=np.stack(plates),
-        intensity=np.stack(intensity, axis=1),
-        mask=np.stack(masks, axis=1),
-        flow=np.stack([np.stack(v) for v in velocity]),
-        delivered=np.stack(delivered, axis=1),
+        camera_time_s=np.stack([view.times_s[frames] for view in views]),
+        image=np.stack([view.image for view in views], axis=1),
+        static=np.stack([view.static for view in views]),
+        plate=np.stack([view.plate for view in views]),
+        intensity=np.stack([_intensity(view) for view in views], axis=1),
+        mask=np.stack([view.mask for view in views], axis=1),
+        flow=_flow(views, frames, max_error_px, picture, flow, progress),
+        delivered=np.stack([view.delivered for view in views], axis=1),
     )
+
+
+def _intensity(view: _View) -> np.ndarray:
+    """(F, H, W) linear light above the plate."""
+    return np.stack([light_above(image, view.plate).mean(-1) for image in view.image])
+
+
+def _flow(
+    views: list[_View],
+    frames: np.ndarray,
+    max_error_px: float,
+    picture: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    flow: Flow,
+    progress: Callable[..., None] | None,
+) -> np.ndarray:
+    """(F, C, H, W, 2) px/s; args as `observe`."""
+    pictures = [
+        {int(k): picture(image, view.plate) for k, image in zip(frames, view.image, strict=True)} for view in views
+    ]
+    velocity = []
+    for i, k in enumerate(frames):
+        of_cameras = zip(pictures, views, strict=True)
+        velocity.append(np.stack([_frame_velocity(p, v.times_s, int(k), max_error_px, flow) for p, v in of_cameras]))
+        if progress:
+            progress(i + 1, len(frames))
+    return np.stack(velocity)
