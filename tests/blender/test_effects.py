@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gof.dataset import Dataset
+from gof.errors import GofError
 from gof_benchmark.commands import generate
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec
@@ -307,6 +308,6 @@ def test_a_users_blend_file_is_the_background(tmp_path):
     assert lit.any() and frame["flame.R"][lit].max() < 0.05
     assert np.median(frame["R"][lit] / plate["R"][lit]) < 1.05
     broken = replace(spec, blend_file=BlendFile(str(tmp_path / "room.blend"), "Nowhere"))
-    with pytest.raises(generate.GofError, match="its empties: Hearth"):
+    with pytest.raises(GofError, match="its empties: Hearth"):
         (tmp_path / "broken").mkdir()
         run(broken, tmp_path / "broken")
