@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -75,7 +75,8 @@ def make_dataset(
 
     # ---- plates ------------------------------------------------------------------------------------------------------
     with log.measure("plates") as figures:
-        figures["plate"] = "given" if plates_folder else plate
+        plate_source = "given" if plates_folder else plate
+        figures["plate"] = plate_source
         lowest = [plates.rank(clip, 0.0) for clip in clips]
         without_fire = read_plates(plates_folder, footage) if plates_folder else make_plates(clips, lowest, plate)
 
@@ -96,21 +97,21 @@ def make_dataset(
             figures["stereo_share"] = list(scene.stereo_share)
 
     # ---- write -------------------------------------------------------------------------------------------------------
+    poses = Poses.of(placed.report, placed.points)
+    made_by = {
+        "footage": [video.name for video in footage.videos],
+        "plate": plate_source,
+        "clock": times.source,
+        "mask": "estimated from the plates",
+        "scale": placed.report.scale,
+    }
     with log.measure("write"):
-        if scene is not None:
-            write_depth(out, stored, scene)
         for view, clip in zip(stored, clips, strict=True):
             write_pictures(out, view, clip)
-        poses = Poses.of(placed.report, placed.points)
+        if scene is not None:
+            write_depth(out, stored, scene)
         poses.write(out)
-        provenance = {
-            "footage": [video.name for video in footage.videos],
-            "plate": "given" if plates_folder else plate,
-            "clock": times.source,
-            "mask": "estimated from the plates",
-            "scale": placed.report.scale,
-        }
-        describe(out.name, footage, times, stored, provenance).write(out)  # last: says that the rest is there
+        describe(out.name, footage, times, stored, made_by).write(out)  # last: it says that the rest is there
     return Ingested(out, poses)
 
 
@@ -265,7 +266,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 
 
 def describe(
-    name: str, footage: Footage, times: FrameTimes, stored: list[StoredView], provenance: dict
+    name: str, footage: Footage, times: FrameTimes, stored: list[StoredView], provenance: dict[str, Any]
 ) -> DatasetDescription:
     """What dataset.json says."""
     entries = [
