@@ -38,7 +38,7 @@ class VelocityField:
 
     @classmethod
     def from_array(cls, velocity: np.ndarray, origin, voxel_size: float, time_s: float = 0.0) -> VelocityField:
-        """An axis-aligned field. velocity (X, Y, Z, 3) m/s; origin (3,) = min corner of cell (0,0,0), m; voxel_size m > 0."""
+        """An axis-aligned field: velocity (X, Y, Z, 3) m/s; origin (3,) m, least corner of cell (0,0,0); voxel_size m."""
         if not voxel_size > 0:
             raise DataFormatError(f"voxel_size must be positive, got {voxel_size}")
         index_to_world = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
@@ -74,7 +74,7 @@ class VelocityField:
         return ((index >= 0) & (index <= self.resolution)).all(-1)
 
     def chunk(self, number: tuple[int, int, int]) -> np.ndarray | None:
-        """Cells [CHUNK i, CHUNK (i + 1)) per axis, (<=64, <=64, <=64, 3), clipped to the grid; None when all are zero."""
+        """Cells [CHUNK i, CHUNK (i + 1)) per axis, (<=64, <=64, <=64, 3), clipped to the grid; None if all are zero."""
         cells = self.velocity[tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)]
         return cells if cells.any() else None
 
@@ -208,7 +208,7 @@ class VelocitySequence:
         return self._array.dtype
 
     def chunk(self, index: int, number: tuple[int, int, int]) -> np.ndarray | None:
-        """The part of stored field `index` that `VelocityField.chunk` names, without reading the rest; None when not stored.
+        """The part of stored field `index` that `VelocityField.chunk` names, reading nothing else; None if not stored.
 
         Raises:
             DataFormatError: the chunk is truncated, or holds NaN or Inf.
@@ -285,8 +285,8 @@ def open_array(path: str | Path):
         or max(array.chunks[1:4], default=0) > LARGEST_CHUNK
     ):
         raise DataFormatError(
-            f"{path}: {array.dtype} of shape {array.shape} in chunks of {array.chunks}; expected floats of at most {LARGEST} "
-            f"cells a side in chunks of at most {LARGEST_CHUNK}"
+            f"{path}: {array.dtype} of shape {array.shape} in chunks of {array.chunks}; expected floats of at most "
+            f"{LARGEST} cells a side in chunks of at most {LARGEST_CHUNK}"
         )
     return array
 

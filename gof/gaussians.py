@@ -1,4 +1,4 @@
-"""TransientGaussians: the one data model of a reconstruction.
+"""TransientGaussians: the data model of a reconstruction, and what every model of moving Gaussians can be asked.
 
 Each Gaussian is a short-lived volumetric carrier of emission (paper, "Dynamic Scene"):
 x(t) = x0 + (t - t_mu) v and opacity(t) = opacity * exp(-0.5 ((t - t_mu) / t_sigma)^2).
@@ -6,12 +6,41 @@ x(t) = x0 + (t - t_mu) v and opacity(t) = opacity * exp(-0.5 ((t - t_mu) / t_sig
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Protocol, Self
 
 import numpy as np
 
-from gof.errors import DataFormatError, require_finite
+from gof.errors import DataFormatError, GofError, require_finite
+from gof.io import results
+from gof.similarity import transformed_splats
+
+LIFE_SIGMAS = 3.0  # a Gaussian lives for this many t_sigma before and after t_mu; then 99 % of its opacity is gone
+
+
+class MovingGaussians(Protocol):
+    """What can be scored, drawn and saved: `TransientGaussians`; without a closed form `gof.trajectory.Trajectory`."""
+
+    dynamic: np.ndarray  # (N,) bool; False = static background
+
+    def __len__(self) -> int: ...
+
+    @property
+    def covered_s(self) -> tuple[float, float]:
+        """First and last second for which there is a state; infinite for a closed form."""
+
+    def life(self) -> tuple[float, float]:
+        """First and last second in which anything dynamic lives; infinite when something is always on."""
+
+    def state_at(self, time_s: float) -> TransientGaussians:
+        """Gaussians whose `at(time_s)` and velocities are those of that time, row by row the same ones at all times."""
+
+    def transformed(self, matrix: np.ndarray) -> Self:
+        """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay."""
+
+    def save(self, path: str | Path, source: str = "") -> Path:
+        """Write a file that `gof.io.importers.read_result` reads."""
 
 
 @dataclass
@@ -93,7 +122,7 @@ class TransientGaussians:
 
     def __getitem__(self, index) -> TransientGaussians:
         """A subset by boolean mask, slice or index array (N',)."""
-        return TransientGaussians(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return TransientGaussians(**{name: values[index] for name, values in self.arrays().items()})
 
     def at(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
         """State at one time: position (N, 3) m and opacity (N,) in [0, 1]; static Gaussians do not change."""
@@ -102,6 +131,37 @@ class TransientGaussians:
         # 40 lifetimes away exp is 0 in any precision; the clip keeps the square finite.
         window = np.exp(-0.5 * np.clip(dt / self.t_sigma, -40, 40) ** 2)
         return position.astype(np.float32), (self.opacity * window).astype(np.float32)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The fields by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @property
+    def covered_s(self) -> tuple[float, float]:
+        """The closed form holds at all times."""
+        return -np.inf, np.inf
+
+    def life(self) -> tuple[float, float]:
+        """First and last second in which anything dynamic lives, LIFE_SIGMAS around t_mu; something must be dynamic."""
+        g = self[self.dynamic]
+        reach = LIFE_SIGMAS * g.t_sigma.astype(np.float64)
+        return float((g.t_mu - reach).min()), float((g.t_mu + reach).max())
+
+    def state_at(self, time_s: float) -> TransientGaussians:
+        """Themselves: `at` knows every time."""
+        return self
+
+    def transformed(self, matrix: np.ndarray) -> TransientGaussians:
+        """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay.
+
+        Raises:
+            GofError: not a similarity (sheared, mirrored or singular).
+        """
+        position, scale, rotation, color = transformed_splats(
+            matrix, self.position, self.scale, self.rotation, self.color
+        )
+        velocity = self.velocity @ np.asarray(matrix, np.float64)[:3, :3].T
+        return replace(self, position=position, velocity=velocity, scale=scale, rotation=rotation, color=color)
 
     @classmethod
     def concatenate(cls, parts: list[TransientGaussians]) -> TransientGaussians:
@@ -114,9 +174,7 @@ class TransientGaussians:
         Raises:
             DataFormatError: unknown suffix.
         """
-        from gof.io import results
-
-        return results.save(self, Path(path), source)
+        return results.save(self.arrays(), Path(path), source)
 
     @classmethod
     def load(cls, path: str | Path) -> TransientGaussians:
@@ -126,6 +184,8 @@ class TransientGaussians:
             DataFormatError: unknown suffix, missing field, wrong version, truncated file, or values out of range.
             NonFiniteError: NaN or Inf in a field.
         """
-        from gof.io import results
-
-        return results.load(Path(path))
+        path = Path(path)
+        try:
+            return cls(**results.load(path))
+        except GofError as e:
+            raise e if str(path) in str(e) else type(e)(f"{path}: {e}") from e

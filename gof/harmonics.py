@@ -36,7 +36,7 @@ def basis(degree: int, d) -> list:
 
 
 def plain_color(color: np.ndarray) -> np.ndarray:
-    """Display colours (N, 3) without their dependence on direction, of (N, 3) display colours or (N, K, 3) coefficients."""
+    """(N, 3) display colours without dependence on direction, of display colours (N, 3) or coefficients (N, K, 3)."""
     return color if color.ndim == 2 else 0.5 + C0 * color[:, 0]
 
 

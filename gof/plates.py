@@ -1,4 +1,4 @@
-"""What a flame-only result is drawn over: plates of its own beside it (plates/CAMERA.png), else the dataset's fire-free ones."""
+"""What a flame-only result is drawn over: its own plates beside it (plates/CAMERA.png), else the dataset's."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray
     """(H, W, 3) float32 display sRGB in [0, 1]: the view of a camera without flame, as the result knows it.
 
     Args:
-        result: file or folder of the result, None when there is none. Its plates may be smaller than the dataset's pictures;
-            then what they add to the dataset's plate is enlarged, and the plate stays as sharp as it is.
+        result: file or folder of the result, None when there is none. Its plates may be smaller than the dataset's
+            pictures; then what they add to the dataset's plate is enlarged, and the plate stays as sharp as it is.
     Raises:
         DataFormatError: a plate cannot be read.
     """

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
-    """Quaternions wxyz (N, 4), normalised here, to matrices (N, 3, 3) float64; of a Gaussian, columns are its own axes."""
+    """Quaternions wxyz (N, 4), normalised here, to matrices (N, 3, 3) float64; columns are a Gaussian's own axes."""
     q = quaternion.astype(np.float64)
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     return np.stack(

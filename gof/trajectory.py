@@ -1,4 +1,4 @@
-"""Results without a closed form: centres and opacities at sampled times, velocities by differences (`gof-trajectory/1`)."""
+"""Results without a closed form: Gaussians at sampled times, velocities by differences (`gof-trajectory/1`)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 
 from gof.errors import DataFormatError, require_finite
 from gof.gaussians import TransientGaussians
+from gof.io.files import atomic_path
+from gof.similarity import transformed_splats
 
 SCHEMA = "gof-trajectory/1"
 _ARRAYS = ("time_s", "position", "opacity", "scale", "rotation")
@@ -19,7 +21,8 @@ class Trajectory:
     """N Gaussians at T times; row n is the same Gaussian at all of them.
 
     Args:
-        time_s: (T,) s on the dataset clock, strictly increasing, T >= 2. Half steps between frames make better velocities.
+        time_s: (T,) s on the dataset clock, strictly increasing, T >= 2. Half steps between frames make better
+            velocities.
         position: (T, N, 3) m.
         opacity: (T, N) in [0, 1], everything included (temporal windows, deformation).
         scale: (N, 3) or (T, N, 3) m, > 0.   rotation: (N, 4) or (T, N, 4) wxyz.
@@ -70,7 +73,8 @@ class Trajectory:
         require_finite("color", self.color, "Trajectory")
         if self.time_s.shape != (steps,) or steps < 2 or not (np.diff(self.time_s) > 0).all():
             raise DataFormatError(
-                f"trajectory time_s has shape {self.time_s.shape}; expected ({steps},) strictly increasing seconds, at least 2"
+                f"trajectory time_s has shape {self.time_s.shape}; expected ({steps},) strictly increasing seconds, "
+                "at least 2"
             )
         if self.dynamic.shape != (count,):
             raise DataFormatError(f"trajectory 'dynamic' has shape {self.dynamic.shape}, expected ({count},)")
@@ -78,11 +82,21 @@ class Trajectory:
     def __len__(self) -> int:
         return self.position.shape[1]
 
-    def state(self, time_s: float) -> TransientGaussians:
+    @property
+    def covered_s(self) -> tuple[float, float]:
+        """First and last sampled second: nothing is known outside."""
+        return float(self.time_s[0]), float(self.time_s[-1])
+
+    def life(self) -> tuple[float, float]:
+        """First and last sampled second; when in between a Gaussian lives, its opacities say."""
+        return self.covered_s
+
+    def state_at(self, time_s: float) -> TransientGaussians:
         """The Gaussians at one time, always on, with their velocity there.
 
-        At a sampled time the velocity is the three-point difference over its neighbours (one-sided at the two ends), which
-        is exact for motion quadratic in time; between two samples, the difference of the two, and everything linear.
+        At a sampled time the velocity is the three-point difference over its neighbours (one-sided at the two ends),
+        which is exact for motion quadratic in time; between two samples, the difference of the two, and everything
+        linear.
 
         Raises:
             DataFormatError: the time is outside the sampled ones.
@@ -126,7 +140,7 @@ class Trajectory:
         )
 
     def difference_error(self) -> float:
-        """How much the velocities change (relative L2) when differences span twice the step: about 3 times their own error."""
+        """How much velocities change (relative L2) when differences span twice the step: 3 times their own error."""
         if self.velocity is not None or len(self.time_s) < 5:
             return float("nan")
         fine, coarse = [], []
@@ -142,11 +156,9 @@ class Trajectory:
 
     def transformed(self, matrix: np.ndarray) -> Trajectory:
         """In another world, by a similarity (4, 4)."""
-        from gof.io.importers.similarity import apply
-
         states = {f.name: getattr(self, f.name) for f in fields(self)}
         shape = self.position.shape
-        moved = apply(
+        moved = transformed_splats(
             matrix, self.position.reshape(-1, 3), self.scale.reshape(-1, 3), self.rotation.reshape(-1, 4), self.color
         )
         states |= {
@@ -161,8 +173,6 @@ class Trajectory:
 
     def save(self, path: str | Path, source: str = "") -> Path:
         """Write an npz (schema gof-trajectory/1), atomically."""
-        from gof.io.files import atomic_path
-
         path = Path(path)
         if path.suffix != ".npz":
             raise DataFormatError(f"{path}: a trajectory is saved as .npz")
@@ -183,7 +193,7 @@ class Trajectory:
 
 
 def _derivative_weights(t: np.ndarray, at: float) -> np.ndarray:
-    """Weights whose sum with values at times t is the derivative at `at` of the polynomial through them (2 or 3 points)."""
+    """Weights whose sum with values at times t is the derivative at `at` of the polynomial through 2 or 3 points."""
     if len(t) == 2:
         return np.array([-1.0, 1.0]) / (t[1] - t[0])
     a, b, c = t

@@ -1,44 +1,30 @@
-"""`gof view`: a result in the browser, in 3D with a time slider; also one that is still being optimised."""
+"""A result in the browser, in 3D with a time slider; also one that is still being optimised."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tyro
 
 from gof.dataset import Dataset
 from gof.errors import GofError, MissingDependencyError
-from gof.evaluate.dve import state_at
-from gof.gaussians import TransientGaussians
+from gof.gaussians import MovingGaussians, TransientGaussians
 from gof.harmonics import plain_color
 from gof.io.importers import ImportOptions, read_result
 from gof.rotations import quaternions_wxyz, rotation_matrices
-from gof.trajectory import Trajectory
 
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 ARROWS = 3000  # lines a browser draws without stuttering
 STEP_S = 0.03  # pause between two looks at the slider and at the file
 
 
-@dataclass
-class ViewConfig:
-    """A result in the browser: 3D, with a time slider. Of a reconstruction that is still running, the latest snapshot."""
-
-    result: tyro.conf.Positional[Path]
-    """Result of `gof reconstruct` (file or folder, finished or not), or of any method that docs/importers.md lists."""
-    dataset: Path | None = None
-    """Dataset folder: shows its cameras with their pictures, and knows the frame times."""
-    port: int = 8080
-    """Of http://localhost:PORT."""
-    host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines look."""
-
-
 def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray]:
-    """What is visible at a time: centers (N, 3), covariances (N, 3, 3) m², rgbs (N, 3) in [0, 1], opacities (N, 1), velocities (N, 3) m/s."""
+    """What is visible at a time.
+
+    Returns:
+        centers (N, 3) m, covariances (N, 3, 3) m², rgbs (N, 3) in [0, 1], opacities (N, 1), velocities (N, 3) m/s.
+    """
     position, opacity = gaussians.at(time_s)
     seen = opacity >= INVISIBLE
     axes = rotation_matrices(gaussians.rotation[seen]) * gaussians.scale[seen, None, :]
@@ -51,12 +37,12 @@ def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray
     }
 
 
-def time_span(result: TransientGaussians | Trajectory, dataset: Dataset | None) -> tuple[float, float]:
+def time_span(result: MovingGaussians, dataset: Dataset | None) -> tuple[float, float]:
     """First and last second worth showing: the dataset's frames, else the middle times of the moving Gaussians."""
     if dataset is not None:
         return float(dataset.times_s[0]), float(dataset.times_s[-1])
-    if isinstance(result, Trajectory):
-        return float(result.time_s[0]), float(result.time_s[-1])
+    if not isinstance(result, TransientGaussians):
+        return result.covered_s
     times = result.t_mu[result.dynamic]
     return (float(times.min()), float(times.max())) if len(times) else (0.0, 0.0)
 
@@ -78,19 +64,27 @@ def newest(path: Path) -> Path:
 
 
 class Viewer:
-    """A viser server with one result."""
+    """A viser server with one result.
 
-    def __init__(self, config: ViewConfig):
+    Args:
+        path: a result of any known method, or the folder of a reconstruction, finished or not.
+        dataset: shows its cameras with their pictures, and knows the frame times.
+        host, port: where to listen.
+    Raises:
+        MissingDependencyError: viser is not installed.   DataFormatError, GofError: see `newest`, `read_result`.
+    """
+
+    def __init__(self, path: Path, dataset: Dataset | None = None, host: str = "127.0.0.1", port: int = 8080):
         try:
             import viser
         except ImportError as e:
             raise MissingDependencyError("gof view needs viser: pip install 'gaussians-on-fire[view]'") from e
-        self.config = config
-        self.dataset = None if config.dataset is None else Dataset.open(config.dataset)
+        self.path = path
+        self.dataset = dataset
         self.result = self._read()
         first, last = time_span(self.result, self.dataset)
         step = self.dataset.frame_time_s if self.dataset else max(last - first, 1e-3) / 100
-        self.server = viser.ViserServer(host=config.host, port=config.port, label="Gaussians on Fire", verbose=False)
+        self.server = viser.ViserServer(host=host, port=port, label="Gaussians on Fire", verbose=False)
         gui, scene = self.server.gui, self.server.scene
         gui.configure_theme(dark_mode=True)
         scene.set_background_image(np.full((1, 1, 3), 12, np.uint8))  # fire is light: it shows on black
@@ -121,7 +115,7 @@ class Viewer:
     def refresh(self) -> None:
         """Read the file again if there is a newer one."""
         try:
-            if self._stamp != _stamp(newest(self.config.result)):
+            if self._stamp != _stamp(newest(self.path)):
                 self.result = self._read()
         except (GofError, OSError):
             pass  # it is being replaced at this moment; the next look finds it
@@ -132,7 +126,7 @@ class Viewer:
         if state == self._shown:
             return
         self._shown = state
-        seen = splats(state_at(self.result, time_s), time_s)
+        seen = splats(self.result.state_at(time_s), time_s)
         velocity = seen.pop("velocities")
         scene = self.server.scene
         scene.add_gaussian_splats("/flame", **seen)
@@ -142,13 +136,13 @@ class Viewer:
         scene.add_line_segments("/velocity", ends, np.array([80, 200, 255], np.uint8), visible=self.arrows.value)
         speed = np.average(np.linalg.norm(velocity, axis=-1), weights=seen["opacities"][:, 0]) if len(velocity) else 0.0
         self.text.content = (
-            f"**{self._file.name}** · {1e3 * (time_s - self.first_s):.1f} ms · {len(velocity):,} of {len(self.result):,} "
-            f"Gaussians visible · mean speed {speed:.2f} m/s"
+            f"**{self._file.name}** · {1e3 * (time_s - self.first_s):.1f} ms · {len(velocity):,} of "
+            f"{len(self.result):,} Gaussians visible · mean speed {speed:.2f} m/s"
         )
 
     def _stand(self) -> None:
         """Look at the flame from the middle camera, or from a distance of twice its size."""
-        seen = splats(state_at(self.result, self.first_s), self.first_s)["centers"]
+        seen = splats(self.result.state_at(self.first_s), self.first_s)["centers"]
         middle = np.median(seen, axis=0) if len(seen) else np.zeros(3)
         size = max(float(np.percentile(np.abs(seen - middle), 98)), 1e-3) if len(seen) else 1.0
         start = self.server.initial_camera
@@ -178,20 +172,11 @@ class Viewer:
             def _(event, frustum=frustum):
                 event.client.camera.wxyz, event.client.camera.position = frustum.wxyz, frustum.position
 
-    def _read(self) -> TransientGaussians | Trajectory:
-        self._file = newest(self.config.result)
+    def _read(self) -> MovingGaussians:
+        self._file = newest(self.path)
         self._stamp = _stamp(self._file)
         return read_result(self._file, ImportOptions()).gaussians
 
 
 def _stamp(path: Path) -> tuple[Path, float]:
     return path, path.stat().st_mtime
-
-
-def main(argv: list[str]) -> int:
-    """`gof view RESULT [--dataset D] [--port N]`; ends with Ctrl-C."""
-    config = tyro.cli(ViewConfig, prog="gof view", args=argv)
-    viewer = Viewer(config)
-    print(f"http://localhost:{viewer.server.get_port()}  (Ctrl-C ends it)", flush=True)
-    viewer.run()
-    return 0

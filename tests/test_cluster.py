@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gof.commands.evaluate import evaluate
+from gof.evaluate import evaluate
 from gof.dataset import Dataset
 from gof_benchmark.commands import generate
 from gof_blender.pure import spec as scene_spec
@@ -49,4 +49,4 @@ def test_the_evaluator_on_two_workers(client, tiny_dataset, tmp_path):
     assert len(used) == 2, "both workers had work"
     for result, scores in zip(results, there, strict=True):
         here = evaluate(result, dataset)
-        assert scores["dve"] == here["dve"] and scores["psnr"] == pytest.approx(here["psnr"], abs=1e-4)
+        assert scores.dve == here.dve and scores.psnr == pytest.approx(here.psnr, abs=1e-4)

@@ -13,7 +13,8 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
 from gof.gaussians import TransientGaussians
 from gof.io.importers import read_result
-from gof.io.importers.similarity import align_cameras, read_cameras, world_from_training
+from gof.io.importers.alignment import align_cameras, read_cameras
+from gof.io.importers.normalisation import world_from_training
 from gof_benchmark.evidence.reliability import damage, fuzz, kill
 from gof_benchmark.evidence.reliability.formats import finite, formats
 from gof_blender.pure.checked_json import SpecError

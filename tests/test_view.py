@@ -7,7 +7,7 @@ import pytest
 
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
-from gof.view import ViewConfig, Viewer, newest, splats, time_span
+from gof.view import Viewer, newest, splats, time_span
 from tests.conftest import random_gaussians
 
 
@@ -48,7 +48,7 @@ def test_a_real_server_shows_times_and_new_snapshots(tmp_path):
     (tmp_path / "settings.json").write_text("{}")
     g = random_gaussians(50)
     g.save(tmp_path / "snapshot.npz", source="test")
-    viewer = Viewer(ViewConfig(tmp_path, port=8490))
+    viewer = Viewer(tmp_path, port=8490)
     try:
         first, last = time_span(g, None)
         viewer.show(first)

@@ -21,25 +21,25 @@ COMMANDS = {
         "gof.commands.ingest", "videos of a fire -> dataset: fire-free plates, camera poses, frame times", 30
     ),
     "background": Command(
-        "gof.reconstruct.background", "the scene without fire as static Gaussians, for views no camera took", 40
+        "gof.commands.background", "the scene without fire as static Gaussians, for views no camera took", 40
     ),
     "reconstruct": Command("gof.commands.reconstruct", "three videos -> transient flame Gaussians with velocities", 50),
     "evaluate": Command(
         "gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with", 60
     ),
     "convert": Command(
-        "gof.io.convert", "any method's result -> .npz, .ply or .ftgs.ply in metres, seconds and m/s", 70
+        "gof.commands.convert", "any method's result -> .npz, .ply or .ftgs.ply in metres, seconds and m/s", 70
     ),
     "leaderboard": Command(
-        "gof.evaluate.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time", 80
+        "gof.commands.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time", 80
     ),
     "view": Command(
-        "gof.view", "result in the browser, in 3D with a time slider; also while it is being optimised", 110
+        "gof.commands.view", "result in the browser, in 3D with a time slider; also while it is being optimised", 110
     ),
     "capture": Command(
         "gof.commands.capture", "the camera rig: LED board, frame times from footage, calibration, board masks", 120
     ),
-    "report": Command("gof.report", "pictures, animation, scores and costs on one self-contained HTML page", 130),
+    "report": Command("gof.commands.report", "pictures, animation, scores and costs on one self-contained HTML page", 130),
     "doctor": Command(
         "gof.commands.doctor", "check this machine: Blender, Mantaflow, Dr.Jit, CUDA, OpenEXR, disk, weights", 140
     ),

@@ -1,22 +1,18 @@
-"""Scores of a reconstruction: DVE against a true velocity field, PSNR and SSIM. What needs more than numpy loads on first use."""
+"""Scores of a reconstruction: DVE against a true velocity field, scores of pictures, and `evaluate` for all of them."""
 
-from importlib import import_module
+from gof.evaluate.depth import rmse_depth
+from gof.evaluate.dve_frame import DVEResult, DVESequence, dve
+from gof.evaluate.image import psnr, ssim, temporal_l2
+from gof.evaluate.perceptual import flip, lpips
+from gof.evaluate.scores import Scores
+from gof.evaluate.scoring import Extras, evaluate
+from gof.evaluate.sequence import dve_sequence
 
-# Eager, because the function and its module share the name `dve`: the function must win whoever imports first.
-from gof.evaluate.dve import DVEResult, DVESequence, dve, dve_sequence
-
-_LAZY = {
-    "psnr": "image",
-    "ssim": "image",
-    "temporal_l2": "image",
-    "flip": "perceptual",
-    "lpips": "perceptual",
-    "rmse_depth": "depth",
-    "evaluate": "run",
-}
 __all__ = [
     "DVEResult",
     "DVESequence",
+    "Extras",
+    "Scores",
     "dve",
     "dve_sequence",
     "evaluate",
@@ -27,9 +23,3 @@ __all__ = [
     "ssim",
     "temporal_l2",
 ]
-
-
-def __getattr__(name: str):
-    if name in _LAZY:
-        return getattr(import_module(f"gof.evaluate.{_LAZY[name]}"), name)
-    raise AttributeError(f"module 'gof.evaluate' has no attribute '{name}'")

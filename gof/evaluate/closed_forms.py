@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Flow:
-    """velocity(points (M, 3) m) -> (M, 3) m/s, and mean(position (M, 3), covariance (M, 3, 3)) -> its expectation (M, 3)."""
+    """velocity(points (M, 3) m) -> (M, 3) m/s; mean(position (M, 3), covariance (M, 3, 3)) -> expectation (M, 3)."""
 
     name: str
     velocity: Callable[[np.ndarray], np.ndarray]
@@ -24,7 +24,7 @@ def linear() -> Flow:
 
 
 def taylor_green(k: float) -> Flow:
-    """V = (sin kx cos ky, -cos kx sin ky, 0): a sum of two plane waves, each damped by exp(-(k sigma)^2 / 2) along itself."""
+    """V = (sin kx cos ky, -cos kx sin ky, 0): two plane waves, each damped by exp(-(k sigma)^2 / 2) along itself."""
 
     def velocity(x):
         s, c = np.sin(k * x), np.cos(k * x)
@@ -52,7 +52,7 @@ def abc(k: float) -> Flow:
 
 
 def gaussian_vortex(width: float) -> Flow:
-    """V = (w x X + u) exp(-|X|^2 / (2 width^2)): the product of two Gaussians is a Gaussian, so its mean is closed too."""
+    """V = (w x X + u) exp(-|X|^2 / (2 width^2)): two Gaussians multiply to a Gaussian, so the mean is closed too."""
     spin = np.array([[0, -3.0, 1], [3, 0, 0.5], [-1, -0.5, 0]])
     u = np.array([0, 0, 0.4])
 

@@ -11,9 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gof.evaluate.dve import DVEResult, DVESequence, Samples, Sums, score_sequence, state_at, weighted_sums
-from gof.gaussians import TransientGaussians
-from gof.io.importers import Trajectory
+from gof.evaluate.dve_frame import DVEResult, DVESequence, Samples, Sums, score_sequence, weighted_sums
+from gof.gaussians import MovingGaussians
 
 HEIGHT_BINS = 32
 MIN_PER_BIN = 64  # fewer Gaussians in a layer and the layer's mean would follow single Gaussians
@@ -28,13 +27,11 @@ CONTROLS = {
 }
 
 
-def score_controls(
-    gaussians: TransientGaussians | Trajectory, frames: Sequence[Samples], seed: int = 0
-) -> dict[str, DVESequence]:
-    """Score every control on the samples of `dve.probe`.
+def score_controls(gaussians: MovingGaussians, frames: Sequence[Samples], seed: int = 0) -> dict[str, DVESequence]:
+    """Score every control on the samples of `dve_frame.probe`.
 
-    `random` and `shuffled` draw once per Gaussian, so a Gaussian keeps its drawn velocity through all frames; `constant`
-    and `height_mean` are weighted means of the truth over all frames together.
+    `random` and `shuffled` draw once per Gaussian, so a Gaussian keeps its drawn velocity through all frames;
+    `constant` and `height_mean` are weighted means of the truth over all frames together.
 
     Returns:
         name (as in CONTROLS) -> DVESequence.
@@ -47,7 +44,7 @@ def score_controls(
     donor[scored] = rng.permutation(scored)
 
     def own(frame: Samples) -> np.ndarray:
-        state = state_at(gaussians, frame.time_s)
+        state = gaussians.state_at(frame.time_s)
         return np.where(state.dynamic[:, None], state.velocity, 0.0).astype(np.float64)
 
     weight = np.concatenate([f.weight for f in frames])
@@ -68,8 +65,8 @@ def score_controls(
 def fluctuation(frames: Sequence[Samples]) -> DVEResult:
     """DVE of what is left when the weighted mean per height is taken from the estimated and the true velocity.
 
-    Pooled over frames: the paper's formulas on v - mean_z(v) and vbar - mean_z(vbar). Zero velocity, a constant vector and
-    a mean per height all score L2 = 1 and CosSim = 0 here. Not part of the paper's metric.
+    Pooled over frames: the paper's formulas on v - mean_z(v) and vbar - mean_z(vbar). Zero velocity, a constant vector
+    and a mean per height all score L2 = 1 and CosSim = 0 here. Not part of the paper's metric.
     """
     weight = np.concatenate([f.weight for f in frames])
     velocity = np.concatenate([f.velocity for f in frames])

@@ -1,4 +1,4 @@
-"""RMSE_depth: rendered depth of the flame against a predicted or true depth, after the least-squares linear alignment."""
+"""RMSE_depth: rendered depth of the flame against a predicted or true depth, after the best linear alignment."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class DepthScore(NamedTuple):
 def rmse_depth(depth: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> DepthScore | None:
     """Root-mean-square of truth - (scale depth + shift), with scale and shift chosen to make it least.
 
-    A monocular prediction is known up to such a linear map, so only the shape of the depth is judged. A constant depth has
-    no shape: scale 0, and the score is the standard deviation of the truth.
+    A monocular prediction is known up to such a linear map, so only the shape of the depth is judged. A constant depth
+    has no shape: scale 0, and the score is the standard deviation of the truth.
 
     Args:
         depth, truth: (H, W), any unit.   mask: (H, W) weights >= 0; None = every pixel.

@@ -1,4 +1,4 @@
-"""The quadrature of `gof.evaluate.quadrature` on a gridded field, compiled: one kernel from Gaussians to expected velocities.
+"""The quadrature of `gof.evaluate.quadrature` on a gridded field, compiled: one kernel from Gaussians to expectations.
 
 Its plain twin is `quadrature.expected_velocity_plain`; both agree to float32 rounding (tested).
 """
@@ -19,15 +19,16 @@ LAUNCH = 1 << 20  # Gaussians per launch: bounds memory at about 150 MB, whateve
 def expected_velocity_on_grid(
     field: VelocityField | StoredField, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, order: int
 ) -> Expectation:
-    """Arguments and result as in `quadrature.expected_velocity`.
+    """Arguments and result as in `expectation.expected_velocity`.
 
-    Positions enter as a whole cell number and a float32 rest, so precision does not fall with the size of the grid. Only
-    chunks that a node can reach are read; what needs more than POOL_BYTES of them is halved in space and done in parts.
+    Positions enter as a whole cell number and a float32 rest, so precision does not fall with the size of the grid.
+    Only chunks that a node can reach are read; what needs more than POOL_BYTES of them is halved in space and done in
+    parts.
     """
     nodes, weights = product_rule(order)
     table = [floats(column) for column in (*nodes.T, weights)]
     to_index = np.linalg.inv(field.index_to_world)[:3, :3]
-    result = Expectation(np.zeros((len(position), 3)), np.zeros((len(position), 3)), np.ones(len(position)))
+    result = Expectation.empty(len(position))
     if len(position) == 0:
         return result
     index = np.clip(field.to_index(position) - 0.5, -FAR, FAR)  # whole numbers are cell centres
@@ -66,7 +67,9 @@ def _brick_order(cell: np.ndarray, resolution) -> np.ndarray:
 
 def _to_device(cells: np.ndarray):
     kind = Float if cells.dtype == np.float32 else dr.float16_array_t(Float)
-    return kind(cells.reshape(-1))  # on the CPU the same memory, which `bricks` aligns so that kernels stay the same
+    return kind(
+        cells.reshape(-1)
+    )  # on the CPU the same memory, which `sparse_grid` aligns so that kernels stay the same
 
 
 def _axes(to_index: np.ndarray, scale: np.ndarray, rotation: np.ndarray) -> list[list[Float]]:
@@ -99,7 +102,8 @@ def _kernel(
             whole = dr.floor(x)
             fraction = x - whole
             number = c + Int(whole)
-            # the domain reaches half a cell beyond the first and the last centre; there the nearest centre's value holds
+            # the domain reaches half a cell beyond the first and the last centre; there the nearest centre's value
+            # holds
             inside &= (number > -1) | ((number == -1) & (fraction >= 0.5))
             inside &= (number < n - 1) | ((number == n - 1) & (fraction <= 0.5))
             between = (number >= 0) & (number < n - 1)

@@ -40,8 +40,8 @@ def ssim(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
 def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Local structural similarity (H, W, C) with an 11x11 Gaussian window, sigma 1.5, zero outside the picture.
 
-    The map has the size of the picture, as in the 3DGS literature; 5 pixels off the border it equals implementations that
-    only use complete windows.
+    The map has the size of the picture, as in the 3DGS literature; 5 pixels off the border it equals implementations
+    that only use complete windows.
     """
     x, y = _pair(image, truth)
     mean_x, mean_y = _blur(x), _blur(y)
@@ -77,11 +77,11 @@ def _pair(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def temporal_l2(
     images: tuple[np.ndarray, np.ndarray], truths: tuple[np.ndarray, np.ndarray], mask: np.ndarray | None = None
 ) -> float | None:
-    """Relative error of the change between two neighbouring frames: |dI - dT| / |dT|, over pixels (weighted) and channels.
+    """Relative error of the change between neighbouring frames: |dI - dT| / |dT| over pixels (weighted) and channels.
 
-    A score of motion and flicker that needs no network and no optical flow: 0 means every pixel brightens and darkens as in
-    the truth; a frozen picture scores exactly 1, however good it looks; flicker scores above 1. PSNR and SSIM of single
-    frames see neither.
+    A score of motion and flicker that needs no network and no optical flow: 0 means every pixel brightens and darkens
+    as in the truth; a frozen picture scores exactly 1, however good it looks; flicker scores above 1. PSNR and SSIM
+    of single frames see neither.
 
     Args:
         images, truths: two neighbouring frames each, (H, W, C) display values.

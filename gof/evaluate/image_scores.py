@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gof.dataset import Dataset
 from gof.errors import MissingDependencyError
-from gof.evaluate import perceptual, video
+from gof.evaluate import perceptual
 from gof.evaluate.depth import read_depth, rmse_depth
-from gof.evaluate.dve import state_at
 from gof.evaluate.image import psnr, ssim, temporal_l2
-from gof.gaussians import TransientGaussians
-from gof.io.importers import Trajectory
+from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore
+from gof.evaluate.video import VideoQuality, available, clip_length
+from gof.gaussians import MovingGaussians
 
 Progress = Callable[..., None]  # progress(done, total, stage=...)
-Draw = Callable[[int, int], dict[str, np.ndarray]]  # (camera, frame) -> what `gof.render.render` gives
+Weights = np.ndarray | None  # (H, W) what a pixel counts for, 0..1; None = all count
+Metric = Callable[[np.ndarray, np.ndarray, Weights], float | None]  # of a picture and its truth, (H, W, 3)
+
+BLACK = (0.0, 0.0, 0.0)
+VISIBLE = 0.1  # opacity of a pixel from which on its depth counts
 
 
 @dataclass(frozen=True)
@@ -32,8 +35,48 @@ class Extras:
     depth: Path | None = None  # folder of CAMERA/FRAME.npy depth maps, for RMSE_depth
 
 
+@dataclass(frozen=True)
+class FoundImageScores:
+    """`means` over pictures; `videos`: means over cameras by the name of the score; and what is behind them."""
+
+    means: PictureFigures
+    videos: dict[str, float]
+    images: ImageScores
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Scores of one picture and of a video that can be computed here, and of the others why not."""
+
+    picture: dict[str, Metric]
+    video: list[str]
+    absent: list[str]
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera by its number, and what its pictures are scored with: all (H, W, 3) display values, `board` (H, W)."""
+
+    number: int
+    background: np.ndarray | tuple[float, float, float]  # what the result is drawn over
+    plate: np.ndarray  # the dataset's fire-free picture, scored beside the result
+    board: Weights  # 0 on the sync board
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame of a camera, drawn and as it was."""
+
+    number: int
+    image: np.ndarray  # (H, W, 3) drawn, display values in [0, 1]
+    alpha: np.ndarray  # (H, W) drawn
+    depth: np.ndarray  # (H, W) drawn, m
+    truth: np.ndarray  # (H, W, 3)
+    mask: Weights  # 1 where flame is; None = the dataset does not say
+
+
 @contextmanager
-def timed(costs: dict[str, float], name: str):
+def timed(costs: dict[str, float], name: str) -> Iterator[None]:
     """Add the seconds of a block to costs[name]."""
     start = time.perf_counter()
     yield
@@ -41,160 +84,159 @@ def timed(costs: dict[str, float], name: str):
 
 
 def image_scores(
-    gaussians: TransientGaussians | Trajectory,
+    gaussians: MovingGaussians,
     dataset: Dataset,
     plates: list[np.ndarray],
     costs: dict[str, float],
     extras: Extras,
     progress: Progress,
-) -> dict[str, Any]:
-    """Means over every held-out frame of every camera; `gof.commands.evaluate.evaluate` says under which names.
+) -> FoundImageScores:
+    """Scores of every held-out frame of every camera; each frame is drawn once, for all scores that look at it.
 
-    Pixels of a camera's sync board (`Dataset.board_weight`) do not count, softly at its edge; for scores of a network both
-    pictures are faded to black there.
+    Pixels of a camera's sync board (`Dataset.board_weight`) do not count, softly at its edge; for scores of a network
+    both pictures are faded to black there.
+
+    Args:
+        plates: (H, W, 3) per camera: what the result is drawn over, unless it has static Gaussians of its own.
+        costs: seconds by part; "render", "images" and "video" are added.
     """
-    from gof.render import render
-
-    own_background = not gaussians.dynamic.all()
-
-    def draw(number: int, frame: int) -> dict[str, np.ndarray]:
-        time_s = float(dataset.camera_times_s(number)[frame])
-        with timed(costs, "render"):
-            drawn = render(
-                state_at(gaussians, time_s),
-                dataset.cameras[number],
-                time_s,
-                background=(0, 0, 0) if own_background else plates[number],
-            )
-        return drawn | {"color": np.clip(drawn["color"], 0, 1)}
-
-    single, absent = _single_scores(extras)
+    metrics = _metrics(extras)
+    frames = _frames_to_draw(dataset, whole_clip=bool(metrics.video))
+    rows: list[PictureScore] = []
+    qualities: list[dict[str, float]] = []
     boards = [dataset.board_weight(number) for number in range(len(dataset.cameras))]
-    rows: list[dict[str, Any]] = []
-    for number in range(len(dataset.cameras)):
-        for frame in dataset.test_frames:
-            rows.append(_row(dataset, number, frame, draw, boards[number], single, extras, costs))
-            progress(len(rows), len(dataset.test_frames) * len(dataset.cameras), stage="pictures")
-    out: dict[str, Any] = {}
-    spread = {}
-    for key in dict.fromkeys(k for row in rows for k in row if k not in ("camera", "frame", "flame_share")):
-        values = [r[key] for r in rows if r.get(key) is not None and np.isfinite(r[key])]
-        out[key] = float(np.mean(values)) if values else None
-        spread[f"{key}_std"] = float(np.std(values)) if values else None
-    for row in rows:  # identical pictures have an infinite PSNR, which JSON has no number for
-        row |= {k: None for k, v in row.items() if isinstance(v, float) and not np.isfinite(v)}
-    if extras.weights is not None:
-        try:
-            out |= _video_scores(dataset, draw, boards, extras.weights, costs, progress)
-        except MissingDependencyError as e:
-            absent.append(str(e))
-    covered = [0.0 if w is None else float(1 - w.mean()) for w in boards]
-    return out | {
-        "images": {
-            "count": len(rows),
-            "absent": absent,
-            "board_share": float(np.mean(covered)),
-            **spread,
-            "pictures": rows,
-        }
-    }
+    for number, board in enumerate(boards):
+        background = plates[number] if gaussians.dynamic.all() else BLACK
+        view = View(number, background, dataset.static(number), board)
+        video = (
+            VideoQuality(metrics.video, clip_length(dataset.frame_time_s), extras.weights) if metrics.video else None
+        )
+        for i, (frame, after) in enumerate(_with_next(_draw(gaussians, dataset, view, frames, costs))):
+            if frame.number in dataset.test_frames:
+                with timed(costs, "images"):
+                    rows.append(_picture_score(dataset, view, frame, after, metrics, extras))
+            if video:
+                with timed(costs, "video"):
+                    video.add(_faded(frame.image, board), _faded(frame.truth, board))
+            progress(number * len(frames) + i + 1, len(boards) * len(frames), stage="pictures")
+        if video:
+            with timed(costs, "video"):
+                qualities.append(video.scores())
+    covered = [0.0 if board is None else float(1 - board.mean()) for board in boards]
+    statistics = {name: _mean_and_spread([getattr(row, name) for row in rows]) for name in FIGURES}
+    return FoundImageScores(
+        means=PictureFigures(**{name: mean for name, (mean, _) in statistics.items()}),
+        videos={name: float(np.mean([quality[name] for quality in qualities])) for name in metrics.video},
+        images=ImageScores(
+            count=len(rows),
+            absent=tuple(metrics.absent),
+            board_share=float(np.mean(covered)),
+            pictures=tuple(rows),
+            **{f"{name}_std": spread for name, (_, spread) in statistics.items()},
+        ),
+    )
 
 
-def _row(
-    dataset: Dataset,
-    number: int,
-    frame: int,
-    draw: Draw,
-    board: np.ndarray | None,
-    single: dict[str, Callable],
-    extras: Extras,
-    costs: dict[str, float],
-) -> dict[str, Any]:
-    """All scores of one held-out frame of one camera."""
-    drawn = draw(number, frame)
-    after = frame + 1 if frame + 1 < len(dataset.times_s) else None
-    next_drawn = None if after is None else draw(number, after)
-    with timed(costs, "images"):
-        image, truth, mask = drawn["color"], dataset.image(number, frame), dataset.mask(number, frame)
-        row = {
-            "camera": dataset.cameras[number].name,
-            "frame": frame,
-            "flame_share": None if mask is None else float(mask.mean()),
-        }
-        for suffix, picture in (("", image), ("_plate", dataset.static(number))):
-            for name, score in single.items():
-                row[f"{name}{suffix}"] = score(picture, truth, board)
-                if name != "lpips":
-                    row[f"{name}_flame{suffix}"] = None if mask is None else score(picture, truth, _both(mask, board))
-        if next_drawn is not None:
-            either = None if mask is None else np.maximum(mask, dataset.mask(number, after))
-            row["temporal_l2"] = temporal_l2(
-                (image, next_drawn["color"]), (truth, dataset.image(number, after)), _both(either, board)
-            )
-            row["temporal_l2_plate"] = 1.0 if row["temporal_l2"] is not None else None
-        if extras.depth is not None:
-            seen = _both(_both(drawn["alpha"] > 0.1, mask), board)
-            found = rmse_depth(drawn["depth"], read_depth(extras.depth, row["camera"], frame), seen)
-            row["rmse_depth"] = None if found is None else found.rmse
-    return row
-
-
-def _both(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
-    """Product of two weights, None standing for 1 everywhere."""
-    return b if a is None else a if b is None else a * b
-
-
-def _faded(picture: np.ndarray, weight: np.ndarray | None) -> np.ndarray:
-    return picture if weight is None else picture * weight[..., None]
-
-
-def _single_scores(extras: Extras) -> tuple[dict[str, Callable], list[str]]:
-    """Scores (picture, truth, weights) of one picture that can be computed here, and for each of the others why not."""
-    scores, absent = {"psnr": psnr, "ssim": ssim}, []
-    probe = np.zeros((64, 64, 3))
-    optional = {"flip": perceptual.flip}
-    if extras.weights is not None:
+def _metrics(extras: Extras) -> Metrics:
+    """What can be computed here."""
+    metrics = Metrics({"psnr": psnr, "ssim": ssim}, [], [])
+    optional: dict[str, Metric] = {"flip": perceptual.flip}
+    if extras.weights is None:
+        metrics.absent.append("LPIPS and CGVQM: give --weights, the folder with their weight files")
+    else:
         optional["lpips"] = lambda image, truth, weight: perceptual.lpips(
             _faded(image, weight), _faded(truth, weight), extras.weights
         )
-    else:
-        absent.append("LPIPS and CGVQM: give --weights, the folder with their weight files")
-    for name, score in optional.items():
+    black = np.zeros((64, 64, 3))
+    for name, metric in optional.items():
         try:
-            score(probe, probe, None)
-            scores[name] = score
+            metric(black, black, None)
+            metrics.picture[name] = metric
         except MissingDependencyError as e:
-            absent.append(str(e))
-    return scores, absent
+            metrics.absent.append(str(e))
+    if extras.weights is not None:
+        try:
+            metrics.video.extend(available(extras.weights))
+        except MissingDependencyError as e:
+            metrics.absent.append(str(e))
+    return metrics
 
 
-def _video_scores(
-    dataset: Dataset,
-    draw: Draw,
-    boards: list[np.ndarray | None],
-    weights: Path,
-    costs: dict[str, float],
-    progress: Progress,
-) -> dict[str, float]:
-    """CGVQM of every frame of every camera, training frames too: a video with gaps would be another video."""
-    names, frames, clip = video.available(weights), len(dataset.times_s), video.clip_length(dataset.frame_time_s)
-    out, done = {}, 0
-    for name in names:
-        qualities = []
-        for number, board in enumerate(boards):
-            drawn_s = costs.get("render", 0.0)
-            with timed(costs, "video"):
-                qualities.append(
-                    video.cgvqm(
-                        frames,
-                        lambda k, n=number, b=board: (_faded(draw(n, k)["color"], b), _faded(dataset.image(n, k), b)),
-                        clip,
-                        weights,
-                        name,
-                    )
-                )
-            costs["video"] -= costs["render"] - drawn_s  # drawing is counted there
-            done += 1
-            progress(done, len(names) * len(boards), stage="video")
-        out[name] = float(np.mean(qualities))
-    return out
+def _frames_to_draw(dataset: Dataset, whole_clip: bool) -> list[int]:
+    """Held-out frames and the ones after them; or the whole clip, since a video with gaps is another video."""
+    count = len(dataset.times_s)
+    if whole_clip:
+        return list(range(count))
+    return sorted({k for held_out in dataset.test_frames for k in (held_out, held_out + 1) if k < count})
+
+
+def _draw(
+    gaussians: MovingGaussians, dataset: Dataset, view: View, frames: list[int], costs: dict[str, float]
+) -> Iterator[Frame]:
+    """The frames of a camera in order, one at a time."""
+    from gof.render import render  # here: it loads the compiler
+
+    times_s = dataset.camera_times_s(view.number)
+    for k in frames:
+        time_s = float(times_s[k])
+        with timed(costs, "render"):
+            state = gaussians.state_at(time_s)
+            drawn = render(state, dataset.cameras[view.number], time_s, background=view.background)
+        with timed(costs, "images"):
+            truth = dataset.image(view.number, k)
+            mask = dataset.mask(view.number, k)
+        yield Frame(k, np.clip(drawn["color"], 0, 1), drawn["alpha"], drawn["depth"], truth, mask)
+
+
+def _with_next(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
+    """Every frame with the one that follows it in the clip; None where that is not among them."""
+    before = None
+    for frame in frames:
+        if before is not None:
+            yield before, frame if frame.number == before.number + 1 else None
+        before = frame
+    if before is not None:
+        yield before, None
+
+
+def _picture_score(
+    dataset: Dataset, view: View, frame: Frame, after: Frame | None, metrics: Metrics, extras: Extras
+) -> PictureScore:
+    """All scores of one held-out frame of one camera."""
+    camera, mask, board = dataset.cameras[view.number].name, frame.mask, view.board
+    figures: dict[str, float | None] = {}
+    for suffix, picture in (("", frame.image), ("_plate", view.plate)):
+        for name, metric in metrics.picture.items():
+            figures[f"{name}{suffix}"] = metric(picture, frame.truth, board)
+            if name != "lpips" and mask is not None:
+                figures[f"{name}_flame{suffix}"] = metric(picture, frame.truth, _both(mask, board))
+    if after is not None:
+        either = None if mask is None else np.maximum(mask, after.mask)
+        change = temporal_l2((frame.image, after.image), (frame.truth, after.truth), _both(either, board))
+        figures["temporal_l2"] = change
+        figures["temporal_l2_plate"] = None if change is None else 1.0  # a still picture's, by definition
+    if extras.depth is not None:
+        seen = _both(_both(frame.alpha > VISIBLE, mask), board)
+        found = rmse_depth(frame.depth, read_depth(extras.depth, camera, frame.number), seen)
+        figures["rmse_depth"] = None if found is None else found.rmse
+    # identical pictures have an infinite PSNR, for which JSON has no number
+    finite = {name: value for name, value in figures.items() if value is not None and np.isfinite(value)}
+    flame_share = None if mask is None else float(mask.mean())
+    return PictureScore(camera=camera, frame=frame.number, flame_share=flame_share, **finite)
+
+
+def _mean_and_spread(values: list[float | None]) -> tuple[float | None, float | None]:
+    """Mean and (population) standard deviation of the defined values; None without any."""
+    defined = [value for value in values if value is not None]
+    return (float(np.mean(defined)), float(np.std(defined))) if defined else (None, None)
+
+
+def _both(a: Weights, b: Weights) -> Weights:
+    """Product of two weights."""
+    if a is None or b is None:
+        return b if a is None else a
+    return a * b
+
+
+def _faded(picture: np.ndarray, weight: Weights) -> np.ndarray:
+    return picture if weight is None else picture * weight[..., None]

@@ -28,7 +28,8 @@ def write(
 
     page = HEIGHT + 16 * len(series) + 4
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {page}" font-family="sans-serif" font-size="12">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {page}" '
+        'font-family="sans-serif" font-size="12">',
         f'<rect width="{WIDTH}" height="{page}" fill="white"/>',
         f'<text x="{LEFT}" y="20" font-size="14" font-weight="bold">{escape(title)}</text>',
         f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 10}" text-anchor="middle">{escape(x_label)}</text>',
@@ -37,12 +38,14 @@ def write(
     for value in _ticks(x_low, x_high):
         x, _ = place(value, 10**y_low)
         parts.append(
-            f'<path d="M{x:.1f} {TOP}V{HEIGHT - BOTTOM}" stroke="#ddd"/><text x="{x:.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{value:.6g}</text>'
+            f'<path d="M{x:.1f} {TOP}V{HEIGHT - BOTTOM}" stroke="#ddd"/>'
+            f'<text x="{x:.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{value:.6g}</text>'
         )
     for value in _ticks(y_low, y_high):
         _, y = place(10**x_low, value)
         parts.append(
-            f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="#ddd"/><text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.6g}</text>'
+            f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="#ddd"/>'
+            f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.6g}</text>'
         )
     for index, (name, points) in enumerate(series.items()):
         colour, at = COLOURS[index % len(COLOURS)], [place(p[0], p[1]) for p in points]
@@ -52,7 +55,8 @@ def write(
             side, anchor = (6, "start") if x < 0.8 * WIDTH else (-6, "end")
             parts.append(
                 f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>'
-                f'<text x="{x + side:.1f}" y="{y - 6:.1f}" text-anchor="{anchor}" fill="{colour}">{escape(point[2])}</text>'
+                f'<text x="{x + side:.1f}" y="{y - 6:.1f}" text-anchor="{anchor}" fill="{colour}">'
+                f"{escape(point[2])}</text>"
             )
         parts.append(f'<text x="{LEFT}" y="{HEIGHT + 6 + 16 * index}" fill="{colour}">{escape(name)}</text>')
     with atomic_path(path) as temporary:

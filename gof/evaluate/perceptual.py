@@ -1,4 +1,4 @@
-"""Perceptual image scores that need something extra: FLIP (a package) and LPIPS (PyTorch and local weights, never downloaded)."""
+"""Perceptual image scores that need something extra: FLIP (a package), LPIPS (PyTorch and local weights)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of inputs in [
 
 
 def flip(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """Mean LDR-FLIP error (Andersson et al. 2020) at 67 pixels per degree, 0 (identical) to 1; the truth is the reference.
+    """Mean LDR-FLIP error (Andersson et al. 2020) at 67 pixels per degree, 0 (identical) to 1; reference: the truth.
 
     Arguments, other errors and None as in `gof.evaluate.image.psnr`.
 
@@ -48,7 +48,8 @@ def lpips(image: np.ndarray, truth: np.ndarray, weights: Path) -> float:
 
     Args:
         image, truth: (H, W, 3) display values in [0, 1], at least 32 px on each side.
-        weights: folder with `alexnet-owt-7be5be79.pth` and `lpips_alex_v0.1.pth` (the latter may come with the lpips package).
+        weights: folder with `alexnet-owt-7be5be79.pth` and `lpips_alex_v0.1.pth` (the latter may come with the lpips
+            package).
     Raises:
         MissingDependencyError: PyTorch or a weight file is absent (names it).
         DataFormatError: a weight file holds something else, or the pictures are too small.

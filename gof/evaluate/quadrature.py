@@ -8,12 +8,9 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
 from gof.errors import GofError
-from gof.evaluate.sparse_grid import StoredField, cell_ranges, parts, pool_of
-from gof.fields import VelocityField
 from gof.rotations import rotation_matrices
 
 ORDERS = (1, 3, 5, 7)
-COMPILED_FROM = 100_000  # quadrature points; below, loading the compiler takes longer than numpy
 CHUNK_POINTS = 1 << 15  # quadrature points held at once; small enough for a cache, which is worth a factor of two
 
 
@@ -34,13 +31,18 @@ class Expectation(NamedTuple):
     centre: np.ndarray  # (M, 3) m/s, velocity at the centre
     inside: np.ndarray  # (M,) share of the quadrature weight that lies in the domain, 0..1
 
+    @classmethod
+    def empty(cls, count: int) -> Expectation:
+        """Of a field at rest that has no end; to be filled."""
+        return cls(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count))
+
 
 def product_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes (order^3, 3) in standard deviations and weights (order^3,) that sum to one.
 
     The weight function is the *probabilists'* exp(-x^2/2) (`hermegauss`), so a node is `centre + R (s * node)` without
-    the factor sqrt(2) of `hermgauss`. `order` counts nodes per axis: exact for polynomials of degree 2 order - 1 per axis.
-    The middle node is the centre itself.
+    the factor sqrt(2) of `hermgauss`. `order` counts nodes per axis: exact for polynomials of degree 2 order - 1 per
+    axis. The middle node is the centre itself.
 
     Raises:
         GofError: order is not 1, 3, 5 or 7.
@@ -55,46 +57,16 @@ def product_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
     return nodes, weights
 
 
-def _nothing(count: int) -> Expectation:
-    return Expectation(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count))
-
-
-def expected_velocity(
-    field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, order: int = 3
-) -> Expectation:
-    """E[V(x)] for x ~ N(position, R diag(scale^2) R^T), one Gaussian per row.
-
-    Args:
-        field: velocity in m/s at world points; on a `VelocityField` or `StoredField` many Gaussians take a compiled kernel (float32 inside).
-        position: (M, 3) m.   scale: (M, 3) standard deviations, m.   rotation: (M, 4) unit quaternions wxyz.
-        order: nodes per axis, 1, 3, 5 or 7; cost grows with order^3.
-    Returns:
-        Expectation in float64. NaN in the field is passed on (the caller reports it with its frame).
-    """
-    if isinstance(field, (VelocityField, StoredField)) and len(position) * order**3 >= COMPILED_FROM:
-        from gof.evaluate.grid_quadrature import expected_velocity_on_grid
-
-        return expected_velocity_on_grid(field, position, scale, rotation, order)
-    if isinstance(field, StoredField):
-        result = _nothing(len(position))
-        ranges = cell_ranges(field, position, scale, np.abs(product_rule(order)[0]).max())
-        for rows, needed in parts(field, *ranges, np.arange(len(position))):
-            pool_of(field, needed)  # read once, not for every batch of points
-            for whole, part in zip(
-                result, expected_velocity_plain(field, position[rows], scale[rows], rotation[rows], order), strict=True
-            ):
-                whole[rows] = part
-        return result
-    return expected_velocity_plain(field, position, scale, rotation, order)
-
-
 def expected_velocity_plain(
     field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, order: int = 3
 ) -> Expectation:
-    """`expected_velocity` in numpy float64, for any field; holds about CHUNK_POINTS points at a time, whatever M is."""
+    """E[V(x)] as `gof.evaluate.expectation` says, in numpy float64, for any field.
+
+    Holds about CHUNK_POINTS points at a time, whatever M is.
+    """
     nodes, weights = product_rule(order)
     count = len(position)
-    result = _nothing(count)
+    result = Expectation.empty(count)
     corners = np.flatnonzero((np.abs(nodes) == np.abs(nodes).max()).all(1))
     step = max(1, CHUNK_POINTS // len(nodes))
     for start in range(0, count, step):

@@ -101,7 +101,7 @@ class StoredField:
 
 @dataclass
 class Pool:
-    """Bricks in memory: cells (slots, EDGE, EDGE, EDGE, 4) float16 or float32, the fourth component unused; slot 0 is empty."""
+    """Bricks in memory: cells (slots, EDGE, EDGE, EDGE, 4) float16 or float32, the last one unused; slot 0 is empty."""
 
     cells: np.ndarray
     table: np.ndarray  # (bricks per axis) uint32: slot of each chunk
@@ -147,7 +147,7 @@ def _flat(number: np.ndarray, shape) -> np.ndarray:
 
 
 def parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """`rows` with the chunks they touch, halved along the longest side until the chunks of each part fit into the pool."""
+    """`rows` with the chunks they touch, halved along the longest side until each part's chunks fit into the pool."""
     needed = touched_chunks(field, low[rows], high[rows])
     if int(needed.sum()) * EDGE**3 * 4 * np.dtype(_dtype(field)).itemsize > POOL_BYTES:
         middle = low[rows] + (high[rows] - low[rows]) // 2
@@ -160,7 +160,7 @@ def parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterato
 
 
 def pool_of(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
-    """The pool for the chunks of `touched_chunks`; the last pool of a stored field is kept, since its frame is asked for twice."""
+    """The pool for chunks of `touched_chunks`; a stored field keeps its last one: its frame is asked for twice."""
     if not isinstance(field, StoredField):
         return _fill(field, needed)
     state = field.__dict__

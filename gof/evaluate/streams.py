@@ -1,4 +1,4 @@
-"""Stream plots of velocity: Gaussians max-projected along the depth and cut at one X, the truth at the same places beside them."""
+"""Stream plots of velocity: Gaussians max-projected along the depth and cut at one X, and the truth at these places."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from gof.evaluate.weighted import weighted_quantile
 from gof.gaussians import TransientGaussians
 
 CELLS = 72  # along the longest side of the box
 FAINT = 0.02  # of the largest density: below, nothing is drawn
+FLOATERS = 0.002  # share of the weight that may lie outside the box at each end of an axis
 RAMP = np.array(
     [[38, 12, 60], [120, 28, 109], [188, 55, 84], [237, 105, 37], [251, 180, 26], [252, 250, 190]], float
 )  # dark to bright
@@ -30,22 +32,15 @@ class Volume(NamedTuple):
 
 
 def volume(gaussians: TransientGaussians, time_s: float) -> Volume:
-    """The dynamic Gaussians that live at a time, summed into cubic cells and blurred by one cell. At least one must live."""
+    """The dynamic Gaussians that live at a time, summed into cubic cells and blurred by one cell; at least one must."""
     position, opacity = gaussians.at(time_s)
     weight = gaussians.scale.astype(np.float64).prod(1) * opacity * gaussians.dynamic
     keep = weight > 1e-9 * max(weight.sum(), 1e-300)
-    position, weight, velocity = (
-        position[keep].astype(np.float64),
-        weight[keep],
-        gaussians.velocity[keep].astype(np.float64),
-    )
-    order = np.argsort(position, axis=0)
-    share = np.cumsum(np.take_along_axis(np.repeat(weight[:, None], 3, 1), order, 0), 0) / weight.sum()
-    ends = [
-        [position[order[np.searchsorted(share[:, k], q).clip(0, len(weight) - 1), k], k] for k in range(3)]
-        for q in (0.002, 0.998)
-    ]
-    low, high = np.array(ends[0]), np.array(ends[1])  # a few floaters must not shrink the flame
+    weight = weight[keep]
+    position = position[keep].astype(np.float64)
+    velocity = gaussians.velocity[keep].astype(np.float64)
+    # of each axis the middle 99.6 % of the weight: a few floaters must not shrink the flame
+    low, high = (np.array([weighted_quantile(x, weight, q) for x in position.T]) for q in (FLOATERS, 1 - FLOATERS))
     cell = float(max((high - low).max(), 1e-3) / (CELLS - 8))
     low = low - 4 * cell
     shape = np.maximum(np.ceil((high - low) / cell).astype(int) + 4, 9)
@@ -54,10 +49,9 @@ def volume(gaussians: TransientGaussians, time_s: float) -> Volume:
     flat = np.ravel_multi_index(tuple(index[inside].T), shape)
     sums = [np.bincount(flat, weight[inside] * c, int(shape.prod())).reshape(shape) for c in (1.0, *velocity[inside].T)]
     density, *momentum = (gaussian_filter(s, 1.0, mode="constant") for s in sums)
-    safe = np.where(density > 1e-6 * density.max(), density, 1)
-    return Volume(
-        density, np.stack([np.where(density > 1e-6 * density.max(), m / safe, 0) for m in momentum], -1), low, cell
-    )
+    filled = density > 1e-6 * density.max()
+    mean = [np.where(filled, m / np.where(filled, density, 1), 0) for m in momentum]
+    return Volume(density, np.stack(mean, -1), low, cell)
 
 
 def max_projection(density: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -74,7 +68,7 @@ def x_slice(density: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def streamlines(velocity: np.ndarray, density: np.ndarray, spacing: float = 2.6, steps: int = 22) -> list[np.ndarray]:
-    """Lines (P, 2) in cells along `velocity` (A, B, 2), seeded evenly where there is density, half forwards and half backwards.
+    """Lines (P, 2) in cells along `velocity` (A, B, 2), seeded evenly where there is density, drawn both ways.
 
     Fourth-order steps of 0.3 cells along the direction; a line ends where the density is faint or nothing moves.
     """
@@ -154,7 +148,7 @@ def draw(density: np.ndarray, velocity: np.ndarray, scale: int = 6, cell: float 
 
 
 def plots(gaussians: TransientGaussians, time_s: float, truth=None) -> dict[str, Image.Image]:
-    """ "projection", "slice" and, with a true field (anything with `sample`), "truth_projection", "truth_slice" at the same places."""
+    """By kind: "projection", "slice"; with a true field (anything with `sample`) also these with "truth_" before."""
     v = volume(gaussians, time_s)
     seen = {"": v.velocity}
     if truth is not None:

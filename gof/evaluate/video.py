@@ -1,21 +1,23 @@
-"""CGVQM: perceived quality of a whole video (Jindal et al. 2025, "CGVQM+D", doi 10.1111/cgf.70221), from local weights alone.
+"""CGVQM: perceived quality of a whole video (Jindal et al. 2025, "CGVQM+D", doi 10.1111/cgf.70221), by local weights.
 
-Features of a 3D ResNet-18 for both videos, unit-normalised per pixel, squared differences weighted per channel; the weights were
-fitted to people's ratings. It sees flicker and wrong motion, which scores of single frames do not. Nothing is downloaded, and no
-pickle is executed: the two tensors in a head file are read with an allow-list.
+Features of a 3D ResNet-18 for both videos, unit-normalised per pixel, squared differences weighted per channel; the
+weights were fitted to people's ratings. It sees flicker and wrong motion, which scores of single frames do not. Nothing
+is downloaded, and no pickle is executed: the two tensors in a head file are read with an allow-list.
 """
 
 from __future__ import annotations
 
 import io
 import pickle
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gof.errors import DataFormatError, GofError, MissingDependencyError, require_finite
+from gof.evaluate.perceptual import load_weights
 
 TRUNK = "r3d_18-b3b3357e.pth"  # torchvision's R3D-18, trained on Kinetics-400
 HEADS = {
@@ -52,67 +54,102 @@ def clip_length(frame_time_s: float) -> int:
     return int(np.clip(1 / frame_time_s if frame_time_s > 0 else MAX_CLIP, 1, MAX_CLIP))
 
 
-def cgvqm(
-    frames: int, pair: Callable[[int], tuple[np.ndarray, np.ndarray]], clip: int, weights: Path, name: str = "cgvqm_2"
-) -> float:
-    """Quality of a video, 100 (no difference) downwards; about 75 is "perceptible, not annoying", 50 "slightly annoying".
+class VideoQuality:
+    """CGVQM of one video, frame by frame; a clip is held at a time.
 
-    Clips are padded with their last frame and patches with their last row and column; the errors of all patches are averaged.
+    100 is no difference, downwards; about 75 is "perceptible, not annoying", 50 "slightly annoying". Clips are padded
+    with their last frame and patches with their last row and column; the errors of all patches are averaged.
 
     Args:
-        frames: number of frames, >= 1.
-        pair: frame number -> (picture, truth), (H, W, 3) display values in [0, 1]; asked for in order, a clip is held at a time.
+        names: of HEADS; the network runs once for all of them.
         clip: frames per clip, see `clip_length`.
         weights: folder with the files of `available`.
     Raises:
-        DataFormatError: a weight file holds something else, or the pictures are smaller than 4 x 4.
-        GofError: shapes disagree.   NonFiniteError: NaN or Inf in a picture.
+        DataFormatError: a weight file holds something else.
     """
+
+    def __init__(self, names: Sequence[str], clip: int, weights: Path):
+        self._clip = clip
+        self._network = _trunk(weights / TRUNK)
+        self._heads = {name: _head(weights / HEADS[name][0], HEADS[name][1]) for name in names}
+        self._errors: dict[str, list[float]] = {name: [] for name in names}
+        self._images: list[np.ndarray] = []
+        self._truths: list[np.ndarray] = []
+        self._frames = 0
+
+    def add(self, image: np.ndarray, truth: np.ndarray) -> None:
+        """The next frame: picture and truth, (H, W, 3) display values in [0, 1].
+
+        Raises:
+            DataFormatError: the pictures are smaller than 4 x 4.
+            GofError: shapes disagree.   NonFiniteError: NaN or Inf in a picture.
+        """
+        image, truth = (np.asarray(picture, np.float32) for picture in (image, truth))
+        if image.shape != truth.shape or image.ndim != 3 or image.shape[2] != 3:
+            raise GofError(
+                f"pictures of frame {self._frames} have shapes {image.shape} and {truth.shape}, expected the same "
+                "(H, W, 3)"
+            )
+        require_finite("image", image)
+        require_finite("truth", truth)
+        self._images.append(image)
+        self._truths.append(truth)
+        self._frames += 1
+        if len(self._images) == self._clip:
+            self._rate_clip()
+
+    def scores(self) -> dict[str, float]:
+        """Quality by name, of all frames so far; at least one."""
+        if self._images:
+            self._rate_clip()
+        return {name: 100 - float(np.mean(errors)) for name, errors in self._errors.items()}
+
+    def _rate_clip(self) -> None:
+        import torch
+
+        with torch.no_grad():
+            for patch in _patches(self._images, self._truths, self._clip):
+                for name, error in _differences(self._network, patch, self._heads).items():
+                    self._errors[name].append(error)
+        self._images.clear()
+        self._truths.clear()
+
+
+def _patches(images: list[np.ndarray], truths: list[np.ndarray], clip: int) -> Iterator[Any]:
+    """PATCHES x PATCHES tensors (2, 3, T, h, w) of picture and truth, normalised as the network wants them."""
     import torch
     from torch.nn import functional as F
 
-    network, (head, gain) = _trunk(weights / TRUNK), _head(weights / HEADS[name][0], HEADS[name][1])
-    errors = []
-    for start in range(0, frames, clip):
-        videos = [[], []]
-        for k in range(start, min(start + clip, frames)):
-            image, truth = (np.asarray(p, np.float32) for p in pair(k))
-            if image.shape != truth.shape or image.ndim != 3 or image.shape[2] != 3:
-                raise GofError(
-                    f"pictures of frame {k} have shapes {image.shape} and {truth.shape}, expected the same (H, W, 3)"
-                )
-            require_finite("image", image)
-            require_finite("truth", truth)
-            for video, picture in zip(videos, (image, truth), strict=True):
-                video.append(picture)
-        both = torch.from_numpy(np.stack(videos)).permute(0, 4, 1, 2, 3)  # (2, 3, T, H, W)
-        both = (both - torch.tensor(MEAN).view(3, 1, 1, 1)) / torch.tensor(STD).view(3, 1, 1, 1)
-        patch = [n // PATCHES for n in both.shape[3:]]
-        if min(patch) < 1:
-            raise DataFormatError(
-                f"CGVQM needs pictures of at least {PATCHES} x {PATCHES} px, got {tuple(both.shape[3:])}"
-            )
-        missing = [-n % p for n, p in zip(both.shape[3:], patch, strict=True)]
-        both = F.pad(both, (0, missing[1], 0, missing[0], 0, clip - both.shape[2]), mode="replicate")
-        with torch.no_grad():
-            for row in both.split(patch[0], 3):
-                errors += [float(gain * _difference(network, part, head)) for part in row.split(patch[1], 4)]
-    return 100 - float(np.mean(errors))
+    both = torch.from_numpy(np.stack([images, truths])).permute(0, 4, 1, 2, 3)  # (2, 3, T, H, W)
+    both = (both - torch.tensor(MEAN).view(3, 1, 1, 1)) / torch.tensor(STD).view(3, 1, 1, 1)
+    size = [n // PATCHES for n in both.shape[3:]]
+    if min(size) < 1:
+        raise DataFormatError(f"CGVQM needs pictures of at least {PATCHES} x {PATCHES} px, got {tuple(both.shape[3:])}")
+    missing = [-n % p for n, p in zip(both.shape[3:], size, strict=True)]
+    both = F.pad(both, (0, missing[1], 0, missing[0], 0, clip - both.shape[2]), mode="replicate")
+    for row in both.split(size[0], 3):
+        yield from row.split(size[1], 4)
 
 
-def _difference(network: dict, both, head: list):
-    """Sum over levels and channels of the weighted mean squared difference of two videos (2, 3, T, H, W)."""
-    total = (head[0] * (both[0] - both[1]).square().mean((1, 2, 3))).sum()
+def _differences(network: dict, both, heads: dict[str, tuple[list, float]]) -> dict[str, float]:
+    """By head, the gain times the sum over levels and channels of the weighted mean squared feature difference.
+
+    both: (2, 3, T, H, W). Level 0 is the picture itself; a head that uses fewer levels takes those of the deeper one.
+    """
+    squares = [(both[0] - both[1]).square().mean((1, 2, 3))]  # per level: (channels,)
     x = both
-    for level, weight in enumerate(head[1:]):
+    for level in range(max(len(weights) for weights, _ in heads.values()) - 1):
         x = _stage(network, x, level)
         unit = x / (x.norm(dim=1, keepdim=True) + 1e-10)
-        total = total + (weight * (unit[0] - unit[1]).square().mean((1, 2, 3))).sum()
-    return total
+        squares.append((unit[0] - unit[1]).square().mean((1, 2, 3)))
+    return {
+        name: float(gain * sum((w * square).sum() for w, square in zip(weights, squares, strict=False)))
+        for name, (weights, gain) in heads.items()
+    }
 
 
 def _stage(network: dict, x, level: int):
-    """R3D-18 (Tran et al. 2018): level 0 is the stem, 1 to 4 the stages of two residual blocks; halved in all axes from 2 on."""
+    """R3D-18 (Tran et al. 2018): level 0 is the stem, 1 to 4 are stages of two residual blocks; 2 to 4 halve."""
     from torch.nn import functional as F
 
     def convolved(x, name: str, stride=1, padding=1):
@@ -149,8 +186,6 @@ def trunk_shapes() -> dict[str, tuple[int, ...]]:
 
 @lru_cache(maxsize=1)
 def _trunk(path: Path) -> dict:
-    from gof.evaluate.perceptual import load_weights
-
     return load_weights(path, trunk_shapes(), "torchvision's r3d_18", "CGVQM")
 
 

@@ -1,14 +1,14 @@
 """Is a Gaussian wider than the flow's structures? Its width in radians of the field's local wavelength.
 
 Three Gauss-Hermite nodes per axis average a wave exp(ikx) well while k sigma stays below 1.5 (docs/dve.md). A turbulent
-field has no single k, so the local one is read off its derivatives: over a neighbourhood, with gradient g and Hessian H of
-every velocity component,
+field has no single k, so the local one is read off its derivatives: over a neighbourhood, with gradient g and Hessian H
+of every velocity component,
 
     T = sum <H H^T> / sum <|g|^2>
 
-is the mean of k k^T over the waves present, weighted by their gradient energy; for one plane wave it is exactly k k^T. The
-phase spread of a Gaussian with covariance C is sqrt(trace(T C)), the root-mean-square of k sigma over those waves. A linear
-field has no curvature, so no wavelength, and a spread of 0.
+is the mean of k k^T over the waves present, weighted by their gradient energy; for one plane wave it is exactly k k^T.
+The phase spread of a Gaussian with covariance C is sqrt(trace(T C)), the root-mean-square of k sigma over those waves.
+A linear field has no curvature, so no wavelength, and a spread of 0.
 """
 
 from __future__ import annotations
@@ -23,8 +23,12 @@ SAMPLE = 128  # Gaussians looked at per frame; the share's standard error is bel
 REACH = 2.0  # standard deviations; the neighbourhood has to hold a good part of a wave to tell its crest from a plateau
 _POINTS = 32
 
-_u = (0.5 + np.arange(1, _POINTS + 1)[:, None] * 1.22074408460575947 ** -np.arange(1.0, 4)) % 1  # evenly in the cube
-NEIGHBOURHOOD = REACH * (2 * _u - 1)  # (32, 3) standard deviations
+# R3 of M. Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences" (2018): points spread evenly in the unit
+# cube, u_n = 1/2 + n (1/g, 1/g^2, 1/g^3) modulo 1, where g > 1 solves g^4 = g + 1 (the plastic number's equation is
+# g^3 = g + 1, for the square; the golden ratio's is g^2 = g + 1, for the interval).
+_G = 1.22074408460575947
+_UNIT = (0.5 + np.arange(1, _POINTS + 1)[:, None] * _G ** -np.arange(1.0, 4)) % 1
+NEIGHBOURHOOD = REACH * (2 * _UNIT - 1)  # (32, 3) standard deviations
 _PAIRS = [(a, b) for a in range(3) for b in range(a, 3)]
 
 

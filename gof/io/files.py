@@ -42,7 +42,8 @@ def only_run_in(folder: Path) -> Iterator[None]:
         except BlockingIOError as e:
             lock.seek(0)
             raise GofError(
-                f"{folder}: another run is at work there (process {lock.read().strip() or 'unknown'}); wait for it, or choose another --out"
+                f"{folder}: another run is at work there (process {lock.read().strip() or 'unknown'}); wait for it, or "
+                "choose another --out"
             ) from e
         lock.truncate(0)
         lock.write(str(os.getpid()))

@@ -18,8 +18,8 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     """All arrays of an npz.
 
     Raises:
-        DataFormatError: not an npz, cut off, arrays of objects (they would run code), a header that announces more than the
-            file holds, or an archive that unpacks to more than 100 times its size.
+        DataFormatError: not an npz, cut off, arrays of objects (they would run code), a header that announces more than
+            the file holds, or an archive that unpacks to more than 100 times its size.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -67,5 +67,6 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
             shape, _, dtype = read(file)
         if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
             raise DataFormatError(
-                f"{path}: '{member.filename}' announces shape {shape} of {dtype}, the file holds {member.file_size} bytes of it"
+                f"{path}: '{member.filename}' announces shape {shape} of {dtype}, the file holds {member.file_size} "
+                "bytes of it"
             )

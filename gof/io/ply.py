@@ -1,7 +1,7 @@
-"""PLYs of 3D Gaussian splats: the attributes that every splat tool shares, in their raw form on disk and activated in memory.
+"""PLYs of 3D Gaussian splats: the attributes that every splat tool shares, raw on disk and activated in memory.
 
-scale_* are natural logs, opacity is a logit, rot_* is wxyz and may be un-normalised, f_dc/f_rest are SH coefficients (f_rest
-channel-major).
+scale_* are natural logs, opacity is a logit, rot_* is wxyz and may be un-normalised, f_dc/f_rest are SH coefficients
+(f_rest channel-major).
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from gof.errors import DataFormatError
-from gof.gaussians import TransientGaussians
 from gof.harmonics import C0
 
 LOGIT_EPS = 2.0**-24  # opacities 0 and 1 have no finite logit; this is half a float32 step below 1
@@ -51,7 +50,7 @@ class Ply:
         return np.stack([self.vertex[name] for name in names], -1).astype(np.float32)
 
     def splats(self) -> dict[str, np.ndarray]:
-        """The 3DGS properties, activated: position, scale, rotation, opacity, and color as spherical harmonics (N, K, 3)."""
+        """The 3DGS properties, activated: position, scale, rotation, opacity, and color as harmonics (N, K, 3)."""
         rest = sorted(
             (n for n in self.vertex.dtype.names if re.fullmatch(r"f_rest_[0-9]{1,4}", n)), key=lambda n: int(n[7:])
         )
@@ -85,19 +84,25 @@ def quaternions(q: np.ndarray, path: Path) -> np.ndarray:
     return q
 
 
-def splat_columns(g: TransientGaussians) -> dict[str, np.ndarray]:
-    """The shared properties of a splat PLY, raw; display colours become their constant harmonic."""
-    n = len(g)
-    sh = (g.color[:, None, :] - 0.5) / C0 if g.color.ndim == 2 else g.color
-    opacity = np.clip(g.opacity.astype(np.float64), LOGIT_EPS, 1 - LOGIT_EPS)
+def splat_columns(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The shared properties of a splat PLY, raw; display colours become their constant harmonic.
+
+    Args:
+        arrays: position (N, 3), scale (N, 3), rotation (N, 4), opacity (N,), color (N, 3) or (N, K, 3), as of
+            `gof.gaussians.TransientGaussians`; others are left aside.
+    """
+    position, scale, color = (arrays[name] for name in ("position", "scale", "color"))
+    n = len(position)
+    sh = (color[:, None, :] - 0.5) / C0 if color.ndim == 2 else color
+    opacity = np.clip(arrays["opacity"].astype(np.float64), LOGIT_EPS, 1 - LOGIT_EPS)
     return {
-        **{axis: g.position[:, i] for i, axis in enumerate("xyz")},
+        **{axis: position[:, i] for i, axis in enumerate("xyz")},
         **{f"n{axis}": np.zeros(n) for axis in "xyz"},
         **{f"f_dc_{c}": sh[:, 0, c] for c in range(3)},
         **{f"f_rest_{i}": row for i, row in enumerate(sh[:, 1:].transpose(2, 1, 0).reshape(3 * (sh.shape[1] - 1), n))},
         "opacity": np.log(opacity) - np.log1p(-opacity),
-        **{f"scale_{i}": np.log(g.scale[:, i]) for i in range(3)},
-        **{f"rot_{i}": g.rotation[:, i] for i in range(4)},
+        **{f"scale_{i}": np.log(scale[:, i]) for i in range(3)},
+        **{f"rot_{i}": arrays["rotation"][:, i] for i in range(4)},
     }
 
 
@@ -112,7 +117,7 @@ def write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> No
 
 
 def _check_size(path: Path) -> None:
-    """Refuse a header that announces more than the file can hold, before anything is allocated; a property takes a byte or more."""
+    """Refuse a header that announces more than the file can hold, a byte per property, before anything is allocated."""
     with open(path, "rb") as f:
         head = f.read(65536)
     if head[:3] != b"ply" or b"end_header" not in head or not re.search(rb"^element\s+vertex\s", head, re.M):
@@ -121,6 +126,6 @@ def _check_size(path: Path) -> None:
         words, properties = element.split(), len(re.findall(rb"^property\s", element, re.M))
         if len(words) < 2 or not words[1].isdigit() or int(words[1][:30]) * max(properties, 1) > path.stat().st_size:
             raise DataFormatError(
-                f"{path}: header announces {b' '.join(words[1:2]).decode(errors='replace')} points with {properties} properties, the "
-                f"file has {path.stat().st_size} bytes; truncated?"
+                f"{path}: header announces {b' '.join(words[1:2]).decode(errors='replace')} points with {properties} "
+                f"properties, the file has {path.stat().st_size} bytes; truncated?"
             )

@@ -1,13 +1,15 @@
 """Records: what crosses a room, a process or the disk as JSON is one frozen dataclass with one reader and one writer.
 
 A record is a frozen dataclass with class variables `SCHEMA` and `VERSION`; its file is a JSON object of its fields
-beside `"schema"` and `"version"`. Fields are checked against their types on reading, so that a wrong file fails at the
+beside `"schema"` and `"version"`. A field named like a Python keyword has a trailing underscore that its key in the
+file has not (`import_`, "import"). Fields are checked against their types on reading, so that a wrong file fails at the
 door, and by name.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
@@ -27,7 +29,8 @@ R = TypeVar("R", bound=Record)
 
 def to_json(record: Record) -> dict[str, Any]:
     """The JSON form of a record: its fields under its schema and version; tuples become lists."""
-    return {"schema": record.SCHEMA, "version": record.VERSION} | msgspec.to_builtins(asdict(record))
+    content = {name.removesuffix("_"): value for name, value in asdict(record).items()}
+    return {"schema": record.SCHEMA, "version": record.VERSION} | msgspec.to_builtins(content)
 
 
 def from_json(kind: type[R], data: Any, source: str | Path) -> R:
@@ -41,7 +44,7 @@ def from_json(kind: type[R], data: Any, source: str | Path) -> R:
     if not isinstance(data, dict) or data.get("schema") != kind.SCHEMA or data.get("version") != kind.VERSION:
         raise DataFormatError(f"{source}: not schema '{kind.SCHEMA}' version {kind.VERSION}")
     try:
-        return msgspec.convert(data, kind)
+        return msgspec.convert({f"{key}_" if iskeyword(key) else key: value for key, value in data.items()}, kind)
     except (msgspec.ValidationError, DataFormatError) as e:  # of a field; of the record's own checks
         raise DataFormatError(f"{source}: {e}") from e
 

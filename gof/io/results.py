@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError, GofError
-from gof.gaussians import TransientGaussians
+from gof.errors import DataFormatError
 from gof.harmonics import plain_color
 from gof.io.files import atomic_path
 from gof.io.npz import read_npz
 from gof.io.ply import Ply, splat_columns, write
+
+Arrays = dict[str, np.ndarray]  # the fields of `gof.gaussians.TransientGaussians` by name
 
 NPZ_SCHEMA = "gof-linear/1"
 PLY_COMMENTS = [
@@ -27,27 +28,32 @@ PLY_COMMENTS = [
 ]
 
 
-def save(gaussians: TransientGaussians, path: Path, source: str = "") -> Path:
-    """Write by suffix, atomically. `source` (how it was made) goes into the file. Returns `path`."""
+def save(arrays: Arrays, path: Path, source: str = "") -> Path:
+    """Write by suffix, atomically. `source` (how it was made) goes into the file. Returns `path`.
+
+    Raises:
+        DataFormatError: unknown suffix.
+    """
     writers = {".ply": _save_ply, ".npz": _save_npz}
     if path.suffix not in writers:
         raise DataFormatError(f"{path}: unknown suffix; use one of {sorted(writers)}")
     with atomic_path(path) as temporary:
-        writers[path.suffix](gaussians, temporary, source)
+        writers[path.suffix](arrays, temporary, source)
     return path
 
 
-def load(path: Path) -> TransientGaussians:
-    """Read by suffix; see `TransientGaussians.load` for the errors."""
+def load(path: Path) -> Arrays:
+    """Read by suffix.
+
+    Raises:
+        DataFormatError: unknown suffix, no such file, another version, a field missing, or a damaged file.
+    """
     readers = {".ply": _load_ply, ".npz": _load_npz}
     if path.suffix not in readers:
         raise DataFormatError(f"{path}: unknown suffix; use one of {sorted(readers)}")
     if not path.is_file():
         raise DataFormatError(f"{path}: no such file")
-    try:
-        return TransientGaussians(**readers[path.suffix](path))
-    except GofError as e:
-        raise e if str(path) in str(e) else type(e)(f"{path}: {e}") from e
+    return readers[path.suffix](path)
 
 
 # ---------------------------------------------------------------- npz
@@ -64,13 +70,13 @@ _NPZ_FIELDS = {
 }
 
 
-def _save_npz(g: TransientGaussians, path: Path, source: str) -> None:
-    arrays = {key: getattr(g, name) for key, name in _NPZ_FIELDS.items()}
-    arrays["rgb" if g.color.ndim == 2 else "sh"] = g.color
-    np.savez(path, schema=np.array(NPZ_SCHEMA), source=np.array(source), **arrays)
+def _save_npz(arrays: Arrays, path: Path, source: str) -> None:
+    stored = {key: arrays[name] for key, name in _NPZ_FIELDS.items()}
+    stored["rgb" if arrays["color"].ndim == 2 else "sh"] = arrays["color"]
+    np.savez(path, schema=np.array(NPZ_SCHEMA), source=np.array(source), **stored)
 
 
-def _load_npz(path: Path) -> dict[str, np.ndarray]:
+def _load_npz(path: Path) -> Arrays:
     data = read_npz(path)
     schema = str(data.get("schema", "none"))
     if schema != NPZ_SCHEMA:
@@ -85,17 +91,17 @@ def _load_npz(path: Path) -> dict[str, np.ndarray]:
 # ---------------------------------------------------------------- PLY
 
 
-def _save_ply(g: TransientGaussians, path: Path, source: str) -> None:
+def _save_ply(arrays: Arrays, path: Path, source: str) -> None:
     moving = {
-        "t_mu": g.t_mu,
-        "t_sigma": g.t_sigma,
-        **{f"v{axis}": g.velocity[:, i] for i, axis in enumerate("xyz")},
-        "is_dynamic": g.dynamic,
+        "t_mu": arrays["t_mu"],
+        "t_sigma": arrays["t_sigma"],
+        **{f"v{axis}": arrays["velocity"][:, i] for i, axis in enumerate("xyz")},
+        "is_dynamic": arrays["dynamic"],
     }
-    write(path, splat_columns(g) | moving, PLY_COMMENTS + ([f"source: {source}"] if source else []))
+    write(path, splat_columns(arrays) | moving, PLY_COMMENTS + ([f"source: {source}"] if source else []))
 
 
-def _load_ply(path: Path) -> dict[str, np.ndarray]:
+def _load_ply(path: Path) -> Arrays:
     ply = Ply.read(path)
     version = [c for c in ply.comments if c.startswith("gof-transient")]
     if version and version[0] != PLY_COMMENTS[0]:
@@ -103,7 +109,8 @@ def _load_ply(path: Path) -> dict[str, np.ndarray]:
     missing = [name for name in ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic") if not ply.has(name)]
     if missing:
         raise DataFormatError(
-            f"{path}: PLY properties {missing} are missing; a plain 3DGS PLY has no time or velocity and cannot be read as transient Gaussians"
+            f"{path}: PLY properties {missing} are missing; a plain 3DGS PLY has no time or velocity and cannot be "
+            "read as transient Gaussians"
         )
     splats = ply.splats()
     if splats["color"].shape[1] == 1:

@@ -12,7 +12,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gof.dataset import Dataset
-from gof.evaluate.quadrature import expected_velocity
+from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.weighted import weighted_quantile
 from gof.gaussians import TransientGaussians
 from gof.report import velocity as velocity_module
 
@@ -66,8 +67,10 @@ def side_by_side(panels: list[np.ndarray], gap: int = GAP) -> np.ndarray:
 class Animation:
     """The four panels over time.
 
-    frames: each (H, W, 3) uint8, panels side by side; titles: of the panels; longest: px/s of full colour in the velocity
-    panels (0 = no velocity panels); frame_ms: how long each frame is shown; slow_down: shown time over real time.
+    Attributes:
+        frames: each (H, W, 3) uint8, panels side by side.   titles: of the panels.
+        longest: px/s of full colour in the velocity panels, 0 = no velocity panels.
+        frame_ms: how long each frame is shown.   slow_down: shown time over real time.
     """
 
     frames: list[np.ndarray]
@@ -93,7 +96,9 @@ def animate(
     camera_number: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> Animation:
-    """Draw truth, reconstruction (over `plate`, unless it has static Gaussians), velocity and true velocity for every frame of one camera.
+    """Draw truth, reconstruction, velocity and true velocity for every frame of one camera.
+
+    The reconstruction is drawn over `plate`, unless it has static Gaussians.
 
     Without dynamic Gaussians or true velocities the panels that need them are left out.
     """
@@ -102,7 +107,7 @@ def animate(
     camera = dataset.cameras[camera_number]
     background = None if not gaussians.dynamic.all() else plate
     frames = sorted({*dataset.train_frames, *dataset.test_frames})
-    has_truth = bool(dataset.meta.get("velocity"))
+    has_truth = dataset.has_velocity
     drawn, alphas = [], []
     for number, k in enumerate(frames):
         time_s = float(dataset.times_s[k])
@@ -178,11 +183,7 @@ def _common_speed(fields: list[velocity_module.ScreenVelocity]) -> float:
     """98th percentile of the opacity-weighted speed on the screen, px/s: one colour scale for all panels and frames."""
     speed = np.concatenate([np.linalg.norm(f.flow, axis=-1).ravel() for f in fields])
     weight = np.concatenate([f.alpha.ravel() for f in fields])
-    order = np.argsort(speed)
-    total = np.cumsum(weight[order])
-    if total[-1] <= 0:
-        return 1.0
-    return float(max(speed[order][np.searchsorted(total, 0.98 * total[-1])], 1e-9))
+    return max(weighted_quantile(speed, weight, 0.98), 1e-9) if weight.any() else 1.0
 
 
 def _stamp(page: np.ndarray, text: str, accent: bool) -> np.ndarray:

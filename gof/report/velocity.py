@@ -1,18 +1,18 @@
-"""Velocities as pictures: what moves where on the screen, of the reconstruction and of the true field at the same Gaussians."""
+"""Velocities as pictures: what moves where on the screen, by the reconstruction and by the truth at its Gaussians."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from gof.cameras import Camera
-from gof.colour import linear_to_srgb
+from gof.direction_colors import direction_colors
 from gof.gaussians import TransientGaussians
 
 GROUND = np.array([0.11, 0.11, 0.12])  # display colour where nothing is
-UP_HUE = 235.0  # degrees in OKLab
 ARROWS_ACROSS = 14
 MIN_ALPHA = 0.15  # below this no arrow is drawn: the mean velocity of almost nothing
 
@@ -47,44 +47,13 @@ def screen_velocity(
     jacobian = camera.projection_jacobian(centre)
     v = gaussians.velocity if velocity is None else velocity
     flow = np.nan_to_num(np.einsum("nij,nj->ni", jacobian, v.astype(np.float64)))  # behind the camera: not drawn anyway
-    values = {name: getattr(gaussians, name) for name in gaussians.__dataclass_fields__}
-    values["color"] = np.concatenate([flow, np.zeros((len(flow), 1))], 1)
-    out = render(TransientGaussians(**values), camera, time_s)
+    as_colour = np.concatenate([flow, np.zeros((len(flow), 1))], 1)
+    out = render(replace(gaussians, color=as_colour), camera, time_s)
     alpha = out["alpha"]
     seen = alpha > 1e-4
     return ScreenVelocity(
         np.where(seen[..., None], out["color"][..., :2] / np.where(seen, alpha, 1)[..., None], 0), alpha
     )
-
-
-def direction_colors(flow: np.ndarray, longest: float) -> np.ndarray:
-    """(..., 2) px/s to (..., 3) display colours: hue is the direction, brightness the length up to `longest`.
-
-    The palette runs around a circle of equal chroma in a perceptual space (OKLab), so that no direction looks faster than
-    another; up is a blue that no flame has.
-    """
-    length = np.clip(np.linalg.norm(flow, axis=-1) / max(longest, 1e-12), 0, 1)
-    hue = np.arctan2(flow[..., 1], flow[..., 0]) + np.deg2rad(UP_HUE + 90)  # image y points down: up is -90 degrees
-    lightness, chroma = 0.22 + 0.55 * length, 0.145 * length
-    lab = np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], -1)
-    lms = (
-        lab
-        @ np.array(
-            [[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.2914855480]]
-        ).T
-    ) ** 3
-    rgb = (
-        lms
-        @ np.array(
-            [
-                [4.0767416621, -3.3077115913, 0.2309699292],
-                [-1.2684380046, 2.6097574011, -0.3413193965],
-                [-0.0041960863, -0.7034186147, 1.7076147010],
-            ]
-        ).T
-    )
-    rgb = np.clip(rgb, 0, 1)
-    return linear_to_srgb(rgb)
 
 
 def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray:
@@ -119,7 +88,7 @@ def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray
 
 
 def legend(size: int = 160) -> np.ndarray:
-    """The colour wheel (size, size, 4) uint8 with transparent corners: a pixel's colour is that of its offset from the middle."""
+    """The colour wheel (size, size, 4) uint8, corners transparent; a pixel's colour is that of its offset."""
     c = (np.arange(size) + 0.5) / size * 2 - 1
     offset = np.stack(np.meshgrid(c, c), -1)
     alpha = np.clip((1 - np.linalg.norm(offset, axis=-1)) * size / 2, 0, 1)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.evaluate.quadrature import rotation_matrices
 from gof.gaussians import TransientGaussians
+from gof.rotations import rotation_matrices
 
 
 class Analytic:

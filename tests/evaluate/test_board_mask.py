@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.commands.evaluate import evaluate
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
+from gof.evaluate import evaluate
 from gof.evaluate.image import ssim_map
 from tests.conftest import arc, random_gaussians, write_dataset
 
@@ -49,20 +49,17 @@ def test_weighted_scores_in_closed_form(board):
     g = random_gaussians(1)
     g.position[:] = [0, 50, 0]  # out of sight: the result shows the plate alone
     scores = evaluate(g, dataset)
-    masked, whole = scores["images"]["pictures"]
+    masked, whole = scores.images.pictures
     # only the soft row is left of the board: ten pixels of weight 0.6
-    assert masked["psnr"] == pytest.approx(-10 * np.log10(ERROR**2 * 6 / weight.sum()), abs=1e-5)
-    assert masked["psnr_flame"] == pytest.approx(-10 * np.log10(ERROR**2 * 3 / weight[30:, 15:].sum()), abs=1e-5)
-    assert whole["psnr"] == pytest.approx(-10 * np.log10(ERROR**2 * 250 / (64 * 36)), abs=1e-5)
-    assert masked["psnr_plate"] == pytest.approx(masked["psnr"], abs=1e-5)
+    assert masked.psnr == pytest.approx(-10 * np.log10(ERROR**2 * 6 / weight.sum()), abs=1e-5)
+    assert masked.psnr_flame == pytest.approx(-10 * np.log10(ERROR**2 * 3 / weight[30:, 15:].sum()), abs=1e-5)
+    assert whole.psnr == pytest.approx(-10 * np.log10(ERROR**2 * 250 / (64 * 36)), abs=1e-5)
+    assert masked.psnr_plate == pytest.approx(masked.psnr, abs=1e-5)
     error = ssim_map(np.full((64, 36, 3), PLATE), dataset.image(0, 2)).mean(-1)
-    assert (
-        masked["ssim"] == pytest.approx((weight * error).sum() / weight.sum(), abs=1e-6)
-        and masked["ssim"] > whole["ssim"]
-    )
+    assert masked.ssim == pytest.approx((weight * error).sum() / weight.sum(), abs=1e-6) and masked.ssim > whole.ssim
     # nothing moves here; what the board's flicker is to the one camera, its soft row still is to the other
-    assert masked["temporal_l2"] == whole["temporal_l2"] == pytest.approx(1, abs=1e-5)
-    assert scores["images"]["board_share"] == pytest.approx((1 - weight).mean() / 2, abs=1e-6)
+    assert masked.temporal_l2 == whole.temporal_l2 == pytest.approx(1, abs=1e-5)
+    assert scores.images.board_share == pytest.approx((1 - weight).mean() / 2, abs=1e-6)
 
 
 def test_hard_mask_hides_the_board_entirely(board):
@@ -72,9 +69,9 @@ def test_hard_mask_hides_the_board_entirely(board):
     )
     g = random_gaussians(1)
     g.position[:] = [0, 50, 0]
-    row = evaluate(g, Dataset.open(folder))["images"]["pictures"][0]
-    assert row["psnr"] is None or row["psnr"] > 120  # identical up to float32
-    assert row["ssim"] == pytest.approx(1, abs=1e-3) and row["temporal_l2"] is None  # nothing that counts changes
+    row = evaluate(g, Dataset.open(folder)).images.pictures[0]
+    assert row.psnr is None or row.psnr > 120  # identical up to float32
+    assert row.ssim == pytest.approx(1, abs=1e-3) and row.temporal_l2 is None  # nothing that counts changes
 
 
 def test_a_missing_or_wrong_mask_is_named(board):

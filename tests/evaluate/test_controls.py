@@ -5,7 +5,7 @@ import pytest
 
 from gof.evaluate import dve_sequence
 from gof.evaluate.controls import CONTROLS, skill
-from gof.evaluate.dve import probe, weighted_sums
+from gof.evaluate.dve_frame import probe, weighted_sums
 from tests.evaluate.analytic import Analytic, Sequence, make_gaussians
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from gof.errors import DataFormatError, GofError, NonFiniteError
 from gof.evaluate import dve, dve_sequence
-from gof.evaluate.dve import CULL_SHARE, Samples, Sums, _sum, probe, sanity_warnings, weighted_sums
+from gof.evaluate.dve_frame import CULL_SHARE, Samples, Sums, _sum, probe, weighted_sums
+from gof.evaluate.sequence import sanity_warnings
 from gof.fields import VelocityField, VelocitySequence
 from tests.evaluate.analytic import Analytic, Sequence, covariance, make_gaussians, waves
 
@@ -252,9 +253,8 @@ def test_undefined_frames_are_skipped_in_the_mean_and_counted():
     sequence = Sequence([0.0, 0.5, 40.0], lambda t: Analytic(np.zeros_like if t == 0 else np.ones_like))
     score = dve_sequence(g, sequence)
     assert [bool(f.undefined) for f in score.frames] == [True, False, True] and score.spread("l2")[2] == 1
-    d = score.to_dict()
-    assert d["frames_scored"] == 1 and d["frames"][0]["l2"] is None and "zero" in d["frames"][0]["undefined"]
-    assert "weight" in d["frames"][2]["undefined"]
+    assert score.frames[0].l2 is None and "zero" in score.frames[0].undefined
+    assert "weight" in score.frames[2].undefined
 
 
 def test_missing_frames_and_foreign_clocks(tmp_path):

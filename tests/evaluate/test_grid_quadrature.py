@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from gof.evaluate import quadrature
+from gof.evaluate.expectation import COMPILED_FROM, expected_velocity
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
-from gof.evaluate.quadrature import expected_velocity, expected_velocity_plain
+from gof.evaluate.quadrature import expected_velocity_plain
 from gof.fields import VelocityField
 from tests.evaluate.analytic import make_gaussians
 
@@ -92,7 +93,7 @@ def test_many_gaussians_on_a_grid_take_the_compiled_path(monkeypatch):
         "gof.evaluate.grid_quadrature.expected_velocity_on_grid",
         lambda *a: called.append(len(a[1])) or expected_velocity_on_grid(*a),
     )
-    g = make_gaussians(quadrature.COMPILED_FROM // 27 + 1)
+    g = make_gaussians(COMPILED_FROM // 27 + 1)
     expected_velocity(field(), *shape_of(g))
     expected_velocity(field(), *shape_of(g[:10]))
     assert called == [len(g)]

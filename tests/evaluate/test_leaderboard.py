@@ -6,15 +6,19 @@ import json
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gof.commands.evaluate import main as evaluate_main
+from gof.commands.leaderboard import main
+from gof.costs import Costs, StageCost
 from gof.errors import DataFormatError
-from gof.evaluate.leaderboard import best_rows, collect, main, pareto, to_csv, to_markdown
+from gof.evaluate.leaderboard import Leaderboard, best_rows, collect, pareto, rows_of, to_csv, to_markdown
 from gof.evaluate.streams import draw, max_projection, streamlines, volume, x_slice
 from gof.gaussians import TransientGaussians
+from gof.io.records import read_record, write_record
 from tests.evaluate.synthetic_flame import flame_dataset
 
 
@@ -41,29 +45,17 @@ def results(tmp_path_factory):
             == 0
         )
     (folder / "exact/method.json").write_text(json.dumps({"name": "Exact | <b>method</b>", "train_seconds": 100}))
-    (folder / "slow/costs.json").write_text(
-        json.dumps(
-            {
-                "schema": "gof-costs",
-                "version": 1,
-                "stages": [{"name": "a", "seconds": 4.5}, {"name": "b", "seconds": 5.5}],
-            }
-        )
-    )
+    write_record(folder / "slow/costs.json", Costs((StageCost("a", 4.5, 0.0), StageCost("b", 5.5, 0.0))))
     (folder / "gone/result.npz").unlink()
     return folder
 
 
 def test_rows(results):
-    rows = collect([results / n for n in ("exact", "slow", "gone")])
+    rows = rows_of(collect([results / n for n in ("exact", "slow", "gone")]))
     exact, slow, gone = rows[:3]
-    assert exact["name"].startswith("Exact") and (exact["train_s"], slow["train_s"], gone["train_s"]) == (100, 10, None)
-    assert (
-        exact["l2"] < 0.02 < slow["l2"]
-        and slow["speed_ratio"] == pytest.approx(0.5, abs=0.02)
-        and exact["evaluate_s"] > 0
-    )
-    assert [r["name"] for r in rows[3:]] == [
+    assert exact.name.startswith("Exact") and (exact.train_s, slow.train_s, gone.train_s) == (100, 10, None)
+    assert exact.l2 < 0.02 < slow.l2 and slow.speed_ratio == pytest.approx(0.5, abs=0.02) and exact.evaluate_s > 0
+    assert [r.name for r in rows[3:]] == [
         f"control: {n}" for n in ("zero", "random", "shuffled", "constant", "height_mean", "true_centre")
     ]
     best = best_rows(rows)
@@ -73,13 +65,13 @@ def test_rows(results):
 
 
 def test_tables(results):
-    rows = collect([results / n for n in ("exact", "slow")])
+    rows = rows_of(collect([results / n for n in ("exact", "slow")]))
     table = list(csv.DictReader(io.StringIO(to_csv(rows))))
-    assert float(table[1]["l2"]) == rows[1]["l2"] and table[2]["control"] == "1" and table[0]["psnr"] == ""
+    assert float(table[1]["l2"]) == rows[1].l2 and table[2]["control"] == "1" and table[0]["psnr"] == ""
     lines = to_markdown(rows).splitlines()
     assert (
         lines[2].startswith("| Exact \\| ")
-        and f"**{rows[0]['l2']:.3f}**" in lines[2]
+        and f"**{rows[0].l2:.3f}**" in lines[2]
         and "*control: zero*" in lines[4]
         and "PSNR" not in lines[0]
     )
@@ -151,7 +143,7 @@ def test_page(results, capsys):
     assert "A &lt;board&gt;" in page and "Exact | &lt;b&gt;method" in page
     assert not re.search(r'<(script|link|img)[^>]+(src|href)="(?!data:)', page)  # nothing is loaded from elsewhere
     assert page.count('<img src="data:image/png;base64') == 8 and page.count('class="plotly-graph-div"') == 2
-    assert json.loads((out / "leaderboard.json").read_text())["schema"] == "gof-leaderboard"
+    assert read_record(Leaderboard, out / "leaderboard.json").rows == tuple(rows_of(collect([*map(Path, arguments)])))
     assert (out / "leaderboard.csv").is_file() and (out / "leaderboard.md").is_file()
 
 

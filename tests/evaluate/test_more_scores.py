@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gof.commands.evaluate import Extras, evaluate
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError, MissingDependencyError, NonFiniteError
+from gof.evaluate import Extras, evaluate
 from gof.evaluate.depth import read_depth, rmse_depth
 from gof.evaluate.image import temporal_l2
 from gof.evaluate.perceptual import HEADS, LAYERS, TRUNK, flip, lpips
@@ -160,14 +160,14 @@ def test_all_of_them_in_evaluate(tmp_path, weights):
                 2 * render(truth, c, float(dataset.times_s[k]))["depth"] + 1,
             )
     scores = evaluate(truth, dataset, extras=Extras(weights, tmp_path / "depth"))
-    assert scores["rmse_depth"] < 1e-4 and scores["lpips"] < scores["lpips_plate"] / 5
-    assert scores["temporal_l2"] < 0.1 and scores["temporal_l2_plate"] == 1
+    assert scores.rmse_depth < 1e-4 and scores.lpips < scores.lpips_plate / 5
+    assert scores.temporal_l2 < 0.1 and scores.temporal_l2_plate == 1
     still = type(truth)(
         **{n: getattr(truth, n) for n in truth.__dataclass_fields__}
         | {"velocity": 0 * truth.velocity, "t_sigma": np.full(len(truth), np.inf)}
     )
     frozen = evaluate(still, dataset)
-    assert frozen["temporal_l2"] == pytest.approx(1, abs=1e-3) and any("LPIPS" in a for a in frozen["images"]["absent"])
+    assert frozen.temporal_l2 == pytest.approx(1, abs=1e-3) and any("LPIPS" in a for a in frozen.images.absent)
     (tmp_path / "depth" / dataset.cameras[0].name / "000004.npy").unlink()
     with pytest.raises(DataFormatError, match=r"000004\.npy"):
         read_depth(tmp_path / "depth", dataset.cameras[0].name, 4)

@@ -14,8 +14,8 @@ pytest.importorskip("torch")
 
 from gof.cli import main
 from gof.fields import VelocityField
-from gof.io.importers import Trajectory
-from gof.io.importers.similarity import normalisation
+from gof.io.importers.normalisation import normalisation
+from gof.trajectory import Trajectory
 from tests.conftest import arc, write_dataset
 from tests.io import lookalikes
 from tests.io.lookalikes import logistic, yang_covariance

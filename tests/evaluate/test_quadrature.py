@@ -7,8 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gof.errors import GofError
-from gof.evaluate.quadrature import CHUNK_POINTS, ORDERS, expected_velocity, product_rule, rotation_matrices
+from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.quadrature import CHUNK_POINTS, ORDERS, product_rule
 from gof.fields import VelocityField
+from gof.rotations import rotation_matrices
 from tests.evaluate.analytic import Analytic, covariance, make_gaussians, waves
 
 

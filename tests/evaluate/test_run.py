@@ -1,13 +1,15 @@
 """`gof evaluate` on a synthetic flame: truth pictures drawn from known Gaussians in a known flow."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gof.commands.evaluate import evaluate, main
+from gof.commands.evaluate import main
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
+from gof.evaluate import Scores, evaluate
 from gof.gaussians import TransientGaussians
 from tests.evaluate.synthetic_flame import flame_dataset
 
@@ -26,34 +28,31 @@ def changed(g: TransientGaussians, **fields) -> TransientGaussians:
 def test_the_truth_scores_perfectly(flame):
     _, dataset, truth = flame
     scores = evaluate(truth, dataset)
-    assert scores["dve"]["l2"] < 0.02 and scores["dve"]["cos_sim"] > 0.999  # what remains is the grid's interpolation
-    assert scores["dve"]["frames_scored"] == len(dataset.times_s) and scores["dve"]["order"] == 3
-    assert scores["psnr_flame"] > 45 and scores["ssim_flame"] > 0.99  # 8-bit rounding
-    assert scores["psnr_flame_plate"] < 30 and scores["psnr_flame"] > scores["psnr_flame_plate"] + 15
-    assert scores["psnr_plate"] > scores["psnr_flame_plate"]  # most of the picture has no flame
-    assert scores["images"]["count"] == 2 * len(dataset.test_frames)
-    assert set(scores["costs"]) == {"load", "dve", "render", "images"} and scores["warnings"] == []
-    json.dumps(scores, allow_nan=False)
+    assert scores.dve.l2 < 0.02 and scores.dve.cos_sim > 0.999  # what remains is the grid's interpolation
+    assert scores.dve.frames_scored == len(dataset.times_s) and scores.dve.order == 3
+    assert scores.psnr_flame > 45 and scores.ssim_flame > 0.99  # 8-bit rounding
+    assert scores.psnr_flame_plate < 30 and scores.psnr_flame > scores.psnr_flame_plate + 15
+    assert scores.psnr_plate > scores.psnr_flame_plate  # most of the picture has no flame
+    assert scores.images.count == 2 * len(dataset.test_frames)
+    assert set(scores.costs) == {"load", "dve", "render", "images"} and scores.warnings == ()
 
 
 def test_worse_results_score_worse_in_what_they_get_wrong(flame):
     _, dataset, truth = flame
     right = evaluate(truth, dataset)
     slow = evaluate(changed(truth, velocity=0.5 * truth.velocity), dataset, images=False)
-    assert slow["dve"]["l2"] == pytest.approx(0.5, abs=0.05) and slow["dve"]["speed_ratio"] == pytest.approx(
-        0.5, abs=0.05
-    )
-    assert slow["dve"]["cos_sim"] > 0.99 and "psnr" not in slow and "render" not in slow["costs"]
+    assert slow.dve.l2 == pytest.approx(0.5, abs=0.05) and slow.dve.speed_ratio == pytest.approx(0.5, abs=0.05)
+    assert slow.dve.cos_sim > 0.99 and slow.images is None and slow.psnr is None and "render" not in slow.costs
     dim = evaluate(changed(truth, opacity=0.3 * truth.opacity), dataset)
-    assert dim["psnr_flame"] < right["psnr_flame"] - 10
-    assert dim["dve"]["l2"] == pytest.approx(right["dve"]["l2"], abs=1e-4)  # a common factor of the weights cancels
+    assert dim.psnr_flame < right.psnr_flame - 10
+    assert dim.dve.l2 == pytest.approx(right.dve.l2, abs=1e-4)  # a common factor of the weights cancels
 
 
 def test_own_static_background_replaces_the_plate(flame):
     _, dataset, truth = flame
     static = changed(truth[:1], dynamic=np.zeros(1, bool), opacity=np.full(1, 1e-3))
     scores = evaluate(TransientGaussians.concatenate([truth, static]), dataset)
-    assert scores["psnr"] < evaluate(truth, dataset)["psnr"] - 10  # drawn over black: the background is missing
+    assert scores.psnr < evaluate(truth, dataset).psnr - 10  # drawn over black: the background is missing
 
 
 def test_a_set_without_dynamic_gaussians_is_an_error(flame):
@@ -72,9 +71,9 @@ def test_command_line(flame, capsys):
     )
     printed = capsys.readouterr().out
     assert "CosSim" in printed and "control: constant" in printed and "plate" in printed
-    scores = json.loads((out / "scores.json").read_text())
-    assert scores == json.loads(extra.read_text())
-    assert {"zero", "random", "constant"} <= set(scores["controls"]) and scores["dve"]["l2"] < 0.02
+    scores = Scores.read(out / "scores.json")
+    assert scores == Scores.read(extra)
+    assert {"zero", "random", "constant"} <= set(scores.controls) and scores.dve.l2 < 0.02
     with pytest.raises(DataFormatError):
         main([str(folder / "nothing.npz"), "--truth", str(folder / "data")])
 
@@ -82,24 +81,22 @@ def test_command_line(flame, capsys):
 def test_without_velocity_truth_or_masks(tmp_path):
     truth = flame_dataset(tmp_path / "real", velocity=False, masks=False)
     scores = evaluate(truth, Dataset.open(tmp_path / "real"))
-    assert scores["dve"] is None and scores["controls"] == {} and "no true velocity" in scores["warnings"][0]
-    assert scores["psnr"] > 45 and scores["psnr_flame"] is None and scores["psnr_flame_plate"] is None
+    assert scores.dve is None and scores.controls == {} and "no true velocity" in scores.warnings[0]
+    assert scores.psnr > 45 and scores.psnr_flame is None and scores.psnr_flame_plate is None
 
 
 def test_other_methods_through_the_whole_path(flame, tmp_path):
     """FTGS-PLY, a trajectory at half steps, and a result in another world with its cameras: all score as the original."""
-    from gof.io.importers import ImportOptions, Trajectory
+    from gof.io.importers import ImportOptions
     from gof.io.importers.freetime import save
-    from gof.io.importers.similarity import transformed
+    from gof.trajectory import Trajectory
 
     _, dataset, truth = flame
     original = evaluate(truth, dataset)
     times = dataset.times_s
     ftgs = evaluate(save(truth, tmp_path / "a.ftgs.ply", times[0], times[-1], len(times)), dataset)
-    assert ftgs["import"]["method"] == "freetime" and ftgs["dve"]["l2"] == pytest.approx(
-        original["dve"]["l2"], abs=1e-4
-    )
-    assert ftgs["psnr"] == pytest.approx(original["psnr"], abs=0.2)
+    assert ftgs.import_.method == "freetime" and ftgs.dve.l2 == pytest.approx(original.dve.l2, abs=1e-4)
+    assert ftgs.psnr == pytest.approx(original.psnr, abs=0.2)
 
     steps = np.arange(times[0], times[-1] + 1e-9, (times[1] - times[0]) / 2)
     states = [truth.at(t) for t in steps]
@@ -112,12 +109,12 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
         color=truth.color,
     ).save(tmp_path / "t.npz")
     sampled = evaluate(tmp_path / "t.npz", dataset)
-    assert sampled["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=2e-3) and sampled["psnr"] == pytest.approx(
-        original["psnr"], abs=0.1
+    assert sampled.dve.l2 == pytest.approx(original.dve.l2, abs=2e-3) and sampled.psnr == pytest.approx(
+        original.psnr, abs=0.1
     )
-    assert set(sampled["controls"]) == set(original["controls"])
+    assert set(sampled.controls) == set(original.controls)
     for name in ("zero", "constant", "height_mean", "true_centre", "shuffled"):
-        assert sampled["controls"][name]["l2"] == pytest.approx(original["controls"][name]["l2"], abs=2e-2)
+        assert sampled.controls[name].l2 == pytest.approx(original.controls[name].l2, abs=2e-2)
 
     own_world = np.eye(4)
     own_world[:3, :3] = 0.4 * np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0.0]])
@@ -129,19 +126,19 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
         pose[:3, :3] /= 0.4
         cameras[c.name] = np.linalg.inv(pose).tolist()
     (tmp_path / "cameras.json").write_text(json.dumps(cameras))
-    transformed(truth, own_world).save(tmp_path / "elsewhere.npz")
+    truth.transformed(own_world).save(tmp_path / "elsewhere.npz")
     lost = evaluate(tmp_path / "elsewhere.npz", dataset, images=False)
-    assert lost["dve"]["weight_outside"] == pytest.approx(1) and "world" in lost["warnings"][0]
+    assert lost.dve.weight_outside == pytest.approx(1) and "world" in lost.warnings[0]
     aligned = evaluate(tmp_path / "elsewhere.npz", dataset, align=tmp_path / "cameras.json")
-    np.testing.assert_allclose(aligned["import"]["alignment"]["matrix"], inverse, atol=1e-6)
-    assert aligned["import"]["alignment"]["position_rms_m"] < 1e-6
-    assert aligned["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-3) and aligned["psnr"] == pytest.approx(
-        original["psnr"], abs=0.1
+    np.testing.assert_allclose(aligned.import_.alignment.matrix, inverse, atol=1e-6)
+    assert aligned.import_.alignment.position_rms_m < 1e-6
+    assert aligned.dve.l2 == pytest.approx(original.dve.l2, abs=1e-3) and aligned.psnr == pytest.approx(
+        original.psnr, abs=0.1
     )
     with pytest.raises(DataFormatError, match="--time-unit"):
         evaluate(
             tmp_path / "a.ftgs.ply",
-            Dataset(dataset.path, dataset.meta, dataset.cameras, dataset.times_s[:1]),
+            replace(dataset, times_s=dataset.times_s[:1]),
             foreign=ImportOptions(),
         )
 
@@ -183,7 +180,7 @@ def test_a_checkpoint_of_the_papers_code_through_the_whole_path(flame, tmp_path)
     )
     (tmp_path / "scale_bounds.json").write_text(json.dumps({"dynamic_scale_min": low, "dynamic_scale_max": high}))
     original, got = evaluate(truth, dataset), evaluate(tmp_path, dataset)
-    assert got["import"]["method"] == "authors" and got["dve"]["l2"] == pytest.approx(original["dve"]["l2"], abs=1e-4)
-    assert got["dve"]["cos_sim"] == pytest.approx(original["dve"]["cos_sim"], abs=1e-5) and got[
-        "psnr"
-    ] == pytest.approx(original["psnr"], abs=0.05)
+    assert got.import_.method == "authors" and got.dve.l2 == pytest.approx(original.dve.l2, abs=1e-4)
+    assert got.dve.cos_sim == pytest.approx(original.dve.cos_sim, abs=1e-5) and got.psnr == pytest.approx(
+        original.psnr, abs=0.05
+    )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gof.evaluate.closed_forms import abc, gaussian_vortex, linear, taylor_green
-from gof.evaluate.quadrature import rotation_matrices
+from gof.rotations import rotation_matrices
 from gof_benchmark.studies.dve import gaussians, main
 
 

@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 
 from gof.errors import DataFormatError, GofError, MissingDependencyError, NonFiniteError
-from gof.evaluate.video import CHANNELS, HEADS, TRUNK, available, cgvqm, clip_length, trunk_shapes
+from gof.evaluate.video import CHANNELS, HEADS, TRUNK, VideoQuality, available, clip_length, trunk_shapes
 
 torch = pytest.importorskip("torch")
 nn = torch.nn
+
+
+def cgvqm(frames, pair, clip, weights, name="cgvqm_2"):
+    """Quality of a video whose frame k and its truth are pair(k)."""
+    video = VideoQuality([name], clip, weights)
+    for k in range(frames):
+        video.add(*pair(k))
+    return video.scores()[name]
 
 
 def convolution(before, after, kernel, stride, padding, *rest):
@@ -103,6 +111,32 @@ def test_against_the_network_built_from_modules(model, name):
     assert cgvqm(6, lambda k: (truth[k], truth[k]), 3, folder, name) == 100
 
 
+def test_all_heads_in_one_pass_as_each_alone(model):
+    folder, _ = model
+    rng = np.random.default_rng(2)
+    video, truth = rng.random((2, 5, 16, 16, 3))
+    together = VideoQuality(list(HEADS), 2, folder)
+    for image, true in zip(video, truth, strict=True):
+        together.add(image, true)
+    alone = {name: cgvqm(5, lambda k: (video[k], truth[k]), 2, folder, name) for name in HEADS}
+    assert together.scores() == pytest.approx(alone, rel=1e-6) and alone["cgvqm_2"] != alone["cgvqm_5"]
+
+
+def test_every_frame_is_drawn_once_for_all_scores(model, tmp_path, monkeypatch):
+    """Held-out pictures, the change to the next frame and two CGVQMs look at the same drawings."""
+    from gof import render
+    from gof.dataset import Dataset
+    from gof.evaluate import Extras, evaluate
+    from tests.evaluate.synthetic_flame import flame_dataset
+
+    truth = flame_dataset(tmp_path / "data", velocity=False)
+    dataset, draw, drawn = Dataset.open(tmp_path / "data"), render.render, []
+    monkeypatch.setattr(render, "render", lambda g, c, t, **k: drawn.append((c.name, t)) or draw(g, c, t, **k))
+    scores = evaluate(truth, dataset, extras=Extras(model[0]))
+    assert scores.cgvqm_2 is not None and scores.cgvqm_5 is not None and scores.temporal_l2 is not None
+    assert sorted(drawn) == sorted((c.name, t) for c in dataset.cameras for t in dataset.times_s.tolist())
+
+
 def test_sizes_that_do_not_divide_are_padded_with_the_last_value(model):
     """9 frames in clips of 4, 18 x 11 px in patches of 4 x 2: as if the last frame, row and column were repeated."""
     folder, network = model
@@ -181,8 +215,8 @@ def test_in_evaluate_with_the_board_faded_out(model, tmp_path):
 
     import cv2
 
-    from gof.commands.evaluate import Extras, evaluate
     from gof.dataset import Dataset
+    from gof.evaluate import Extras, evaluate
     from tests.evaluate.synthetic_flame import flame_dataset
 
     folder, _ = model
@@ -192,8 +226,8 @@ def test_in_evaluate_with_the_board_faded_out(model, tmp_path):
         os.link(folder / name, tmp_path / "weights" / name)
     extras = Extras(tmp_path / "weights")
     clean = evaluate(truth, Dataset.open(tmp_path / "data"), extras=extras)
-    assert clean["cgvqm_2"] > 95 and "cgvqm_5" not in clean and clean["costs"]["video"] > 0
-    assert any(TRUNK not in reason and "LPIPS" in reason for reason in clean["images"]["absent"])
+    assert clean.cgvqm_2 > 95 and clean.cgvqm_5 is None and clean.costs["video"] > 0
+    assert any(TRUNK not in reason and "LPIPS" in reason for reason in clean.images.absent)
     meta = json.loads((tmp_path / "data/dataset.json").read_text())
     for camera in meta["cameras"]:
         camera["board_mask"] = f"cameras/{camera['name']}/board_mask.png"
@@ -208,4 +242,4 @@ def test_in_evaluate_with_the_board_faded_out(model, tmp_path):
     noisy = evaluate(truth, Dataset.open(tmp_path / "data"), extras=extras)
     (tmp_path / "data/dataset.json").write_text(json.dumps(meta))
     masked = evaluate(truth, Dataset.open(tmp_path / "data"), extras=extras)
-    assert noisy["cgvqm_2"] < 95 < masked["cgvqm_2"]
+    assert noisy.cgvqm_2 < 95 < masked.cgvqm_2

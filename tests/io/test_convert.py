@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from gof.commands.convert import main
 from gof.errors import DataFormatError
-from gof.io.convert import main
-from gof.io.importers import ImportOptions, Trajectory, read_result
+from gof.io.importers import ImportOptions, read_result
+from gof.trajectory import Trajectory
 
 lookalikes = pytest.importorskip("tests.io.lookalikes", reason="PyTorch writes the look-alikes")
 

@@ -4,19 +4,23 @@ import base64
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from gof.commands.evaluate import evaluate
+from gof.commands.report import main
 from gof.costs import StageLog
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
+from gof.evaluate import evaluate
+from gof.evaluate.scores import FrameScore, Scores
 from gof.gaussians import TransientGaussians
-from gof.io.files import write_json
-from gof.report import Preview, build_report, main
-from gof.report.page import verdicts
+from gof.reconstruct.captions import Caption, Captions
+from gof.report import Preview, build_report
+from gof.report.chart import l2_chart
+from gof.report.verdicts import verdicts
 from tests.evaluate.synthetic_flame import flame_dataset
 
 
@@ -28,12 +32,12 @@ def out(tmp_path_factory):
     (out / "reconstruct/stages").mkdir(parents=True)
     truth.save(out / "reconstruct/result.npz")
     Image.fromarray(np.full((30, 40, 3), 90, np.uint8)).save(out / "reconstruct/stages/1_masks.png")
-    write_json(out / "reconstruct/stages/captions.json", {"1_masks.png": "Motion <masks> & flow"})
+    Captions((Caption("1_masks.png", "Motion <masks> & flow"),)).write(out / "reconstruct/stages")
     StageLog(out / "dataset/costs.json").record("render", 61.5, 800)
     StageLog(out / "reconstruct/costs.json").record("optimize", 122, 1500)
     Image.fromarray(np.full((64, 36, 3), 60, np.uint8)).save(out / "blender.png")
-    write_json(out / "preview.json", {"image": "blender.png", "camera": 1, "frame": 4})
-    write_json(out / "scores.json", evaluate(out / "reconstruct/result.npz", Dataset.open(out / "dataset")))
+    Preview("blender.png", 1, 4).write(out / "preview.json")
+    evaluate(out / "reconstruct/result.npz", Dataset.open(out / "dataset")).write(out / "scores.json")
     assert main([str(out)]) == 0
     return out
 
@@ -108,7 +112,7 @@ def test_frames_in_which_nothing_lives(tmp_path):
     result = short.save(tmp_path / "result.npz")
     dataset = Dataset.open(tmp_path / "data")
     scores = evaluate(result, dataset)
-    assert scores["dve"]["frames_scored"] == 1
+    assert scores.dve.frames_scored == 1
     assert build_report(tmp_path, dataset, result, scores).exists()
 
 
@@ -121,31 +125,42 @@ def test_missing_pieces_are_named(out, tmp_path):
             tmp_path,
             dataset,
             out / "reconstruct/result.npz",
-            json.loads((out / "scores.json").read_text()),
-            preview=Preview(tmp_path / "none.png", 0, 0),
+            Scores.read(out / "scores.json"),
+            preview=Preview("none.png", 0, 0),
         )
 
 
-def test_verdicts_say_when_a_score_is_bad():
-    def scores(l2, cos, psnr):
-        other = {"zero": (1.0, 0.0), "random": (1.4, 0.0), "constant": (0.5, 0.9), "height_mean": (0.4, 0.9)}
-        return {
-            "dve": {"l2": l2, "cos_sim": cos, "speed_ratio": l2},
-            "psnr_flame": psnr,
-            "psnr_flame_plate": 20.0,
-            "controls": {k: {"l2": a, "cos_sim": b} for k, (a, b) in other.items()},
-        }
+def test_verdicts_say_when_a_score_is_bad(out):
+    found = Scores.read(out / "scores.json")
+    others = {"zero": (1.0, 0.0), "random": (1.4, 0.0), "constant": (0.5, 0.9), "height_mean": (0.4, 0.9)}
+    controls = {name: replace(found.controls[name], l2=a, cos_sim=b) for name, (a, b) in others.items()}
 
-    good, bad, mixed = verdicts(scores(0.3, 0.95, 25)), verdicts(scores(1.5, -0.2, 18)), verdicts(scores(0.45, 0.8, 25))
-    assert (
-        [g for g, _ in good[:4]] == [True] * 4
-        and "Better than standing still" in good[0][1]
-        and "5.0 dB above" in good[-1][1]
-    )
-    assert (
-        [g for g, _ in bad] == [False] * 6
-        and "Not better than standing still" in bad[0][1]
-        and "2.0 dB below" in bad[-1][1]
-    )
-    assert mixed[2] == (False, mixed[2][1]) and "Closer in size, not in direction" in mixed[2][1]
-    assert verdicts({"dve": None, "controls": {}, "psnr_flame": None}) == []
+    def sentences(l2, cos_sim, psnr):
+        dve = replace(found.dve, l2=l2, cos_sim=cos_sim, speed_ratio=l2)
+        return verdicts(replace(found, dve=dve, controls=controls, psnr_flame=psnr, psnr_flame_plate=20.0))
+
+    good, bad, mixed = sentences(0.3, 0.95, 25), sentences(1.5, -0.2, 18), sentences(0.45, 0.8, 25)
+    assert [v.good for v in good[:4]] == [True] * 4
+    assert "Better than standing still" in good[0].sentence and "5.0 dB above" in good[-1].sentence
+    assert [v.good for v in bad] == [False] * 6
+    assert "Not better than standing still" in bad[0].sentence and "2.0 dB below" in bad[-1].sentence
+    assert not mixed[2].good and "Closer in size, not in direction" in mixed[2].sentence
+    assert verdicts(replace(found, dve=None, controls={}, psnr_flame=None)) == []
+
+
+def test_the_chart_has_a_gap_where_a_frame_has_no_score(out):
+    found = Scores.read(out / "scores.json")
+    frames = [FrameScore(time_s, l2, 1.0, 1, "") for time_s, l2 in ((1.0, 0.5), (1.1, None), (1.2, 1.0), (1.4, 2.0))]
+    chart = l2_chart(replace(found, dve=replace(found.dve, frames=tuple(frames))))
+    # 600 x 185: time from x = 40 to 590; L2 from y = 165 upwards, 150 for 1.1 times the largest
+    assert chart.lines == ["40.0,130.9", "315.0,96.8 590.0,28.6"] and chart.end_ms == 400
+    assert (chart.zero, chart.one) == (165.0, 96.8)
+    assert l2_chart(replace(found, dve=replace(found.dve, frames=tuple(frames[:2])))) is None
+
+
+def test_scores_of_an_older_version_are_refused_with_the_remedy(out, tmp_path):
+    content = json.loads((out / "scores.json").read_text())
+    del content["schema"], content["version"]  # as before they were a record
+    (tmp_path / "scores.json").write_text(json.dumps(content))
+    with pytest.raises(DataFormatError, match=r"scores\.json: not schema 'gof-scores' version 1; run 'gof evaluate"):
+        main([str(tmp_path)])

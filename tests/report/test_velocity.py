@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gof.report.velocity import MIN_ALPHA, ScreenVelocity, direction_colors, draw, legend, living, screen_velocity
+from gof.direction_colors import direction_colors
+from gof.report.velocity import MIN_ALPHA, ScreenVelocity, draw, legend, living, screen_velocity
 from tests.conftest import arc
 from tests.evaluate.analytic import make_gaussians
 
@@ -40,16 +41,21 @@ def test_replacing_the_velocity_moves_nothing():
     np.testing.assert_allclose(own.flow, -other.flow, atol=1e-3)
 
 
-def test_opacity_weighted_mean_of_two():
+@pytest.mark.parametrize("moving", [0, 1], ids=["front", "back"])
+def test_opacity_weighted_mean_of_two(moving):
+    """One moves, one is still: the mean over the ray weighs the front one by its alpha, the back one by what is left."""
     camera = arc(1)[0]
-    g = blob(2, velocity=[[2.0, 0, 0], [0, 0, 0]])
+    g = blob(2)
+    g.velocity[:] = 0
+    g.velocity[moving, 0] = 2.0
+    g.position[1] += 0.05 * (g.position[1] - camera.position)  # behind the first, on the same line of sight
     drawn = screen_velocity(g, camera, 0.5)
-    alone = screen_velocity(g[:1], camera, 0.5)
-    i = np.unravel_index(alone.alpha.argmax(), alone.alpha.shape)
-    a = alone.alpha[i]
-    front = a / (a + a * (1 - a))  # share of the first of two equal layers; the second one has the rest
-    share = drawn.flow[i][0] / alone.flow[i][0]
-    assert share == pytest.approx(front, abs=0.02) or share == pytest.approx(1 - front, abs=0.02)
+    single = [screen_velocity(g[k : k + 1], camera, 0.5) for k in range(2)]
+    i = np.unravel_index(single[0].alpha.argmax(), single[0].alpha.shape)
+    front, back = (s.alpha[i] for s in single)
+    weight = [front, back * (1 - front)]
+    share = drawn.flow[i][0] / single[moving].flow[i][0]
+    assert share == pytest.approx(weight[moving] / sum(weight), abs=1e-3)
 
 
 def test_nothing_to_draw_and_behind_the_camera():

@@ -84,7 +84,7 @@ def _free_time_npz(folder: Path) -> None:
 
 
 def _trajectory(folder: Path) -> None:
-    from gof.io.importers import Trajectory
+    from gof.trajectory import Trajectory
 
     rng = np.random.default_rng(0)
     Trajectory(
@@ -100,7 +100,7 @@ def _still_plys(folder: Path) -> None:
     from gof.io.ply import splat_columns, write
 
     for number in range(3):
-        write(folder / f"{number:03d}.ply", splat_columns(_gaussians(5)), [])
+        write(folder / f"{number:03d}.ply", splat_columns(_gaussians(5).arrays()), [])
 
 
 def _checkpoint(folder: Path) -> None:
@@ -225,8 +225,7 @@ def _exr(folder: Path) -> None:
 
 
 def _spec(folder: Path) -> None:
-    from gof_blender.pure import spec
-    from gof_blender.scene import effects
+    from gof_blender.pure import effects, spec
 
     scene = spec.SceneSpec("sample", effects=tuple(effects.module(name).Settings() for name in effects.names()))
     spec.save(scene, folder / "spec.json")
@@ -308,13 +307,15 @@ def _read_flame(folder: Path):
 
 
 def _read_colmap(folder: Path):
-    from gof.io.importers.similarity import decompose, read_cameras, world_from_training
+    from gof.io.importers.alignment import read_cameras
+    from gof.io.importers.normalisation import world_from_training
+    from gof.similarity import decompose
 
     return read_cameras(folder), decompose(world_from_training(folder))
 
 
 def _read_poses(folder: Path):
-    from gof.io.importers.similarity import align_cameras, read_cameras
+    from gof.io.importers.alignment import align_cameras, read_cameras
 
     found = read_cameras(folder / "poses.json")
     return found, align_cameras(

@@ -1,17 +1,14 @@
-"""Other methods' results, read as they are. One module per method, with `matches(source)` and `read(source, options)`."""
+"""Other methods' results as they are: one module per method, with `matches(source)` and `read(source, options)`."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from gof.errors import DataFormatError, GofError
-from gof.gaussians import TransientGaussians
 from gof.io.importers import authors, freetime, own, ply_sequence, unreadable, yang
 from gof.io.importers.source import Imported, ImportOptions, Source
-from gof.trajectory import Trajectory
 
 # in the order in which they are asked; `unreadable` explains what is recognised and has no velocities
 METHODS = {
@@ -23,7 +20,7 @@ METHODS = {
     "unreadable": unreadable,
 }
 
-__all__ = ["METHODS", "ImportOptions", "Imported", "Source", "Trajectory", "detect", "read_result"]
+__all__ = ["METHODS", "ImportOptions", "Imported", "Source", "detect", "read_result"]
 
 
 def detect(source: Source) -> str:
@@ -36,18 +33,22 @@ def detect(source: Source) -> str:
         if module.matches(source):
             return name
     if source.is_checkpoint:
-        value = source.checkpoint
-        found = (
-            f"a tuple of {len(value)}"
-            + (f" with a tuple of {len(value[0])} first" if len(value) and isinstance(value[0], (tuple, list)) else "")
-            if isinstance(value, (tuple, list))
-            else f"a {type(value).__name__}"
-            + (f" with {sorted(map(str, value))[:6]}" if isinstance(value, dict) else "")
+        raise DataFormatError(
+            f"{source.path}: holds {_summary(source.checkpoint)}, which is no layout gof knows (docs/importers.md)"
         )
-        raise DataFormatError(f"{source.path}: holds {found}, which is no layout gof knows (docs/importers.md)")
-    raise DataFormatError(
-        f"{source.path}: no format gof knows; it reads {', '.join(k for k in METHODS if k != 'unreadable')} (docs/importers.md)"
-    )
+    known = ", ".join(name for name in METHODS if name != "unreadable")
+    raise DataFormatError(f"{source.path}: no format gof knows; it reads {known} (docs/importers.md)")
+
+
+def _summary(checkpoint: Any) -> str:
+    """What an unknown checkpoint holds, in words."""
+    if isinstance(checkpoint, dict):
+        return f"a dict with {sorted(map(str, checkpoint))[:6]}"
+    if not isinstance(checkpoint, (tuple, list)):
+        return f"a {type(checkpoint).__name__}"
+    if checkpoint and isinstance(checkpoint[0], (tuple, list)):
+        return f"a tuple of {len(checkpoint)} with a tuple of {len(checkpoint[0])} first"
+    return f"a tuple of {len(checkpoint)}"
 
 
 def read_result(path: str | Path, options: ImportOptions | None = None) -> Imported:
@@ -67,15 +68,6 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
         return METHODS[name].read(source, options or ImportOptions())
     except GofError as e:
         raise e if str(source.path) in str(e) or "scale_bounds" in str(e) else type(e)(f"{source.path}: {e}") from e
-
-
-def life(gaussians: TransientGaussians | Trajectory) -> tuple[float, float]:
-    """First and last second in which anything dynamic lives (3 t_sigma around t_mu); infinite when always on."""
-    if isinstance(gaussians, Trajectory):
-        return float(gaussians.time_s[0]), float(gaussians.time_s[-1])
-    g = gaussians[gaussians.dynamic]
-    reach = 3 * g.t_sigma.astype(np.float64)
-    return float((g.t_mu - reach).min()), float((g.t_mu + reach).max())
 
 
 def _newest_checkpoint(folder: Path) -> Path:

@@ -54,11 +54,11 @@ def is_capture(value, length: int) -> bool:
 
 
 def read(source: Source, options: ImportOptions) -> Imported:
-    """Velocities and times are in milliseconds there (`time_unit_s` overrides); static rows carry meaningless velocities."""
+    """Velocities and times are in milliseconds there (or `time_unit_s`); velocities of static rows mean nothing."""
     if source.path.suffix == ".ply":
         raise DataFormatError(
-            f"{source.path}: this PLY of the paper's code holds no velocities; give the chkpnt*.pth of the same iteration "
-            "(two folders up)"
+            f"{source.path}: this PLY of the paper's code holds no velocities; give the chkpnt*.pth of the same "
+            "iteration (two folders up)"
         )
     (state, iteration), path = source.checkpoint, source.path
     xyz = array(state[1], "xyz", (None, 3), path)

@@ -1,7 +1,7 @@
 """FreeTimeGS (FreeTimeGsVanilla): `ckpt_{step}.pt`, `canonical_4d.npz` and `.ftgs.ply`.
 
-Its time runs from 0 to 1 over the sequence and its world is normalised from the COLMAP model, by a transform it does not
-store; both are undone here. Spec of the PLY: FTGS PLY version 1.
+Its time runs from 0 to 1 over the sequence and its world is normalised from the COLMAP model, by a transform it does
+not store; both are undone here. Spec of the PLY: FTGS PLY version 1.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.files import atomic_path
-from gof.io.importers.similarity import transformed, world_from_training
+from gof.io.importers.normalisation import world_from_training
 from gof.io.importers.source import Imported, ImportOptions, Source, array
 from gof.io.ply import exp, quaternions, sigmoid, splat_columns, write
 
@@ -45,7 +45,8 @@ def read(source: Source, options: ImportOptions) -> Imported:
         values["velocity"] = np.zeros_like(values["velocity"])
         notes.append("trained without velocities")
     notes.append(
-        f"opacities without its floor of 1e-4, which would let every dead Gaussian count; life times at least {MIN_DURATION} of the sequence"
+        "opacities without its floor of 1e-4, which would let every dead Gaussian count; life times at least "
+        f"{MIN_DURATION} of the sequence"
     )
     gaussians = TransientGaussians(
         position=values["position"],
@@ -60,46 +61,23 @@ def read(source: Source, options: ImportOptions) -> Imported:
     )
     if options.world is None:
         notes.append(
-            "its world taken as the dataset's; its trainer normalises the scene, so give the COLMAP model (--world) unless that was undone"
+            "its world taken as the dataset's; its trainer normalises the scene, so give the COLMAP model (--world) "
+            "unless that was undone"
         )
     else:
-        gaussians = transformed(gaussians, world_from_training(options.world))
+        gaussians = gaussians.transformed(world_from_training(options.world))
         notes.append(f"scene normalisation undone with {options.world}")
     return Imported(gaussians, "freetime", source.path, notes)
 
 
 def _from_splats(source: Source) -> tuple[dict, dict]:
-    path = source.path
     if source.is_checkpoint:
-        content = source.checkpoint
-        splats, meta = content["splats"], {k: content[k] for k in ("n_frames", "use_velocity") if k in content}
-        if not isinstance(splats, dict) or set(splats) != SPLATS:
-            found = sorted(splats) if isinstance(splats, dict) else type(splats).__name__
-            raise DataFormatError(
-                f"{path}: splats hold {found}, not the nine of FreeTimeGS vanilla {sorted(SPLATS)}; variants with gates or "
-                "sigmoid durations mean other things by the same names"
-            )
-        get = lambda name, *shape: array(splats[name], name, shape, path)  # noqa: E731
+        splats, meta = _checkpoint_splats(source)
     else:
-        content = source.npz
-        missing = SPLATS - set(content)
-        if missing:
-            raise DataFormatError(f"{path}: fields {sorted(missing)} are missing")
-        meta = {
-            k: content[k].item()
-            for k in ("n_frames", "use_velocity")
-            if k in content and content[k].size == 1 and content[k].dtype.kind in "biuf"
-        }
+        splats, meta = _canonical_splats(source)
 
-        def get(name, *shape):
-            value = content[name]
-            if value.dtype.kind not in "biuf":
-                raise DataFormatError(f"{path}: '{name}' does not hold numbers")
-            if value.ndim != len(shape) or any(
-                b is not None and a != b for a, b in zip(value.shape, shape, strict=True)
-            ):
-                raise DataFormatError(f"{path}: '{name}' has shape {value.shape}, expected {shape}")
-            return value.astype(np.float32)
+    def get(name: str, *shape: int | None) -> np.ndarray:
+        return array(splats[name], name, shape, source.path)
 
     means = get("means", None, 3)
     n = len(means)
@@ -109,10 +87,37 @@ def _from_splats(source: Source) -> tuple[dict, dict]:
         "time": get("times", n, 1)[:, 0],
         "log_duration": get("durations", n, 1)[:, 0],
         "scale": exp(get("scales", n, 3)),
-        "rotation": quaternions(get("quats", n, 4), path),
+        "rotation": quaternions(get("quats", n, 4), source.path),
         "opacity": sigmoid(get("opacities", n)),
         "color": np.concatenate([get("sh0", n, 1, 3), get("shN", n, None, 3)], 1),
     }, meta
+
+
+def _checkpoint_splats(source: Source) -> tuple[dict, dict]:
+    """The nine tensors of `ckpt_{step}.pt` by name, and what it says of the clip."""
+    content = source.checkpoint
+    splats = content["splats"]
+    if not isinstance(splats, dict) or set(splats) != SPLATS:
+        found = sorted(splats) if isinstance(splats, dict) else type(splats).__name__
+        raise DataFormatError(
+            f"{source.path}: splats hold {found}, not the nine of FreeTimeGS vanilla {sorted(SPLATS)}; variants with "
+            "gates or sigmoid durations mean other things by the same names"
+        )
+    return splats, {k: content[k] for k in ("n_frames", "use_velocity") if k in content}
+
+
+def _canonical_splats(source: Source) -> tuple[dict, dict]:
+    """The nine arrays of `canonical_4d.npz` by name, and what it says of the clip."""
+    content = source.npz
+    missing = SPLATS - set(content)
+    if missing:
+        raise DataFormatError(f"{source.path}: fields {sorted(missing)} are missing")
+    meta = {
+        k: content[k].item()
+        for k in ("n_frames", "use_velocity")
+        if k in content and content[k].size == 1 and content[k].dtype.kind in "biuf"
+    }
+    return content, meta
 
 
 def _from_ply(source: Source) -> tuple[dict, dict]:
@@ -120,7 +125,8 @@ def _from_ply(source: Source) -> tuple[dict, dict]:
     words = dict(c.split(maxsplit=1) for c in ply.comments if " " in c)
     if words.get("ftgs_version") != "1" or words.get("time_units") != "normalized":
         raise DataFormatError(
-            f"{source.path}: ftgs_version {words.get('ftgs_version')}, time_units {words.get('time_units')}; expected 1, normalized"
+            f"{source.path}: ftgs_version {words.get('ftgs_version')}, time_units {words.get('time_units')}; expected "
+            "1, normalized"
         )
     try:
         meta = {"use_velocity": words["use_velocity"] == "1", "min_duration": float(words["min_duration"])}
@@ -148,7 +154,7 @@ def _sequence_seconds(path: Path, meta: dict, options: ImportOptions) -> float:
 
 
 def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float, frames: int | None = None) -> Path:
-    """Write `.ftgs.ply` version 1; time start_s..end_s becomes 0..1. Static Gaussians become ones that do not move or fade.
+    """Write `.ftgs.ply` version 1; start_s..end_s becomes 0..1, static Gaussians become ones that do not move or fade.
 
     Raises:
         DataFormatError: start_s >= end_s, no Gaussian, or a path not ending in .ply.
@@ -160,7 +166,7 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
     g, unit = gaussians, end_s - start_s
     forever = ~g.dynamic | np.isinf(g.t_sigma)
     duration = np.where(forever, 1e6, np.clip(g.t_sigma / unit, MIN_DURATION, 1e6))
-    columns = splat_columns(g) | {
+    columns = splat_columns(g.arrays()) | {
         "time": np.where(g.dynamic, (g.t_mu - start_s) / unit, 0.5),
         "log_duration": np.log(duration),
         **{f"velocity_{i}": np.where(g.dynamic, g.velocity[:, i] * unit, 0) for i in range(3)},

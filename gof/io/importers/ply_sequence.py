@@ -1,4 +1,4 @@
-"""A folder of plain 3DGS PLYs, one per time, rows in the same order: what deformation methods (4DGS of Wu et al., Grid4D) export."""
+"""A folder of 3DGS PLYs, one per time, rows in the same order: what deformation methods export (4DGS of Wu, Grid4D)."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def read(source: Source, options: ImportOptions) -> Imported:
     counts = {len(s["position"]) for s in states}
     if len(counts) > 1:
         raise DataFormatError(
-            f"{source.path}: the PLYs hold {min(counts)} to {max(counts)} Gaussians; differences need the same Gaussians, in the "
-            "same order, in every file"
+            f"{source.path}: the PLYs hold {min(counts)} to {max(counts)} Gaussians; differences need the same "
+            "Gaussians, in the same order, in every file"
         )
     time_s = options.time_zero_s + unit * np.array([number for number, _ in files], np.float64)
     try:

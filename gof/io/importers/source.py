@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from gof.errors import DataFormatError, MissingDependencyError
-from gof.gaussians import TransientGaussians
+from gof.gaussians import MovingGaussians
 from gof.io.npz import read_npz
 from gof.io.ply import Ply
-from gof.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,8 @@ class ImportOptions:
         time_unit_s: seconds per unit of the method's time; None = the importer's documented default, or an error.
         time_zero_s: dataset time at the method's time 0.
         frame_time_s: seconds between two frames of the clip (dataset clock); FreeTimeGS and PLY sequences need it.
-        world: what the method's world was made from: a COLMAP model folder, or a JSON file with a 4x4 "training_to_world".
+        world: what the method's world was made from: a COLMAP model folder, or a JSON file with a 4x4
+            "training_to_world".
     """
 
     time_unit_s: float | None = None
@@ -37,7 +37,7 @@ class ImportOptions:
 class Imported:
     """A result in our units, and what had to be assumed to get there."""
 
-    gaussians: TransientGaussians | Trajectory
+    gaussians: MovingGaussians
     method: str
     path: Path
     notes: list[str] = field(default_factory=list)
@@ -84,8 +84,8 @@ class Source:
         except Exception as e:
             if "weights_only" in str(e) or "Unsupported" in str(e) or "GLOBAL" in str(e):
                 raise DataFormatError(
-                    f"{self.path}: holds objects besides tensors and numbers, and reading those would execute code from "
-                    f"the file, which gof never does ({str(e).splitlines()[0][:200]}); export tensors only"
+                    f"{self.path}: holds objects besides tensors and numbers, and reading those would execute code "
+                    f"from the file, which gof never does ({str(e).splitlines()[0][:200]}); export tensors only"
                 ) from e
             raise DataFormatError(
                 f"{self.path}: not a readable PyTorch file ({type(e).__name__}: {str(e)[:120]})"
@@ -101,17 +101,29 @@ class Source:
 
 
 def array(value: Any, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
-    """A tensor of a checkpoint as numpy, with its shape checked; None matches any length."""
-    if not hasattr(value, "detach"):
+    """A tensor of a checkpoint, or an array of an npz, as numpy with its shape checked; None matches any length.
+
+    Floats come as float32; what else there is keeps its type.
+
+    Raises:
+        DataFormatError: no numbers, another shape, NaN or Inf (names the field).
+    """
+    if hasattr(value, "detach"):
+        tensor = value.detach().cpu()
+        value = tensor.float().numpy() if tensor.is_floating_point() else tensor.numpy()
+    elif not isinstance(value, np.ndarray):
         raise DataFormatError(
             f"{path}: '{name}' is a {type(value).__name__}, expected a tensor; another version of the method?"
         )
-    value = value.detach().cpu()
-    out = value.float().numpy() if value.is_floating_point() else value.numpy()
-    if out.ndim != len(shape) or any(b is not None and a != b for a, b in zip(out.shape, shape, strict=True)):
+    elif value.dtype.kind not in "biuf":
+        raise DataFormatError(f"{path}: '{name}' does not hold numbers")
+    else:
+        value = value.astype(np.float32)
+    fits = value.ndim == len(shape) and all(b in (None, a) for a, b in zip(value.shape, shape, strict=True))
+    if not fits:
         raise DataFormatError(
-            f"{path}: '{name}' has shape {out.shape}, expected {tuple('N' if s is None else s for s in shape)}"
+            f"{path}: '{name}' has shape {value.shape}, expected {tuple('N' if s is None else s for s in shape)}"
         )
-    if not np.isfinite(out).all():
+    if not np.isfinite(value).all():
         raise DataFormatError(f"{path}: '{name}' holds NaN or Inf; did the training diverge?")
-    return out
+    return value

@@ -1,4 +1,4 @@
-"""Files that are recognised but cannot give velocities, with what to do instead. Keeps a wrong guess from becoming a wrong score."""
+"""Files that are recognised but have no velocities, with what to do instead: a wrong guess would be a wrong score."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from gof.io.importers.authors import is_capture
 from gof.io.importers.source import Imported, ImportOptions, Source
 
 EXPORT = (
-    "its positions come from a network that only its own code runs; export positions at the frame times and half steps with it, as a "
-    "gof-trajectory npz or a folder of PLYs (docs/importers.md)"
+    "its positions come from a network that only its own code runs; export positions at the frame times and half steps "
+    "with it, as a gof-trajectory npz or a folder of PLYs (docs/importers.md)"
 )
 
 

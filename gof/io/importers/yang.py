@@ -1,7 +1,7 @@
 """4DGS of Yang et al. (fudan-zvg): Gaussians in space-time. Conditioning on time gives everything in closed form.
 
-With the 4D covariance S (index 3 is time): velocity S[:3, 3] / S[3, 3]; spatial covariance S[:3, :3] - S[:3, 3] S[:3, 3]^T / S[3, 3],
-the same at all times; temporal variance S[3, 3].
+With the 4D covariance S (index 3 is time): velocity S[:3, 3] / S[3, 3]; temporal variance S[3, 3]; spatial covariance
+S[:3, :3] - S[:3, 3] S[:3, 3]^T / S[3, 3], the same at all times.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
         path,
         [
             f"iteration {iteration}; one unit of its time taken as {unit:g} s",
-            f"its renderer drops Gaussians while their window is below {MARGINAL_CUT}; here they keep their (small) weight",
+            f"its renderer drops Gaussians while their window is below {MARGINAL_CUT}; here they keep a small weight",
             *colour_note,
         ],
     )
@@ -95,7 +95,7 @@ def principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _peak_color(sh: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Its colours swing as cos(2 pi k dt / duration), k = 0, 1, 2, in blocks of 16; at its peak (dt = 0) a Gaussian shows their sum."""
+    """Colours swing as cos(2 pi k dt / duration), k = 0, 1, 2, in blocks of 16; their sum shows at the peak, dt = 0."""
     if sh.shape[1] in (1, 4, 9, 16):
         return sh, []
     if sh.shape[1] in (32, 48):

@@ -1,0 +1,54 @@
+"""`gof convert`: any known result to our formats, or to FTGS-PLY for the FreeTimeGS players."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+
+from gof.commands.foreign_options import ForeignOptions
+from gof.io.convert import convert
+from gof.io.files import write_json
+from gof.io.importers import read_result
+
+
+@dataclass
+class ConvertConfig:
+    """Read a result of any known method; write .npz (exact), .ply (3DGS attributes, time and velocity) or .ftgs.ply."""
+
+    result: tyro.conf.Positional[Path]
+    """File or folder: ours, the paper's checkpoint, Yang's 4DGS, FreeTimeGS, a folder of PLYs, a trajectory."""
+    out: tyro.conf.Positional[Path]
+    """File to write; the suffix says which format. An existing file is not replaced."""
+    foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    frame_time: float | None = None
+    """Seconds between two frames, for results that count frames."""
+    start: float | None = None
+    """First second of the clip in an .ftgs.ply (time 0); default: when the first Gaussian appears."""
+    end: float | None = None
+    """Last second of the clip in an .ftgs.ply (time 1); default: when the last Gaussian is gone."""
+    json: Path | None = None
+    """File to write what was read and written to."""
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof convert`."""
+    config = tyro.cli(ConvertConfig, prog="gof convert", args=argv)
+    began = time.perf_counter()
+    imported = read_result(config.result, config.foreign.options(config.frame_time))
+    convert(imported, config.out, config.start, config.end, config.frame_time)
+    seconds = time.perf_counter() - began
+    count = len(imported.gaussians)
+    console = Console()
+    console.print(
+        f"{imported.method}: {count} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s"
+    )
+    for note in imported.notes:
+        console.print("note:", note, style="yellow", markup=False, highlight=False)
+    if config.json:
+        done = {"method": imported.method, "gaussians": count, "notes": imported.notes, "out": str(config.out)}
+        write_json(config.json, done | {"seconds": round(seconds, 3)})
+    return 0

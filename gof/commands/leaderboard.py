@@ -1,0 +1,70 @@
+"""`gof leaderboard`: evaluated results side by side, as JSON, CSV, Markdown and one self-contained HTML page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from gof.dataset import Dataset
+from gof.evaluate.leaderboard import COLUMNS, Leaderboard, Row, collect, rows_of, to_csv, to_markdown, used_columns
+from gof.evaluate.leaderboard_page import stream_plots, to_html
+from gof.io.files import atomic_path
+from gof.io.records import write_record
+
+SHOWN = ("l2", "cos_sim", "psnr_flame", "ssim_flame", "train_s")  # columns for the terminal
+
+
+@dataclass
+class LeaderboardConfig:
+    """Evaluated results side by side: table, stream plots of velocity, accuracy against time."""
+
+    folders: tyro.conf.Positional[list[Path]]
+    """Folders with scores.json of gof evaluate; also method.json ("name", "train_seconds") and costs.json, if there."""
+    truth: Path | None = None
+    """Dataset folder: adds stream plots with the truth beside each method."""
+    out: Path = Path("out/leaderboard")
+    """Folder for leaderboard.json, .csv, .md and .html; older ones are replaced."""
+    title: str = "Leaderboard"
+    """Heading of the page."""
+    time: float | None = None
+    """Time of the stream plots in seconds; default the middle frame."""
+    json: Path | None = None
+    """Another file to write the rows to."""
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof leaderboard`."""
+    config = tyro.cli(LeaderboardConfig, prog="gof leaderboard", args=argv)
+    results = collect(config.folders)
+    rows = rows_of(results)
+    streams = stream_plots(results, Dataset.open(config.truth), config.time) if config.truth else []
+    write_record(config.out / "leaderboard.json", Leaderboard(tuple(rows)))
+    if config.json is not None:
+        write_record(config.json, Leaderboard(tuple(rows)))
+    pages = {"csv": to_csv(rows), "md": to_markdown(rows), "html": to_html(rows, streams, config.title)}
+    for suffix, text in pages.items():
+        with atomic_path(config.out / f"leaderboard.{suffix}") as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    console = Console()
+    console.print(_table(config.title, rows))
+    for stream in streams:
+        if stream.reason:
+            note = f"note: no stream plot of {stream.name}: {stream.reason}"
+            console.print(note, style="yellow", markup=False, highlight=False)
+    console.print(f"written to {config.out}/leaderboard.html, .json, .csv, .md")
+    return 0
+
+
+def _table(title: str, rows: list[Row]) -> Table:
+    table = Table(title=title, title_justify="left")
+    shown = [key for key in used_columns(rows) if key in SHOWN]
+    table.add_column("method", no_wrap=True)
+    for key in shown:
+        table.add_column(COLUMNS[key].heading, justify="right")
+    for row in rows:
+        table.add_row(row.name, *(row.text(key) for key in shown), style="dim" if row.control else None)
+    return table

@@ -1,0 +1,153 @@
+"""The leaderboard as one self-contained HTML page: the table, stream plots of velocity, accuracy against time."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError, GofError
+from gof.evaluate.leaderboard import COLUMNS, LOWER, EvaluatedResult, Row, best_rows, pareto, used_columns
+from gof.evaluate.sparse_grid import StoredField
+from gof.evaluate.streams import plots
+from gof.gaussians import MovingGaussians
+from gof.io.importers import ImportOptions, read_result
+
+COLORS = ("#1769aa", "#c2410c", "#15803d", "#7e22ce", "#be123c", "#0e7490", "#854d0e", "#4b5563")
+SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "star", "x", "triangle-down", "hexagon")
+CHARTS = ("l2", "cos_sim", "psnr_flame", "ssim_flame")  # scores that are drawn against the time they took
+
+
+@dataclass(frozen=True)
+class StreamPlots:
+    """Stream plots of a result as data URIs by kind (`streams.plots`), or the `reason` why there are none."""
+
+    name: str
+    time_s: float
+    images: dict[str, str] = field(default_factory=dict)
+    reason: str = ""
+
+
+def stream_plots(
+    results: Sequence[EvaluatedResult], dataset: Dataset, time_s: float | None = None
+) -> list[StreamPlots]:
+    """Stream plots of every result that can be read again, beside the truth; by default at the middle frame."""
+    time_s = float(dataset.times_s[len(dataset.times_s) // 2]) if time_s is None else time_s
+    truth = StoredField(dataset.velocity, time_s) if dataset.has_velocity else None
+    out = []
+    for result in results:
+        try:
+            state = read_again(result).state_at(time_s)
+            if not (state.dynamic & (state.at(time_s)[1] > 0)).any():
+                raise GofError(f"no dynamic Gaussian lives at {time_s:g} s")
+            images = {kind: _uri(picture) for kind, picture in plots(state, time_s, truth).items()}
+            out.append(StreamPlots(result.name, time_s, images))
+        except GofError as e:
+            out.append(StreamPlots(result.name, time_s, reason=str(e)))
+    return out
+
+
+def read_again(result: EvaluatedResult) -> MovingGaussians:
+    """The Gaussians behind the scores: the file that was scored, or the one in the folder, read and moved as it was.
+
+    Raises:
+        DataFormatError: the file is gone, or damaged.
+    """
+    origin = result.scores.import_
+    candidates = [result.folder / "result.npz", result.folder / "reconstruct" / "result.npz"]
+    if origin.path is not None:
+        candidates.insert(0, Path(origin.path))
+    path = next((p for p in candidates if p.exists()), None)
+    if path is None:
+        looked = ", ".join(map(str, candidates))
+        raise DataFormatError(f"{result.folder}: the result is not there any more (looked for {looked})")
+    options = ImportOptions() if origin.options is None else origin.options.options()
+    gaussians = read_result(path, options).gaussians
+    return gaussians if origin.alignment is None else gaussians.transformed(np.array(origin.alignment.matrix))
+
+
+def _uri(picture: Image.Image) -> str:
+    data = io.BytesIO()
+    picture.save(data, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(data.getvalue()).decode()
+
+
+def pareto_figures(rows: Sequence[Row]) -> list[str]:
+    """HTML of plotly charts: seconds to train (log) against a score, with the front that nobody beats."""
+    constant = next((row for row in rows if row.control and row.name.endswith("constant")), None)
+    out = []
+    for key in CHARTS:
+        shown = [row for row in rows if not row.control and getattr(row, key) is not None and row.train_s]
+        if shown:
+            out.append(_pareto_figure(key, shown, None if constant is None else getattr(constant, key)))
+    return out
+
+
+def _pareto_figure(key: str, shown: Sequence[Row], constant: float | None) -> str:
+    import plotly.graph_objects as go
+
+    column = COLUMNS[key]
+    points = [(row.train_s, getattr(row, key)) for row in shown]
+    front = [points[i] for i in pareto(points, column.better)]
+    figure = go.Figure()
+    figure.add_scatter(
+        x=[seconds for seconds, _ in front],
+        y=[score for _, score in front],
+        mode="lines",
+        line={"color": "#e8772e", "shape": "hv"},
+        name="nobody is better and faster",
+        hoverinfo="skip",
+    )
+    for number, (row, (seconds, score)) in enumerate(zip(shown, points, strict=True)):
+        marker = {"size": 12, "color": COLORS[number % len(COLORS)], "symbol": SYMBOLS[number % len(SYMBOLS)]}
+        figure.add_scatter(x=[seconds], y=[score], mode="markers", name=row.name, marker=marker)
+    if constant is not None:
+        figure.add_hline(
+            y=constant,
+            line={"dash": "dot", "color": "#777"},
+            annotation_text="one constant vector",
+            annotation_position="top right",
+        )
+    arrow = "lower is better" if column.better == LOWER else "higher is better"
+    figure.update_layout(
+        template="plotly_white",
+        height=420,
+        margin={"l": 64, "r": 24, "t": 44, "b": 50},
+        legend={"orientation": "h", "y": -0.22, "font": {"size": 12}},
+        title={"text": f"{column.heading} ({arrow})", "font": {"size": 15}},
+    )
+    times_s = [seconds for seconds, _ in points]
+    low, high = np.log10([0.7 * min(times_s), 1.4 * max(times_s)])
+    ticks = [f * 10.0**k for k in range(int(np.floor(low)), int(np.ceil(high))) for f in (1, 2, 5)]
+    texts = [f"{tick:g}" for tick in ticks]
+    figure.update_xaxes(type="log", title="seconds to train", range=[low, high], tickvals=ticks, ticktext=texts)
+    figure.update_yaxes(title=column.heading)
+    return figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True})
+
+
+def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str) -> str:
+    """The page; everything is inside it."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from plotly.offline import get_plotlyjs
+
+    charts = pareto_figures(rows)
+    keys, best = used_columns(rows), best_rows(rows)
+    cells = [
+        [{"text": row.text(key), "value": getattr(row, key), "best": best.get(key) == i} for key in keys]
+        for i, row in enumerate(rows)
+    ]
+    environment = Environment(loader=PackageLoader("gof.evaluate", "."), autoescape=True, undefined=StrictUndefined)
+    return environment.get_template("leaderboard.html").render(
+        title=title,
+        headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
+        table=list(zip(rows, cells, strict=True)),
+        streams=streams,
+        charts=charts,
+        plotlyjs=get_plotlyjs() if charts else "",
+    )

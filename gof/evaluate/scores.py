@@ -1,0 +1,247 @@
+"""`scores.json`: everything `gof evaluate` finds out about a result. Written by it, read by whoever shows or compares.
+
+None stands for "undefined" or "not asked for"; docs/dve.md and docs/formats.md say what each figure means.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, make_dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from gof.errors import DataFormatError
+from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
+from gof.io.importers import ImportOptions
+from gof.io.importers.alignment import Alignment
+from gof.io.records import read_record, write_record
+
+# ---------------------------------------------------------------- velocities
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The two figures of DVE alone."""
+
+    l2: float | None
+    cos_sim: float | None
+
+    @classmethod
+    def of(cls, score: DVEResult | DVESequence) -> Agreement:
+        return cls(score.l2, score.cos_sim)
+
+
+@dataclass(frozen=True)
+class FrameScore:
+    """DVE of one frame; `n` Gaussians were scored."""
+
+    time_s: float
+    l2: float | None
+    cos_sim: float | None
+    n: int
+    undefined: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipScore(DVEResult):
+    """DVE pooled over all frames of a clip, and how the single frames scatter around their mean.
+
+    `frames_scored` counts the frames where the score is defined.
+    """
+
+    l2_frame_mean: float | None
+    l2_frame_std: float | None
+    cos_sim_frame_mean: float | None
+    cos_sim_frame_std: float | None
+    frames_scored: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlScore(ClipScore):
+    """A control (`gof.evaluate.controls`); `meaning` is a sentence for people."""
+
+    meaning: str
+
+
+@dataclass(frozen=True)
+class EmissionFigures:
+    """The score where the flame shines (`gof.evaluate.emission`); `uncovered`: share of places without a Gaussian."""
+
+    l2: float | None
+    cos_sim: float | None
+    n: int
+    speed_ratio: float | None
+    l2_axis: tuple[float, float, float] | None
+    undefined: str
+    uncovered: float
+    constant: Agreement
+
+
+@dataclass(frozen=True, kw_only=True)
+class VelocityScore(ClipScore):
+    """The result's own DVE.
+
+    `inside` pools the Gaussians inside the domain alone; `fluctuation` is what is left without the mean of each height;
+    `skill_over_NAME` = 1 - (L2 / L2 of the control)^2; `on_emission` is None for a dataset without a flame grid.
+    """
+
+    frames: tuple[FrameScore, ...]
+    inside: Agreement
+    fluctuation: DVEResult
+    order: int
+    opacity: Opacity
+    skill_over_zero: float | None
+    skill_over_random: float | None
+    skill_over_shuffled: float | None
+    skill_over_constant: float | None
+    skill_over_height_mean: float | None
+    skill_over_true_centre: float | None
+    on_emission: EmissionFigures | None
+
+
+# ---------------------------------------------------------------- pictures
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureFigures:
+    """Scores of pictures. `_flame`: on flame pixels alone; `_plate`: of the fire-free plate in place of the result."""
+
+    psnr: float | None = None
+    psnr_flame: float | None = None
+    psnr_plate: float | None = None
+    psnr_flame_plate: float | None = None
+    ssim: float | None = None
+    ssim_flame: float | None = None
+    ssim_plate: float | None = None
+    ssim_flame_plate: float | None = None
+    flip: float | None = None
+    flip_flame: float | None = None
+    flip_plate: float | None = None
+    flip_flame_plate: float | None = None
+    lpips: float | None = None
+    lpips_plate: float | None = None
+    temporal_l2: float | None = None
+    temporal_l2_plate: float | None = None
+    rmse_depth: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureScore(PictureFigures):
+    """One held-out picture. `flame_share` of its pixels show flame; None without masks."""
+
+    camera: str
+    frame: int
+    flame_share: float | None
+
+
+FIGURES = tuple(f.name for f in fields(PictureFigures))
+Spread = make_dataclass("Spread", [(f"{name}_std", float | None, None) for name in FIGURES], frozen=True, kw_only=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageScores(Spread):
+    """What is behind the means: every picture, and of each figure F its standard deviation over pictures, `F_std`.
+
+    `board_share` of the pixels do not count; `absent` says which scores are not there, and why.
+    """
+
+    count: int
+    absent: tuple[str, ...]
+    board_share: float
+    pictures: tuple[PictureScore, ...]
+
+
+# ---------------------------------------------------------------- where the result came from
+
+
+@dataclass(frozen=True)
+class UsedOptions:
+    """The `gof.io.importers.ImportOptions` that were used."""
+
+    time_unit_s: float | None
+    time_zero_s: float
+    frame_time_s: float | None
+    world: str | None
+
+    @classmethod
+    def of(cls, options: ImportOptions) -> UsedOptions:
+        world = None if options.world is None else str(options.world)
+        return cls(options.time_unit_s, options.time_zero_s, options.frame_time_s, world)
+
+    def options(self) -> ImportOptions:
+        world = None if self.world is None else Path(self.world)
+        return ImportOptions(self.time_unit_s, self.time_zero_s, self.frame_time_s, world)
+
+
+@dataclass(frozen=True)
+class UsedAlignment:
+    """The similarity that moved the result into the dataset's world (`gof.io.importers.alignment`)."""
+
+    matrix: tuple[tuple[float, ...], ...]
+    scale: float
+    position_rms_m: float
+    rotation_max_deg: float
+
+    @classmethod
+    def of(cls, alignment: Alignment) -> UsedAlignment:
+        matrix = tuple(tuple(row) for row in alignment.matrix.tolist())
+        return cls(matrix, alignment.scale, alignment.position_rms_m, alignment.rotation_max_deg)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How the result was read. `path` and `options` are None for Gaussians that came from memory."""
+
+    method: str
+    notes: tuple[str, ...] = ()
+    path: str | None = None
+    options: UsedOptions | None = None
+    alignment: UsedAlignment | None = None
+
+
+# ---------------------------------------------------------------- all of it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scores(PictureFigures):
+    """All scores of a result. The picture figures are means over every held-out frame of every camera.
+
+    Attributes:
+        gaussians, dynamic_gaussians: how many there are.
+        import_: where the result came from.
+        warnings: hints that something is in other units or another world, or missing.
+        dve: None when the dataset has no true velocity.
+        controls: by name (`gof.evaluate.controls.CONTROLS`); empty without `dve`.
+        cgvqm_2, cgvqm_5: quality of the whole videos, mean over cameras; None without weights.
+        images: None when pictures were not asked for.
+        costs: seconds by part.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-scores"
+    VERSION: ClassVar[int] = 1
+
+    gaussians: int
+    dynamic_gaussians: int
+    import_: Origin
+    warnings: tuple[str, ...] = ()
+    dve: VelocityScore | None = None
+    controls: dict[str, ControlScore] = field(default_factory=dict)
+    cgvqm_2: float | None = None
+    cgvqm_5: float | None = None
+    images: ImageScores | None = None
+    costs: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, path: Path) -> Scores:
+        """Read a scores.json.
+
+        Raises:
+            DataFormatError: absent, damaged, or of another version (says to evaluate again).
+        """
+        try:
+            return read_record(cls, path)
+        except DataFormatError as e:
+            raise DataFormatError(f"{e}; run 'gof evaluate RESULT --truth DATASET' again to write it") from e
+
+    def write(self, path: Path) -> None:
+        """Write it, atomically; an older file is replaced."""
+        write_record(path, self)

@@ -1,0 +1,196 @@
+"""`evaluate`: every score of a result against a dataset, with the controls and what each part cost."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError
+from gof.evaluate.controls import CONTROLS, skill
+from gof.evaluate.dve_frame import DVESequence, Opacity
+from gof.evaluate.emission import EmissionScore, FlameGrid, score_on_emission
+from gof.evaluate.image_scores import Extras, Progress, image_scores, timed
+from gof.evaluate.scores import (
+    Agreement,
+    ControlScore,
+    EmissionFigures,
+    FrameScore,
+    Origin,
+    Scores,
+    UsedAlignment,
+    UsedOptions,
+    VelocityScore,
+)
+from gof.evaluate.sequence import dve_sequence, sanity_warnings
+from gof.gaussians import MovingGaussians
+from gof.io.importers import ImportOptions, read_result
+from gof.io.importers.alignment import align_cameras, read_cameras
+from gof.plates import background
+
+
+def evaluate(
+    result: Path | MovingGaussians,
+    dataset: Dataset,
+    order: int = 3,
+    opacity: Opacity = "temporal",
+    images: bool = True,
+    progress: Progress | None = None,
+    foreign: ImportOptions | None = None,
+    align: Path | None = None,
+    extras: Extras | None = None,
+) -> Scores:
+    """All scores of a result.
+
+    Pictures: every held-out frame of every camera, rendered over the result's own plate (`gof.plates`), else the
+    fire-free one (over black when the result brings static Gaussians of its own); `flame` scores count pixels of the
+    true flame mask only. Pixels of the sync board do not count. Velocities: DVE on every frame of the clip that has a
+    true velocity field.
+
+    Args:
+        result: file or folder of any known method (gof.io.importers), or the Gaussians.
+        dataset: what it was made from.
+        order, opacity: of `dve`.
+        images: also render and score pictures.
+        progress: progress(done, total, stage=name).
+        foreign: what a foreign result does not say; its frame time is the dataset's unless given.
+        align: cameras of the method's own world (see `read_cameras`); the result is moved by the similarity that maps
+            them onto the dataset's.
+        extras: material for LPIPS, CGVQM and RMSE_depth; without it they are named as absent.
+    Raises:
+        GofError: see `dve_sequence`.   DataFormatError: a file is damaged.
+    """
+    costs: dict[str, float] = {}
+    progress = progress or (lambda *a, **k: None)
+    with timed(costs, "load"):
+        gaussians, origin = _load(result, dataset, foreign or ImportOptions(), align)
+    scores = Scores(
+        gaussians=len(gaussians), dynamic_gaussians=int(np.count_nonzero(gaussians.dynamic)), import_=origin
+    )
+    if dataset.has_velocity:
+        with timed(costs, "dve"):
+            sequence = _dve(gaussians, dataset, order, opacity, progress)
+            emission = _emission(gaussians, dataset, sequence.times_s, progress)
+        scores = replace(
+            scores,
+            dve=_velocity_score(sequence, order, opacity, emission),
+            controls={name: _control_score(name, control) for name, control in sequence.controls.items()},
+            warnings=tuple(sanity_warnings(sequence)),
+        )
+    else:
+        scores = replace(scores, warnings=("the dataset has no true velocity field, so there is no DVE",))
+    if images:
+        own = result if isinstance(result, Path) else None
+        plates = [background(dataset, number, own) for number in range(len(dataset.cameras))]
+        found = image_scores(gaussians, dataset, plates, costs, extras or Extras(), progress)
+        scores = replace(scores, **asdict(found.means), **found.videos, images=found.images)
+    return replace(scores, costs={name: round(seconds, 3) for name, seconds in costs.items()})
+
+
+# ---------------------------------------------------------------- the result
+
+
+def _load(
+    result: Path | MovingGaussians, dataset: Dataset, foreign: ImportOptions, align: Path | None
+) -> tuple[MovingGaussians, Origin]:
+    if isinstance(result, Path):
+        options = replace(foreign, frame_time_s=foreign.frame_time_s or dataset.frame_time_s or None)
+        imported = read_result(result, options)
+        gaussians = imported.gaussians
+        origin = Origin(imported.method, tuple(imported.notes), str(imported.path), UsedOptions.of(options))
+    else:
+        gaussians = result
+        origin = Origin("memory")
+    if align is None:
+        return gaussians, origin
+    found = align_cameras(read_cameras(align), {c.name: c.world_to_camera for c in dataset.cameras})
+    note = (
+        f"moved by the similarity of {align}: scale {found.scale:.4g}; cameras then "
+        f"{found.position_rms_m * 1000:.2g} mm (rms) and at most {found.rotation_max_deg:.2g} degrees off"
+    )
+    origin = replace(origin, notes=(*origin.notes, note), alignment=UsedAlignment.of(found))
+    return gaussians.transformed(found.matrix), origin
+
+
+# ---------------------------------------------------------------- its velocities
+
+
+def _dve(gaussians: MovingGaussians, dataset: Dataset, order: int, opacity: Opacity, progress: Progress) -> DVESequence:
+    """DVE of the frames of the velocity store that lie in the clip, half a frame's time around it included."""
+    truth = dataset.velocity
+    slack = dataset.frame_time_s / 2
+    in_clip = (truth.times_s >= dataset.times_s[0] - slack) & (truth.times_s <= dataset.times_s[-1] + slack)
+    if not in_clip.any():
+        raise DataFormatError(
+            f"{dataset.path}: the velocity store covers {truth.times_s[0]:g}..{truth.times_s[-1]:g} s, the "
+            f"clip {dataset.times_s[0]:g}..{dataset.times_s[-1]:g} s: their clocks do not overlap"
+        )
+    return dve_sequence(
+        gaussians,
+        truth,
+        truth.times_s[in_clip],
+        order,
+        opacity,
+        progress=lambda done, total: progress(done, total, stage="DVE"),
+    )
+
+
+def _emission(
+    gaussians: MovingGaussians, dataset: Dataset, times_s: list[float], progress: Progress
+) -> EmissionFigures | None:
+    grid = dataset.path / "grids" / "flame.zarr"
+    if not grid.exists():
+        return None
+    found: EmissionScore = score_on_emission(
+        gaussians,
+        dataset.velocity,
+        FlameGrid(grid),
+        np.array(times_s),
+        progress=lambda done, total: progress(done, total, stage="on emission"),
+    )
+    return EmissionFigures(
+        l2=found.score.l2,
+        cos_sim=found.score.cos_sim,
+        n=found.score.n,
+        speed_ratio=found.score.speed_ratio,
+        l2_axis=found.score.l2_axis,
+        undefined=found.score.undefined,
+        uncovered=found.uncovered,
+        constant=Agreement.of(found.constant),
+    )
+
+
+def _clip_figures(sequence: DVESequence) -> dict[str, float | int | None]:
+    """The fields of a `ClipScore`: the pooled score, and mean and standard deviation over the frames that have one."""
+    l2_mean, l2_std, _ = sequence.spread("l2") or (None, None, 0)
+    cos_mean, cos_std, count = sequence.spread("cos_sim") or (None, None, 0)
+    return asdict(sequence.pooled) | {
+        "l2_frame_mean": l2_mean,
+        "l2_frame_std": l2_std,
+        "cos_sim_frame_mean": cos_mean,
+        "cos_sim_frame_std": cos_std,
+        "frames_scored": count,
+    }
+
+
+def _control_score(name: str, control: DVESequence) -> ControlScore:
+    return ControlScore(**_clip_figures(control), meaning=CONTROLS[name])
+
+
+def _velocity_score(
+    sequence: DVESequence, order: int, opacity: Opacity, emission: EmissionFigures | None
+) -> VelocityScore:
+    frames = zip(sequence.times_s, sequence.frames, strict=True)
+    skills = {f"skill_over_{name}": skill(sequence.pooled, c.pooled) for name, c in sequence.controls.items()}
+    return VelocityScore(
+        **_clip_figures(sequence),
+        **skills,
+        frames=tuple(FrameScore(t, f.l2, f.cos_sim, f.n, f.undefined) for t, f in frames),
+        inside=Agreement.of(sequence.inside),
+        fluctuation=sequence.fluctuation,
+        order=order,
+        opacity=opacity,
+        on_emission=emission,
+    )

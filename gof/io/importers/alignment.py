@@ -1,0 +1,91 @@
+"""The similarity between a method's world and the dataset's, from the cameras that both know."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gof.errors import DataFormatError, GofError
+from gof.io.colmap import check_poses, read_colmap
+from gof.io.files import read_json
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """world_from_source (4, 4), and how well it maps one set of cameras onto the other."""
+
+    matrix: np.ndarray
+    scale: float
+    position_rms_m: float
+    rotation_max_deg: float
+
+
+def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) -> Alignment:
+    """Least-squares similarity of source cameras to target cameras of the same name (Umeyama 1991, with orientations).
+
+    Centres alone do not fix the turn about their line, and three cameras on an arc are almost on one; so every camera
+    also contributes three points one mean camera distance along its axes, in proportion to the scale that is being
+    fitted.
+
+    Args:
+        source, target: name -> world_to_camera (4, 4), OpenCV; source may be in any unit.
+    Raises:
+        GofError: fewer than two cameras in common, or all centres coincide.
+    """
+    names = sorted(set(source) & set(target))
+    if len(names) < 2:
+        raise GofError(
+            f"alignment needs two cameras with the same name in both; found {names} of {sorted(source)[:5]} and "
+            f"{sorted(target)[:5]}"
+        )
+    pose = [np.stack([np.linalg.inv(np.asarray(p[n], np.float64)) for n in names]) for p in (source, target)]
+    centres = [p[:, :3, 3] for p in pose]
+    with np.errstate(over="ignore"):
+        spread = [np.sqrt(np.mean(np.sum((c - c.mean(0)) ** 2, 1))) for c in centres]
+    if not 1e-9 < min(spread) <= max(spread) < 1e30:
+        raise GofError(
+            f"alignment: the camera centres spread {spread[0]:.2g} and {spread[1]:.2g} around their middle; no scale "
+            "follows from that"
+        )
+    points = [
+        np.concatenate([c] + [c + d * p[:, :3, k] for k in range(3)])
+        for c, p, d in zip(centres, pose, spread, strict=True)
+    ]
+    mean = [p.mean(0) for p in points]
+    a, b = points[0] - mean[0], points[1] - mean[1]
+    u, d, vt = np.linalg.svd(b.T @ a / len(a))
+    sign = np.array([1, 1, np.sign(np.linalg.det(u @ vt))])
+    R = u @ (sign[:, None] * vt)
+    s = float((d * sign).sum() / np.mean(np.sum(a**2, 1)))
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = s * R, mean[1] - s * R @ mean[0]
+    moved = centres[0] @ matrix[:3, :3].T + matrix[:3, 3]
+    turn = np.einsum("nji,njk->nik", R @ pose[0][:, :3, :3], pose[1][:, :3, :3])
+    angle = np.degrees(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    position_rms = float(np.sqrt(np.mean(np.sum((moved - centres[1]) ** 2, 1))))
+    return Alignment(matrix, scale=s, position_rms_m=position_rms, rotation_max_deg=float(angle.max()))
+
+
+def read_cameras(path: Path) -> dict[str, np.ndarray]:
+    """World-to-camera matrices by camera name: a COLMAP folder, a dataset.json, or JSON of name -> 4x4.
+
+    A COLMAP image `cam_0.png` or `cam_0/000001.png` is camera `cam_0`.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if (path / "dataset.json").is_file():
+            return read_cameras(path / "dataset.json")
+        return {
+            Path(n).parent.name or Path(n).stem: pose for n, pose in sorted(read_colmap(path)[0].items(), reverse=True)
+        }
+    content = read_json(path)
+    try:
+        if "cameras" in content:
+            content = {c["name"]: c["world_to_camera"] for c in content["cameras"]}
+        found = {str(n): np.asarray(m, np.float64).reshape(4, 4) for n, m in content.items()}
+    except (AttributeError, KeyError, TypeError, ValueError) as e:
+        raise DataFormatError(f"{path}: no cameras with a name and a 4x4 world_to_camera in it ({e})") from e
+    check_poses(found, path)
+    return found

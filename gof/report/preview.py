@@ -1,0 +1,33 @@
+"""`preview.json`: a picture of the result in Blender, and which true picture it shows. `gof import` writes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from gof.io.records import read_record, write_record
+
+
+@dataclass(frozen=True)
+class Preview:
+    """A frame rendered by Blender from the imported result.
+
+    Attributes:
+        image: name of the picture, in the folder of preview.json.
+        camera: number of the dataset's camera.   frame: of the dataset.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-preview"
+    VERSION: ClassVar[int] = 1
+
+    image: str
+    camera: int
+    frame: int
+
+    @classmethod
+    def read(cls, path: Path) -> Preview:
+        return read_record(cls, path)
+
+    def write(self, path: Path) -> None:
+        write_record(path, self)
