@@ -100,7 +100,7 @@ class Training:
         dr.eval(parameters)
 
         def projected():
-            p = project.project(*parameters, self.camera, project.Lens())
+            p = project.project(*parameters, self.camera, project.ProjectionOptions())
             dr.eval(p)
             dr.sync_thread()
             return p

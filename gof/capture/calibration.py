@@ -54,18 +54,18 @@ class Calibration:
         out = []
         if self.coverage < 0.7:
             out.append(
-                f"corners were seen in {self.coverage:.0%} of the picture only; bring the target to its borders and "
-                "corners"
+                f"corners were seen in {self.coverage:.0%} of the picture only; "
+                "bring the target to its borders and corners"
             )
         if self.rms_px > 0.7:
             out.append(
-                f"the corners miss the model by {self.rms_px:.2f} px; is the target flat, the footage sharp, the zoom "
-                "fixed?"
+                f"the corners miss the model by {self.rms_px:.2f} px; "
+                "is the target flat, the footage sharp, the zoom fixed?"
             )
         if self.focal_sigma_px > 0.003 * self.lens.K[0, 0]:
             out.append(
-                f"the focal length is known to {self.focal_sigma_px:.1f} px only; tilt the target more (30 to 45 "
-                "degrees, all ways)"
+                f"the focal length is known to {self.focal_sigma_px:.1f} px only; "
+                "tilt the target more (30 to 45 degrees, all ways)"
             )
         return out
 

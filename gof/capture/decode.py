@@ -149,8 +149,7 @@ class _LinkedFrames:
         index: (T,) positions.
         time_us: (T,) times there, to a fraction of a slot.
         interval_us: of the clock.
-        counted_us: (T,) times by each frame's own count, single ones wrong by whole periods; None without a whole
-            count.
+        counted_us: (T,) times by each frame's own count, single ones wrong by periods; None without a whole count.
     """
 
     index: np.ndarray

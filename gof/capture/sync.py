@@ -100,8 +100,8 @@ def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:
     reference = certain[0] if certain else min(decoded, key=lambda n: len(decoded[n].count_candidates))
     if not certain:
         warnings.append(
-            "no camera sees enough counter LEDs for a unique count; the clock starts at the smallest that fits "
-            f"{reference}"
+            "no camera sees enough counter LEDs for a unique count; "
+            f"the clock starts at the smallest that fits {reference}"
         )
     target = np.median(decoded[reference].time_us)
     for name, times in decoded.items():

@@ -1,8 +1,7 @@
 """Renders footage of an LED board with exact rolling shutter and exposure, and known times: the truth for the decoder.
 
 The render model shares nothing with the decoder but the template: brightness is the exact overlap of each image line's
-exposure with the firmware's pattern, then optics (blur), sensor (gain, saturation, noise, 8 bits) and, if asked, a
-codec.
+exposure with the firmware's pattern, then optics (blur), sensor (gain, saturation, noise, 8 bits), a codec if asked.
 """
 
 from __future__ import annotations

@@ -28,8 +28,7 @@ class FrameTime:
 
 @dataclass(frozen=True)
 class CounterReading:
-    """How many counts the visible LEDs allow, and which share of `readings` clean LED readings agrees with the one
-    taken."""
+    """How many counts the visible LEDs allow, and which share of the clean LED readings agrees with the first."""
 
     candidates: int
     agreement: float
@@ -52,8 +51,7 @@ class VideoTimes:
     Attributes:
         width, height: of the stored picture, px.
         fps, frame_interval_us: of the camera's clock.
-        row_time_us, readout: a pixel's own time adds row_time_us times its distance from the centre line in this
-            direction.
+        row_time_us, readout: a pixel's own time adds row_time_us times its distance from the centre line that way.
         frames: one per stored frame.
         repeated_frames: stored frames that show the one before again.
         dropped_before: how many frames are missing before a stored frame, by its number.

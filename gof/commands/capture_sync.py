@@ -39,8 +39,7 @@ class SyncConfig:
     row_time_us: float | None = None
     """Delay from one image line to the next; measured when not given."""
     sensor: str | None = None
-    """Take the row time from the sensor table instead (gopro_hero13_720p400), for footage that shows all sensor
-    rows."""
+    """Take the row time from the sensor table instead (gopro_hero13_720p400): footage that shows all sensor rows."""
     readout: Readout | None = None
     """Direction in which lines are read later, as the picture is stored; measured when not given."""
     clock: Literal["steady", "free"] = "steady"

@@ -70,8 +70,9 @@ if BACKEND == "llvm":
 
 
 def frozen(function):
-    """Record a function of arrays and integers once per set of integers and replay its kernels afterwards, at any array
-    size: tracing the blend and loss kernels in Python costs milliseconds per step otherwise. Arrays must be in memory."""
+    """Record a function of arrays and integers once per set of integers and replay its kernels afterwards, at any
+    array size: tracing the blend and loss kernels in Python costs milliseconds per step otherwise. Arrays must be in
+    memory."""
     return dr.freeze(function, warn_after=1000)
 
 
@@ -83,7 +84,7 @@ def opaque(value: float) -> Float:
 def floats(array) -> Float:
     """Any numpy array, flattened to a float32 array in Dr.Jit's own memory.
 
-    Dr.Jit would share numpy's memory, which may be unaligned, and compiles the alignment into every kernel that reads it.
+    Dr.Jit would share numpy's memory, which may be unaligned, and compiles the alignment into every kernel.
     """
     flat = np.ascontiguousarray(array, np.float32).reshape(-1)
     if BACKEND == "cuda" or flat.size == 0:
@@ -94,7 +95,7 @@ def floats(array) -> Float:
 
 
 def pack(columns: list[Float], stride: int) -> Float:
-    """N records of `stride` floats (a multiple of 4, padded with 0), so that a lane fetches a record in 128-bit loads."""
+    """N records of `stride` floats (a multiple of 4, padded with 0): a lane fetches a record in 128-bit loads."""
     out = dr.empty(Float, len(columns[0]) * stride)
     columns = columns + [Float(0)] * (stride - len(columns))
     record = dr.arange(UInt, len(out) // stride) * (stride // 4)
@@ -118,9 +119,10 @@ _released: list[Float] = []  # owners of borrowed memory, to be let go of by the
 class _Borrowed:
     """Part of a Dr.Jit array's memory as something numpy can wrap.
 
-    Dr.Jit lets go of memory that it shares with numpy on a thread of its own, which holds Python's lock while it does. If
-    that release reached a Dr.Jit array, the thread would wait for Dr.Jit's lock, which the main thread may hold while it
-    waits for Python's: a deadlock, met once in some thousand training steps. So the owner is only put aside here.
+    Dr.Jit lets go of memory that it shares with numpy on a thread of its own, which holds Python's lock while it does.
+    If that release reached a Dr.Jit array, the thread would wait for Dr.Jit's lock, which the main thread may hold
+    while it waits for Python's: a deadlock, met once in some thousand training steps. So the owner is only put aside
+    here.
     """
 
     def __init__(self, owner: Float, start: int, n: int):

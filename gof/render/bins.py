@@ -1,13 +1,13 @@
 """Which Gaussians touch which 4x4 pixel block, front to back.
 
-Everything is one flat data-parallel step (no per-Gaussian loop), so one Gaussian that covers the image costs the same per
-block as a million small ones:
+Everything is one flat data-parallel step (no per-Gaussian loop), so one Gaussian that covers the image costs the same
+per block as a million small ones:
 
   Gaussians in depth order -> the block rows each touches -> the span of blocks in each row -> (block, Gaussian) pairs
   -> stable counting sort by block.
 
-The sort is stable, so pairs of one block stay in depth order, and Gaussians of equal depth in index order. An image that
-needs more pairs than a budget is binned in bands of block rows, one after another.
+The sort is stable, so pairs of one block stay in depth order, and Gaussians of equal depth in index order. An image
+that needs more pairs than a budget is binned in bands of block rows, one after another.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ PAIR_BUDGET = 1 << 24  # pairs binned at a time; a pair takes about 40 bytes whi
 class Footprints:
     """Where N Gaussians may be seen, as records of 8 words in depth order.
 
-    A record is mean_x, mean_y, slope, shrink, half_width2 (floats), first_row, end_row (integers), Gaussian. In the pixel row
-    at dy from its mean, a Gaussian reaches alpha 1/255 in mean_x + slope dy +- sqrt(half_width2 - shrink dy^2); it is seen
-    in block rows [first_row, end_row).
+    A record is mean_x, mean_y, slope, shrink, half_width2 (floats), first_row, end_row (integers), Gaussian. In the
+    pixel row at dy from its mean, a Gaussian reaches alpha 1/255 in mean_x + slope dy +- sqrt(half_width2 - shrink
+    dy^2); it is seen in block rows [first_row, end_row).
     """
 
     records: Float
@@ -81,20 +81,9 @@ def footprints(p: Projected, width: int, height: int) -> Footprints:
     inverse = dr.rcp(p.cov_yy)
     shrink = p.det * inverse * inverse
     end_row = dr.select(drawn, end_row, first_row)
-    word = lambda v: dr.reinterpret_array(Float, v)  # noqa: E731
-    unsorted = pack(
-        [
-            p.mean_x,
-            p.mean_y,
-            p.cov_xy * inverse,
-            shrink,
-            mahalanobis2 * p.cov_yy * shrink,
-            word(first_row),
-            word(end_row),
-            word(dr.arange(UInt, len(p.depth))),
-        ],
-        8,
-    )
+    ellipse = [p.mean_x, p.mean_y, p.cov_xy * inverse, shrink, mahalanobis2 * p.cov_yy * shrink]
+    integers = [first_row, end_row, dr.arange(UInt, len(p.depth))]
+    unsorted = pack(ellipse + [dr.reinterpret_array(Float, v) for v in integers], 8)
     # Depths are positive, so their bits sort like the numbers.
     order = dr.argsort(dr.select(p.visible, dr.reinterpret_array(UInt, p.depth), 0xFFFFFFFF))
     front, back = dr.gather(Array4f, unsorted, 2 * order), dr.gather(Array4f, unsorted, 2 * order + 1)

@@ -106,8 +106,8 @@ def stride(n_columns: int) -> int:
 
 
 def _capacity(n: int) -> int:
-    """n rounded up by at most a quarter. Expand-mode scatters compile the size of their target into the kernel; this way
-    a set that grows in training meets four new sizes per doubling."""
+    """n rounded up by at most a quarter. Expand-mode scatters compile the size of their target into the kernel; this
+    way a set that grows in training meets four new sizes per doubling."""
     step = max(256, 1 << max(0, n.bit_length() - 3))
     return -(-n // step) * step
 
@@ -125,7 +125,7 @@ def _as_plane(gradient: Float, size: int) -> Float:
 
 
 def _lanes(lists: Lists, columns: int):
-    """Per lane: first and end pair of its block, centre of the block's first pixel, its four 4-pixel rows in a plane."""
+    """Per lane: first and end pair of its block, centre of its first pixel, its four 4-pixel rows in a plane."""
     block = UInt(lists.order)
     start, end = dr.gather(UInt, lists.start, block), dr.gather(UInt, lists.end, block)
     by = block // columns
@@ -229,11 +229,11 @@ def _backward(
     out: Float,
     slot: UInt | None,
 ) -> None:
-    """Add one band's gradient records to `out` per Gaussian, or with `slot` write them per pair in Gaussian-major order.
+    """Add one band's gradient records to `out` per Gaussian, or with `slot` write them per pair, Gaussian-major.
 
     Replays the forward pass front to back. With v_i = sum_c g_c channel_ic + g_alpha and S_i = sum_{k > i} w_k v_k:
-    dL/dalpha_i = T_i v_i - S_i / (1 - alpha_i). S starts at the whole sum, known from the forward planes, and shrinks by
-    w_i v_i. Nothing divides by T or by opacity.
+    dL/dalpha_i = T_i v_i - S_i / (1 - alpha_i). S starts at the whole sum, known from the forward planes, and shrinks
+    by w_i v_i. Nothing divides by T or by opacity.
     """
     start, end, x, y, plane_rows = _lanes(lists, columns)
     n_columns = GEOMETRY + n_channels
@@ -302,9 +302,8 @@ def _geometry_gradient(record: list[Float], dx: list[Float], dy: list[Float], d_
     m0 = (sums[0] + sums[1]) + (sums[2] + sums[3])
     m_y, m_yy, m_x, m_xx, m_xy = (Float(0) for _ in range(5))
     for j in range(BLOCK):
-        along = dr.fma(per_row[j][0], dx[0], per_row[j][1] * dx[1]) + dr.fma(
-            per_row[j][2], dx[2], per_row[j][3] * dx[3]
-        )
+        d = per_row[j]
+        along = dr.fma(d[0], dx[0], d[1] * dx[1]) + dr.fma(d[2], dx[2], d[3] * dx[3])
         m_x += along
         m_xy = dr.fma(along, dy[j], m_xy)
         weighted = sums[j] * dy[j]

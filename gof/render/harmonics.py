@@ -21,7 +21,8 @@ def harmonics_color(coefficients: list[list[Float]], position: Array3f, eye: Arr
     """
     if not 0 <= degree <= 3 or len(coefficients) < (degree + 1) ** 2:
         raise DataFormatError(
-            f"sh_degree {degree} needs {(max(degree, 0) + 1) ** 2} coefficients and at most degree 3; got {len(coefficients)}"
+            f"sh_degree {degree} needs {(max(degree, 0) + 1) ** 2} coefficients and at most degree 3; "
+            f"got {len(coefficients)}"
         )
     d = position - eye
     norm2 = dr.squared_norm(d)

@@ -1,10 +1,10 @@
 """L1 + SSIM image loss (Kerbl et al. 2023, equation 7) as four passes over memory, and its analytic adjoint.
 
-All channels lie in one strip of memory, row after row, with zeros between rows and between channels. A neighbour k pixels
-away is then the same strip read k places later, so a blur is a sum of shifted strips: contiguous loads, no index arithmetic,
-no border case. What depends only on the ground truth is computed once per `Target`. The forward pass leaves the derivatives
-of SSIM with respect to three local moments behind and the backward pass blurs those (the window is symmetric and zero outside
-the image, so the blur is its own adjoint).
+All channels lie in one strip of memory, row after row, with zeros between rows and between channels. A neighbour k
+pixels away is then the same strip read k places later, so a blur is a sum of shifted strips: contiguous loads, no index
+arithmetic, no border case. What depends only on the ground truth is computed once per `Target`. The forward pass leaves
+the derivatives of SSIM with respect to three local moments behind and the backward pass blurs those (the window is
+symmetric and zero outside the image, so the blur is its own adjoint).
 """
 
 from __future__ import annotations
@@ -17,12 +17,20 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.render.backend import Float, UInt, floats, shifted
-from gof.render.reference import gaussian_window
 
 C1, C2 = 0.01**2, 0.03**2
-WINDOW = [float(v) for v in gaussian_window()]
 REACH = 5  # the window covers 11 pixels
+SIGMA_PX = 1.5  # of the window (Wang et al. 2004)
 ALIGN = 16  # floats; a blur along rows shortens a strip by this at both ends, so that strips stay on cache lines
+
+
+def _gaussian_window() -> list[float]:
+    """The SSIM window along one axis, normalised. The reference twin has its own, so that the tests compare the two."""
+    weights = np.exp(-0.5 * (np.arange(-REACH, REACH + 1) / SIGMA_PX) ** 2)
+    return (weights / weights.sum()).tolist()
+
+
+WINDOW = _gaussian_window()
 
 
 @dataclass(frozen=True)
@@ -101,8 +109,8 @@ class Target:
 def l1_ssim(image: list[Float], target: Target | np.ndarray, ssim_weight: float = 0.2) -> Float:
     """(1 - w) mean |x - y| + w (1 - mean SSIM), an AD scalar.
 
-    SSIM with an 11x11 window of sigma 1.5 px, zero beyond the border, constants for a range of 1. |x - y| has gradient 0
-    where x = y. Values far outside [0, 1] lose digits in the local variances.
+    SSIM with an 11x11 window of sigma 1.5 px, zero beyond the border, constants for a range of 1. |x - y| has gradient
+    0 where x = y. Values far outside [0, 1] lose digits in the local variances.
 
     Args:
         image: D planes (H * W,), row-major.

@@ -1,9 +1,10 @@
-"""The same Gaussians in Mitsuba: shape `ellipsoids`, integrator `volprim_rf_basic`. For cross-checks and for putting a flame
-into a Mitsuba scene.
+"""The same Gaussians in Mitsuba: shape `ellipsoids`, integrator `volprim_rf_basic`. For cross-checks and for putting a
+flame into a Mitsuba scene.
 
 Mitsuba traces rays through the 3D Gaussians, so it differs from splatting in known ways: no affine approximation of the
-perspective, Gaussians cut at an ellipsoid that shrinks with their opacity, ordered by where a ray enters their shell instead of by their centre,
-alpha up to 0.9999 and rays stopped at transmittance 0.01, and a pixel is filtered by sampling instead of by dilation.
+perspective, Gaussians cut at an ellipsoid that shrinks with their opacity, ordered by where a ray enters their shell
+instead of by their centre, alpha up to 0.9999 and rays stopped at transmittance 0.01, and a pixel is filtered by
+sampling instead of by dilation.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ def ellipsoids(gaussians: TransientGaussians, time_s: float, unit_m: float = 1.0
     """A `mi.load_dict` entry: the Gaussians at a time. Plain colours become harmonics of degree 0.
 
     Args:
-        unit_m: metres per scene unit. The integrator steps 1e-4 units past a shell before it looks for the next one, and the
-            shell intersection is not exact: away from Gaussians of about one unit, rays miss shells or hit them twice
-            (half of the rays at 0.002 or 100 units). `scene` picks the unit.
+        unit_m: metres per scene unit. The integrator steps 1e-4 units past a shell before it looks for the next one,
+            and the shell intersection is not exact: away from Gaussians of about one unit, rays miss shells or hit them
+            twice (half of the rays at 0.002 or 100 units). `scene` picks the unit.
 
     Raises:
         DataFormatError: no Gaussians (Mitsuba cannot hold an empty shape).
@@ -45,7 +46,10 @@ def ellipsoids(gaussians: TransientGaussians, time_s: float, unit_m: float = 1.0
     position, opacity = gaussians.at(time_s)
     color = gaussians.color
     coefficients = ((color - 0.5) / C0)[:, None] if color.ndim == 2 else color
-    tensor = lambda a: mi.TensorXf(np.ascontiguousarray(a, np.float32))  # noqa: E731
+
+    def tensor(values: np.ndarray):
+        return mi.TensorXf(np.ascontiguousarray(values, np.float32))
+
     return {
         "type": "ellipsoids",
         "centers": tensor(position / unit_m),
@@ -57,7 +61,10 @@ def ellipsoids(gaussians: TransientGaussians, time_s: float, unit_m: float = 1.0
 
 
 def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX, unit_m: float = 1.0) -> dict:
-    """A `mi.load_dict` entry for a pinhole camera with square pixels; `filter_sigma` px of a Gaussian pixel filter, 0 = box.
+    """A `mi.load_dict` entry for a pinhole camera with square pixels.
+
+    Args:
+        filter_sigma: px of a Gaussian pixel filter, 0 = box.
 
     Raises:
         DataFormatError: fx and fy differ or the camera has skew; Mitsuba's perspective sensor has neither.

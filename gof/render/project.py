@@ -21,7 +21,7 @@ MIN_OPACITY = 1e-20  # below: log2 is replaced by a constant, gradient 0
 
 
 @dataclass(frozen=True)
-class Lens:
+class ProjectionOptions:
     """How Gaussians become image Gaussians.
 
     Args:
@@ -88,7 +88,7 @@ def rotation_columns(q: Array4f) -> tuple[Array3f, Array3f, Array3f]:
 
 
 def camera_axes(camera: Camera, pose: list[Float] | None = None) -> tuple[list[Array3f], list[Float]]:
-    """Rows of the world-to-camera rotation and its translation; `pose` (12 values, row-major 3x4) replaces the camera's."""
+    """Rows of the world-to-camera rotation, and its translation; `pose` (row-major 3x4) replaces the camera's."""
     w = [opaque(v) for v in camera.world_to_camera[:3].reshape(-1)] if pose is None else pose
     return [Array3f(*w[4 * i : 4 * i + 3]) for i in range(3)], [w[3], w[7], w[11]]
 
@@ -99,7 +99,7 @@ def project(
     scale: Array3f,
     opacity: Float,
     camera: Camera,
-    lens: Lens,
+    options: ProjectionOptions,
     pose: list[Float] | None = None,
 ) -> Projected:
     """Project N Gaussians.
@@ -113,7 +113,7 @@ def project(
     axes, offset = camera_axes(camera, pose)
     x, y, z = (dr.dot(axes[i], position) + offset[i] for i in range(3))
 
-    visible = (z > opaque(lens.near)) & (z < opaque(lens.far))
+    visible = (z > opaque(options.near)) & (z < opaque(options.far))
     inv_z = 1.0 / dr.select(visible, z, 1.0)
     u, v = x * inv_z, y * inv_z
     mean_x, mean_y = fx * u + skew * v + cx, fy * v + cy
@@ -136,28 +136,28 @@ def project(
     xx, yy, xy = dr.squared_norm(mx), dr.squared_norm(my), dr.dot(mx, my)
     # det(M M^T) = |m_x x m_y|^2 (Lagrange): no cancellation for long thin Gaussians, unlike xx yy - xy^2.
     det_before = dr.squared_norm(dr.cross(mx, my))
-    dilation = opaque(lens.dilation)
+    dilation = opaque(options.dilation)
     det = det_before + dilation * (xx + yy) + dilation * dilation
     xx, yy = xx + dilation, yy + dilation
     inv_det = 1.0 / det
-    if lens.antialias:
+    if options.antialias:
         opacity = opacity * dr.sqrt(dr.maximum(det_before * inv_det, 1e-12))
     out = Projected(
-        mean_x,
-        mean_y,
-        (0.5 * LOG2_E) * yy * inv_det,
-        -LOG2_E * xy * inv_det,
-        (0.5 * LOG2_E) * xx * inv_det,
-        dr.log2(dr.maximum(opacity, MIN_OPACITY)),
-        z,
-        visible,
-        xx,
-        xy,
-        yy,
-        det,
+        mean_x=mean_x,
+        mean_y=mean_y,
+        a=(0.5 * LOG2_E) * yy * inv_det,
+        b=-LOG2_E * xy * inv_det,
+        c=(0.5 * LOG2_E) * xx * inv_det,
+        log2_opacity=dr.log2(dr.maximum(opacity, MIN_OPACITY)),
+        depth=z,
+        visible=visible,
+        cov_xx=xx,
+        cov_xy=xy,
+        cov_yy=yy,
+        det=det,
     )
-    if lens.min_radius > 0:
-        out.visible = visible & (dr.detach(out).radius >= opaque(lens.min_radius))
+    if options.min_radius > 0:
+        out.visible = visible & (dr.detach(out).radius >= opaque(options.min_radius))
     return out
 
 

@@ -14,7 +14,7 @@ from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, flo
 from gof.render.bins import BLOCK, PAIR_BUDGET, footprints
 from gof.render.blend import Trace, blend
 from gof.render.harmonics import harmonics_color
-from gof.render.project import Lens, project
+from gof.render.project import ProjectionOptions, project
 from gof.render.scene import Splats, columns, require_finite_splats, transient_state
 from gof.render.shutter import shutter_delay
 
@@ -63,7 +63,7 @@ def render_splats(
     pose: list[Float] | None = None,
     deterministic: bool = False,
     pair_budget: int = PAIR_BUDGET,
-    **lens,
+    **options,
 ) -> Frame:
     """Draw Gaussians front to back (3D Gaussian Splatting's image formation), differentiable.
 
@@ -75,66 +75,43 @@ def render_splats(
         depth: also accumulate camera depth.
         pose: 12 differentiable values (rows of the 3x4 world-to-camera matrix) that replace the camera's own.
         deterministic: gradients are summed in a fixed order, so that a run repeats bit for bit (the image always does).
-        pair_budget: above this many (block, Gaussian) pairs the image is drawn in bands, one after another, and its lists
-            are built again for the backward pass; bounds memory, at least one row of blocks is held.
-        lens: near, far, dilation, antialias of `gof.render.project.Lens`.
+        pair_budget: above this many (block, Gaussian) pairs the image is drawn in bands, one after another, and its
+            lists are built again for the backward pass; bounds memory, at least one row of blocks is held.
+        options: near, far, dilation, antialias, min_radius of `gof.render.project.ProjectionOptions`.
     """
     width, height = camera.width, camera.height
     if background is not None and len(background) != len(splats.color):
         raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
-    n_planes = len(splats.color) + int(depth) + int(dynamic is not None) + 1
     trace = Trace()
     if len(splats) == 0:
+        n_planes = len(splats.color) + int(depth) + int(dynamic is not None) + 1
         planes = [dr.zeros(Float, width * height) for _ in range(n_planes)]
         dr.enable_grad(planes)  # an empty set has nothing to differentiate, but a training loop may still call backward
-        return _frame(
-            planes, splats, background, width, height, dynamic, depth, Array2f(Float(), Float()), Float(), trace
-        )
-    p = project(splats.position, splats.rotation, splats.scale, splats.opacity, camera, Lens(**lens), pose)
-    channels = list(splats.color)
-    if depth:
-        channels.append(p.depth)
-    if dynamic is not None:
-        channels.append(dr.select(dynamic, Float(1), Float(0)) if isinstance(dynamic, Bool) else dynamic)
-    geometry = [p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity]
-    detached = dr.detach(p)
-    radius = detached.radius
-    dr.eval(geometry, channels, detached, radius)
-    with dr.suspend_grad():
-        shapes = footprints(detached, width, height)
-    planes, alpha = blend(geometry, channels, shapes, trace, deterministic=deterministic, pair_budget=pair_budget)
-    planes = [_crop(v, width, height, shapes.columns) for v in [*planes, alpha]]
-    return _frame(
-        planes,
-        splats,
-        background,
-        width,
-        height,
-        dynamic,
-        depth,
-        Array2f(detached.mean_x, detached.mean_y),
-        radius,
-        trace,
-    )
-
-
-def _frame(planes, splats, background, width, height, dynamic, depth, mean2d, radius, trace) -> Frame:
-    n, alpha = len(splats.color), planes[-1]
-    color = planes[:n]
+        mean2d, radius = Array2f(Float(), Float()), Float()
+    else:
+        parameters = (splats.position, splats.rotation, splats.scale, splats.opacity)
+        p = project(*parameters, camera, ProjectionOptions(**options), pose)
+        channels = list(splats.color)
+        if depth:
+            channels.append(p.depth)
+        if dynamic is not None:
+            channels.append(dr.select(dynamic, Float(1), Float(0)) if isinstance(dynamic, Bool) else dynamic)
+        geometry = [p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity]
+        detached = dr.detach(p)
+        mean2d, radius = Array2f(detached.mean_x, detached.mean_y), detached.radius
+        dr.eval(geometry, channels, detached, radius)
+        with dr.suspend_grad():
+            shapes = footprints(detached, width, height)
+        planes, alpha = blend(geometry, channels, shapes, trace, deterministic=deterministic, pair_budget=pair_budget)
+        planes = [_crop(plane, width, height, shapes.columns) for plane in [*planes, alpha]]
+    *planes, alpha = planes
+    dynamic_alpha = planes.pop() if dynamic is not None else None
+    depth_sum = planes.pop() if depth else None
+    color = planes
     if background is not None:
         through = 1 - alpha
         color = [dr.fma(through, b, c) for c, b in zip(color, background, strict=True)]
-    return Frame(
-        width,
-        height,
-        color,
-        alpha,
-        planes[n] if depth else None,
-        planes[n + int(depth)] if dynamic is not None else None,
-        mean2d,
-        radius,
-        trace,
-    )
+    return Frame(width, height, color, alpha, depth_sum, dynamic_alpha, mean2d, radius, trace)
 
 
 def _crop(plane: Float, width: int, height: int, columns: int) -> Float:
@@ -173,7 +150,7 @@ def splats_at(gaussians: TransientGaussians, camera: Camera, time_s: float, *, s
 
 
 def render(
-    gaussians: TransientGaussians, camera: Camera, time_s: float, background=None, *, shutter: str = "exact", **lens
+    gaussians: TransientGaussians, camera: Camera, time_s: float, background=None, *, shutter: str = "exact", **options
 ) -> dict[str, np.ndarray]:
     """A picture of a reconstruction at a time, as numpy arrays, without gradients.
 
@@ -181,9 +158,10 @@ def render(
         gaussians: N Gaussians with plain colours or spherical harmonics.
         time_s, shutter: see `splats_at`.
         background: (3,) colour or (H, W, 3) image; None = black.
-        lens: near, far, dilation, antialias, min_radius of `gof.render.project.Lens`.
+        options: near, far, dilation, antialias, min_radius of `gof.render.project.ProjectionOptions`.
     Returns:
-        color (H, W, 3), alpha (H, W), depth (H, W) expected camera depth in m (0 where nothing is), dynamic_alpha (H, W).
+        color (H, W, 3), alpha (H, W), depth (H, W) expected camera depth in m (0 where nothing is), dynamic_alpha (H,
+        W).
     Raises:
         NonFiniteError: NaN or Inf in the Gaussians.
     """
@@ -193,8 +171,11 @@ def render(
     if background is not None:
         background = np.broadcast_to(np.asarray(background, np.float32), (*shape, 3))
         background = [floats(background[..., c]) for c in range(3)]
-    frame = render_splats(splats, camera, background, dynamic=floats(gaussians.dynamic), depth=True, **lens)
-    plane = lambda v: np.array(v.numpy()).reshape(shape)  # noqa: E731  a copy: numpy must not alias Dr.Jit's memory
+    frame = render_splats(splats, camera, background, dynamic=floats(gaussians.dynamic), depth=True, **options)
+
+    def plane(values: Float) -> np.ndarray:
+        return np.array(values.numpy()).reshape(shape)  # a copy: numpy must not alias Dr.Jit's memory
+
     return {
         "color": np.stack([plane(c) for c in frame.color], -1),
         "alpha": plane(frame.alpha),

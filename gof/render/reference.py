@@ -1,6 +1,7 @@
 """Plain numpy float64 twins of the renderer: what the kernels must compute, written for reading, not for speed.
 
-Every pixel loops over all Gaussians in depth order; nothing is binned, so these twins also check that binning loses nothing.
+Every pixel loops over all Gaussians in depth order; nothing is binned, so these twins also check that binning loses
+nothing.
 """
 
 from __future__ import annotations
@@ -25,14 +26,12 @@ def rotation_matrix(q: np.ndarray) -> np.ndarray:
     """(N, 4) quaternions wxyz to (N, 3, 3); a zero quaternion is the identity."""
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     w, x, y, z = np.moveaxis(np.where(norm > 1e-12, q / np.maximum(norm, 1e-300), 0.0), -1, 0)
-    return np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
-        ],
-        -2,
-    )
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def project(position, rotation, scale, opacity, camera: Camera, near=0.01, antialias=False, dilation=0.3):
@@ -50,12 +49,8 @@ def project(position, rotation, scale, opacity, camera: Camera, near=0.01, antia
     J = np.zeros((len(p), 2, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1 / z
     J[:, :, 2] = -s / z[:, None]
-    M = (
-        K[:2, :2]
-        @ J
-        @ W[:3, :3]
-        @ (rotation_matrix(np.asarray(rotation, np.float64)) * np.asarray(scale, np.float64)[:, None, :])
-    )
+    axes = rotation_matrix(np.asarray(rotation, np.float64)) * np.asarray(scale, np.float64)[:, None, :]
+    M = K[:2, :2] @ J @ W[:3, :3] @ axes
     before = M @ M.transpose(0, 2, 1)
     cov = before + dilation * np.eye(2)
     opacity = np.asarray(opacity, np.float64)
@@ -125,9 +120,8 @@ def harmonics_color(coefficients, position, eye, degree):
         for m in range(-l, l + 1):
             k = abs(m)
             # lpmv keeps the Condon-Shortley phase, which gives the signs 3D Gaussian Splatting uses.
-            size = np.sqrt((2 * l + 1) / (4 * np.pi) * factorial(l - k) / factorial(l + k)) * (
-                1 if m == 0 else np.sqrt(2)
-            )
+            both_signs = 1 if m == 0 else np.sqrt(2)
+            size = both_signs * np.sqrt((2 * l + 1) / (4 * np.pi) * factorial(l - k) / factorial(l + k))
             basis.append(size * lpmv(k, l, d[:, 2]) * (np.sin(k * azimuth) if m < 0 else np.cos(k * azimuth)))
     values = np.einsum("kn,nkd->nd", np.array(basis), np.asarray(coefficients, np.float64)[:, : len(basis)])
     return np.maximum(0.5 + values, 0.0)
@@ -151,7 +145,7 @@ def shutter_delay(position, velocity, camera: Camera, exact=True, near=0.01, min
 
 
 def gaussian_window(size=11, sigma=1.5) -> np.ndarray:
-    """(size,) normalised window of the SSIM used with 3D Gaussian Splatting."""
+    """(size,) normalised window of 3D Gaussian Splatting's SSIM. `gof.render.loss` has its own, to be compared."""
     w = np.exp(-0.5 * ((np.arange(size) - size // 2) / sigma) ** 2)
     return w / w.sum()
 

@@ -16,12 +16,12 @@ def shutter_delay(
 ) -> Float:
     """Delay after the start of the frame at which each Gaussian is read, s (N,); differentiable.
 
-    t = t(p0) / (1 - grad t . v) (paper, supplement "Rolling Shutter"): p0 is the projection at the start of the frame, v
-    its image velocity in px/s, t(p) = row_time * lines before p. `exact=False` returns t(p0).
+    t = t(p0) / (1 - grad t . v) (paper, supplement "Rolling Shutter"): p0 is the projection at the start of the frame,
+    v its image velocity in px/s, t(p) = row_time * lines before p. `exact=False` returns t(p0).
 
-    A Gaussian that moves along with the readout has no unique capture time as grad t . v approaches 1: 1 - grad t . v is
-    held at or above 0.1, with gradient 0 there. t(p0) is held within one image length beyond the image; 0 at or behind
-    the near plane.
+    A Gaussian that moves along with the readout has no unique capture time as grad t . v approaches 1: 1 - grad t . v
+    is held at or above 0.1, with gradient 0 there. t(p0) is held within one image length beyond the image; 0 at or
+    behind the near plane.
 
     Args:
         position: (N,) world metres at the start of the frame (the time of its first line).

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import drjit as dr
 import numpy as np
 
@@ -61,7 +64,8 @@ def rasterize(
         means: (N, 3) world.  quats: (N, 4) wxyz, normalised here.  scales: (N, 3) linear.  opacities: (N,) in [0, 1].
         colors: (N, D) or (C, N, D) with D <= 8, or with `sh_degree` coefficients (N, K, D) or (C, N, K, D).
         viewmats: (C, 4, 4) world to camera, OpenCV axes; gets a gradient.  Ks: (C, 3, 3) pixels; gets none.
-        near_plane, far_plane: depths outside are not drawn.  radius_clip: Gaussians with a smaller radius in px are skipped.
+        near_plane, far_plane: depths outside are not drawn.  radius_clip: Gaussians with a smaller radius in px are
+            skipped.
         eps2d: px^2 added to the 2D covariance.
         sh_degree: 0 to 3; colours are max(0, 0.5 + harmonics) in the direction from the camera.
         backgrounds: (C, D).
@@ -69,8 +73,10 @@ def rasterize(
         rasterize_mode: "classic" or "antialiased".
         deterministic: gradients repeat bit for bit.
         check_finite: look for NaN and Inf in the Gaussians first (one reduction per parameter).
-        packed, tile_size, channel_chunk: accepted, no effect: they choose how gsplat works, not what it returns.
-        sparse_grad, absgrad: must be False.
+        packed, tile_size, channel_chunk: taken so that a call written for gsplat runs, and without effect: they choose
+            how gsplat works (which layout its intermediates have, how many pixels share a list, how many channels are
+            drawn at a time), not what it returns.
+        sparse_grad, absgrad: must be False, as they would change the gradients.
     Returns:
         colors (C, H, W, X), alphas (C, H, W, 1), and a dict with width, height, n_cameras and per camera and Gaussian:
         "means2d" (C, N, 2) px, whose `.grad` is filled by the backward pass, "radii" (C, N) px (0 = not drawn).
@@ -91,22 +97,20 @@ def rasterize(
     n, c = len(means), len(viewmats)
     _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree)
     per_camera = colors.ndim == (3 if sh_degree is None else 4)
-    options = {
-        "size": (width, height),
-        "mode": RENDER_MODES[render_mode],
-        "sh_degree": sh_degree,
-        "radius_clip": radius_clip,
-        "deterministic": deterministic,
-        "check": check_finite,
-        "lens": {"near": near_plane, "far": far_plane, "dilation": eps2d, "antialias": rasterize_mode == "antialiased"},
+    with_color, depth_mode = RENDER_MODES[render_mode]
+    projection = {
+        "near": near_plane,
+        "far": far_plane,
+        "dilation": eps2d,
+        "antialias": rasterize_mode == "antialiased",
+        "min_radius": radius_clip,
     }
+    options = _Options(width, height, with_color, depth_mode, sh_degree, deterministic, check_finite, projection)
     images, alphas, centres, radii = [], [], [], []
-    learns = torch.is_grad_enabled() and any(
-        t.requires_grad for t in (means, quats, scales, opacities, colors, viewmats)
-    )
-    means2d = torch.zeros(
-        c, n, 2, requires_grad=learns
-    )  # a leaf that every camera reads, so that autograd fills its .grad
+    inputs = (means, quats, scales, opacities, colors, viewmats)
+    learns = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
+    # A leaf that every camera reads, so that autograd fills its .grad.
+    means2d = torch.zeros(c, n, 2, requires_grad=learns)
     for i in range(c):
         image, alpha, mean2d, radius = _Rasterize.apply(
             means,
@@ -130,6 +134,21 @@ def rasterize(
         torch.stack(alphas),
         {"means2d": means2d, "radii": torch.stack(radii), "width": width, "height": height, "n_cameras": c},
     )
+
+
+@dataclass(frozen=True)
+class _Options:
+    """What does not differ between the cameras of a call. depth_mode: None, "sum" or "mean"; projection: see
+    `gof.render.project.ProjectionOptions`."""
+
+    width: int
+    height: int
+    with_color: bool
+    depth_mode: str | None
+    sh_degree: int | None
+    deterministic: bool
+    check_finite: bool
+    projection: dict[str, Any]
 
 
 def _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree) -> None:
@@ -160,12 +179,19 @@ def _columns(tensor) -> list[Float]:
 
 
 def _tensor(planes: list[Float], shape: tuple) -> torch.Tensor:
+    """Planes side by side in a tensor's last dimension."""
     out = torch.empty(*shape)
+    size = out.numel() // len(planes)
     for k, plane in enumerate(planes):
-        out.view(-1, len(planes))[:, k] = torch.from_numpy(
-            np.broadcast_to(dr.detach(plane).numpy(), out.numel() // len(planes)).copy()
-        )
+        values = np.broadcast_to(dr.detach(plane).numpy(), size).copy()
+        out.view(-1, len(planes))[:, k] = torch.from_numpy(values)
     return out
+
+
+def _eye(world_to_camera: list[Float]) -> Array3f:
+    """Centre of a camera: -R^T t of its row-major 3x4 matrix."""
+    R, t = world_to_camera, [world_to_camera[k] for k in (3, 7, 11)]
+    return Array3f(*(-sum(R[4 * i + k] * t[i] for i in range(3)) for k in range(3)))
 
 
 class _Rasterize(torch.autograd.Function):
@@ -180,51 +206,39 @@ class _Rasterize(torch.autograd.Function):
         if background is not None:
             leaves["background"] = [dr.opaque(Float, float(v)) for v in background.detach().reshape(-1)]
         ctx.tensors = {**inputs, "viewmat": viewmat, "background": background}
-        needed = dict(
-            zip(
-                ["means", "quats", "scales", "opacities", "colors", "viewmat", "background"],
-                ctx.needs_input_grad,
-                strict=False,
-            )
-        )
+        needed = dict(zip(ctx.tensors, ctx.needs_input_grad, strict=False))
         needed["means"] |= ctx.needs_input_grad[7]  # keeps the graph alive for the gradient of the 2D means
         for name, arrays in leaves.items():
             if needed[name]:
                 dr.enable_grad(arrays)
 
-        width, height = options["size"]
-        camera = Camera("rasterize", width, height, K.detach().cpu().double().numpy(), view)
-        position, degree = Array3f(*leaves["means"]), options["sh_degree"]
-        color = leaves["colors"]
-        if degree is not None:
+        camera = Camera("rasterize", options.width, options.height, K.detach().cpu().double().numpy(), view)
+        position, color = Array3f(*leaves["means"]), leaves["colors"]
+        if options.sh_degree is not None:
             d = colors.shape[-1]
-            R, t = leaves["viewmat"], [leaves["viewmat"][k] for k in (3, 7, 11)]
-            eye = Array3f(*(-sum(R[4 * i + k] * t[i] for i in range(3)) for k in range(3)))
-            color = harmonics_color(
-                [color[k * d : (k + 1) * d] for k in range(colors.shape[-2])], position, eye, degree
-            )
-        with_color, depth_mode = options["mode"]
+            coefficients = [color[k * d : (k + 1) * d] for k in range(colors.shape[-2])]
+            color = harmonics_color(coefficients, position, _eye(leaves["viewmat"]), options.sh_degree)
         splats = Splats(position, Array4f(*leaves["quats"]), Array3f(*leaves["scales"]), leaves["opacities"][0], color)
-        if options["check"]:
+        if options.check_finite:
             require_finite_splats(splats)
         frame = render_splats(
             splats,
             camera,
             leaves.get("background"),
-            depth=depth_mode is not None,
+            depth=options.depth_mode is not None,
             pose=leaves["viewmat"],
-            deterministic=options["deterministic"],
-            min_radius=options["radius_clip"],
-            **options["lens"],
+            deterministic=options.deterministic,
+            **options.projection,
         )
-        planes = list(frame.color) if with_color else []
-        if depth_mode:
-            planes.append(frame.depth if depth_mode == "sum" else frame.expected_depth)
+        planes = list(frame.color) if options.with_color else []
+        if options.depth_mode:
+            planes.append(frame.depth if options.depth_mode == "sum" else frame.expected_depth)
         ctx.leaves, ctx.needed, ctx.frame, ctx.planes = leaves, needed, frame, [*planes, frame.alpha]
         mean2d = _tensor([frame.mean2d.x, frame.mean2d.y], (len(means), 2))
         radius = _tensor([frame.radius], (len(means),))
         ctx.mark_non_differentiable(mean2d, radius)
-        return _tensor(planes, (height, width, len(planes))), _tensor([frame.alpha], (height, width, 1)), mean2d, radius
+        size = (options.height, options.width)
+        return _tensor(planes, (*size, len(planes))), _tensor([frame.alpha], (*size, 1)), mean2d, radius
 
     @staticmethod
     def backward(ctx, g_image, g_alpha, _g_mean2d, _g_radius):

@@ -1,5 +1,4 @@
-"""Intrinsics from rendered ChArUco views and through the command, the printed target, the board's mask, the sensor
-table."""
+"""Intrinsics from rendered ChArUco views, the printed target, the board's mask, the sensor table."""
 
 import json
 import re
@@ -55,8 +54,7 @@ def views():
 
 
 def test_corners_have_pixel_centres_at_integer_and_a_half(views):
-    """OpenCV changed this convention between versions; half a pixel of it would be half a pixel of the principal
-    point."""
+    """OpenCV changed this convention between versions; the principal point would be half a pixel off."""
     errors = []
     for picture, R, t in views:
         points, pixels = TARGET.corners(picture)
@@ -170,8 +168,7 @@ def test_command_writes_what_gof_static_reads(views, tmp_path, capsys):
 
 @pytest.mark.parametrize("target", [TARGET, Charuco(5, 8, 24.0, 18.0), Charuco(11, 8, 60.0, 45.0)])
 def test_drawings_are_the_target_at_true_size(target, tmp_path):
-    """Paint the squares of PDF and SVG at one pixel per marker cell and compare with OpenCV's own picture of the
-    board."""
+    """Paint the squares of PDF and SVG at one pixel per marker cell; OpenCV draws the same pattern."""
     cell = target.marker_mm / 6
     w, h = (round(s / cell) for s in target.size_mm)
     truth = target.pattern().generateImage((w, h), marginSize=0)

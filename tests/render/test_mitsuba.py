@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scenes import camera, gaussians
 
 from gof.cameras import Camera
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
+from tests.render.scenes import camera, gaussians
 
 pytest.importorskip("mitsuba")
 
@@ -17,7 +17,7 @@ from gof.render.mitsuba_scene import ellipsoids, render_mitsuba, sensor
 
 
 def matched(distance=2.0, width=64, height=48) -> Camera:
-    """Square pixels; the further away, the longer the lens: the picture stays, the perspective inside a Gaussian goes."""
+    """Square pixels; the further away, the longer the lens: only the perspective inside a Gaussian goes."""
     cam = camera(width, height)
     W, K = cam.world_to_camera.copy(), cam.K.copy()
     W[2, 3] += distance - 2
@@ -42,7 +42,7 @@ def flame(n=40, seed=3, size=0.07):
 
 
 def test_images_agree_on_a_matched_scene():
-    """What remains: the perspective inside a Gaussian (less from afar), the cuts at 1/255 and 3 sigma, the order, noise."""
+    """What remains: perspective inside a Gaussian (less from afar), the cuts at 1/255 and 3 sigma, order, noise."""
     errors = {}
     for distance in (2.0, 6.0):
         cam = matched(distance)

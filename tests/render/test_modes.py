@@ -4,16 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scenes import camera, gaussians
 
 dr = pytest.importorskip("drjit")
-
-from test_native import gradients, image, loss_weights, splats, weighted_sum  # noqa: E402
 
 from gof.gaussians import TransientGaussians  # noqa: E402
 from gof.render import reference, render, render_splats, shutter_delay  # noqa: E402
 from gof.render.backend import Array3f, Float, floats  # noqa: E402
 from gof.render.scene import columns  # noqa: E402
+from tests.render.drawing import gradients, image, loss_weights, splats, weighted_sum  # noqa: E402
+from tests.render.scenes import camera, gaussians  # noqa: E402
 
 
 def draw(g, cam, **kwargs):
@@ -86,7 +85,7 @@ def test_alpha_and_transmittance_add_up_to_one():
 
 
 def test_the_1_255_threshold_is_the_only_jump():
-    """Central differences across the threshold see a jump of at most 1/255 x colour; the derivative is of the smooth part."""
+    """Central differences across it see a jump of at most 1/255 x colour; the derivative is of the smooth part."""
     cam = camera(9, 9)
     g = gaussians(1, 0, 0.02, spread=0)
     g["position"] = (cam.position + 2 * cam.world_to_camera[2, :3])[None]
@@ -242,7 +241,7 @@ def test_dynamic_alpha_counts_only_flagged_gaussians():
 
 
 def test_memory_of_a_crowded_image_is_bounded_by_the_budget():
-    """1500 Gaussians over the whole image are 2.9 million pairs; with a budget a tenth of that, peak memory falls accordingly."""
+    """1500 Gaussians over the whole image are 2.9 million pairs; a budget of a tenth lowers peak memory."""
     cam, g = camera(176, 176), gaussians(1500, 1, 3.0)
     g["opacity"][:] = 0.02
     peaks = []

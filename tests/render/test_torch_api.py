@@ -1,10 +1,10 @@
-"""`rasterize` against the float64 twin, with gsplat's shapes and conventions, and its autograd against central differences."""
+"""`rasterize`: gsplat's shapes and conventions, against the float64 twin; its autograd, against differences."""
 
 import numpy as np
 import pytest
-from scenes import camera, gaussians
 
 from gof.errors import DataFormatError, NonFiniteError
+from tests.render.scenes import camera, gaussians
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("drjit")

@@ -10,51 +10,11 @@ from gof.gaussians import TransientGaussians
 
 dr = pytest.importorskip("drjit")
 
-from scenes import camera, gaussians  # noqa: E402
-
 from gof.render import Splats, reference, render, render_splats, require_finite_splats, transient_state  # noqa: E402
-from gof.render.backend import Array3f, Array4f, Float, floats  # noqa: E402
+from gof.render.backend import Array3f, Float, floats  # noqa: E402
 from gof.render.scene import columns  # noqa: E402
-
-
-def splats(g, grad=False):
-    s = Splats(
-        columns(g["position"], Array3f),
-        columns(g["rotation"], Array4f),
-        columns(g["scale"], Array3f),
-        floats(g["opacity"]),
-        columns(g["color"]),
-    )
-    if grad:
-        dr.enable_grad(s.position, s.rotation, s.scale, s.opacity, s.color)
-    return s
-
-
-def image(planes, cam):
-    return np.stack([np.array(p.numpy()) for p in planes], -1).reshape(cam.height, cam.width, len(planes))
-
-
-def gradients(s):
-    stack = lambda parts: np.stack([np.broadcast_to(dr.grad(p).numpy(), len(s)) for p in parts], -1)  # noqa: E731
-    return {
-        "position": stack(s.position),
-        "rotation": stack(s.rotation),
-        "scale": stack(s.scale),
-        "opacity": stack([s.opacity])[:, 0],
-        "color": stack(s.color),
-    }
-
-
-def loss_weights(cam, channels, seed=5):
-    r = np.random.default_rng(seed)
-    return r.normal(size=(cam.height, cam.width, channels)).astype(np.float32), r.normal(
-        size=(2, cam.height, cam.width)
-    ).astype(np.float32)
-
-
-def weighted_sum(frame, weights, extra):
-    total = sum(dr.sum(c * floats(weights[..., k])) for k, c in enumerate(frame.color))
-    return total + dr.sum(frame.alpha * floats(extra[0])) + dr.sum(frame.depth * floats(extra[1]))
+from tests.render.drawing import gradients, image, loss_weights, splats, weighted_sum  # noqa: E402
+from tests.render.scenes import camera, gaussians  # noqa: E402
 
 
 @pytest.mark.parametrize(
@@ -80,7 +40,8 @@ def test_image_equals_float64_twin(n, size, wh, channels, antialias):
     )
     color, alpha, depth = reference.render(*g.values(), cam, background, antialias=antialias)
     assert alpha.max() > 0.05  # the scene is in view
-    # A pair within float32 rounding of 1/255 or of the stop may flip: at most a few pixels, by at most 1/255 of a colour.
+    # A pair within float32 rounding of 1/255 or of the stop may flip: at most a few pixels, by at most 1/255 of a
+    # colour.
     for got, want in (
         (image(frame.color, cam), color),
         (image([frame.alpha], cam)[..., 0], alpha),
