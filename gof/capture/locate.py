@@ -10,6 +10,8 @@ from gof.capture.brightness import sample, white
 from gof.capture.template import BoardTemplate
 from gof.errors import GofError
 
+MIN_FLICKER = 12.0  # grey levels between strips and gaps; a codec's noise is a few
+
 
 class BoardNotFound(GofError):
     """The footage does not show the board well enough to read it."""
@@ -171,11 +173,52 @@ def _snap(image: np.ndarray, points: np.ndarray, radius: float) -> tuple[np.ndar
     return out, found
 
 
+@dataclass(frozen=True)
+class _Comb:
+    """Where the template and the marker's plane put the strips: teeth across a common middle line.
+
+    Attributes:
+        s: (J,) place along the strips, 0 = first and 1 = last lit point.
+        middle: (J, 2) px, mean of the strips.
+        spacing: (J,) px from strip to strip.   normal: (J, 2) unit vectors across the strips.
+        teeth, gaps: (S,) and (S + 1,) places of the strips, and of what is between and beside them, in spacings.
+    """
+
+    s: np.ndarray
+    middle: np.ndarray
+    spacing: np.ndarray
+    normal: np.ndarray
+    teeth: np.ndarray
+    gaps: np.ndarray
+
+    def at(self, places: np.ndarray) -> np.ndarray:
+        """(..., J, 2) px: points `places` (..., J or 1) spacings across from the middle."""
+        return places[..., None] * (self.spacing[:, None] * self.normal) + self.middle
+
+
 def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, samples: int):
     """Slide the comb of five predicted strips across the flicker image, separately along their length, and fit smooth
-    curves: strips are mounted off the marker's plane and lenses bend them."""
-    height, width = summary.low.shape
+    curves: strips are mounted off the marker's plane and lenses bend them.
+
+    Returns:
+        strips (S, J, 2), normals (J, 2), visible (S, J) and mean shift in px, see `BoardInImage`.
+    """
     flicker = summary.high.astype(np.float32) - summary.low
+    height, width = flicker.shape
+    comb = _predicted_comb(template, H, samples)
+    inside = _inside(comb.middle, width, height, 2)
+    if inside.sum() < samples / 4:
+        raise BoardNotFound("the strips are outside the picture")
+    stretch, shift = _fit_comb(flicker, comb, inside)
+    strip = comb.at(comb.teeth[:, None] * stretch + shift)
+    for k in range(len(strip)):
+        strip[k] += _towards_ridge(flicker, comb, strip[k])
+    lit = sample(flicker, strip)
+    visible = _inside(strip, width, height, 1.5) & (lit > 0.5 * np.median(lit[:, inside]))
+    return strip, comb.normal, visible, float(np.mean(shift) * comb.spacing.mean())
+
+
+def _predicted_comb(template: BoardTemplate, H: np.ndarray, samples: int) -> _Comb:
     s = np.linspace(-0.04, 1.04, samples)
     ends = template.strip_ends
     predicted = _project(H, ends[:, None, 0] + s[:, None] * (ends[:, None, 1] - ends[:, None, 0]))  # (S, J, 2)
@@ -184,57 +227,56 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
     along = np.gradient(predicted.mean(0), axis=0)
     normal = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1, keepdims=True)
     normal *= np.sign((normal * across).sum(1))[:, None]
+    teeth = np.arange(len(ends)) - (len(ends) - 1) / 2
+    gaps = np.arange(len(ends) + 1) - len(ends) / 2
+    return _Comb(s, predicted.mean(0), spacing, normal, teeth, gaps)
 
-    shifts = np.linspace(-1.6, 1.6, 129)  # in strip spacings
+
+def _fit_comb(flicker: np.ndarray, comb: _Comb, inside: np.ndarray) -> tuple[float, np.ndarray]:
+    """One stretch for the board; one curve of shifts (J,) in spacings, quadratic along the strips, refitted without
+    outliers.
+
+    Raises: BoardNotFound: nothing flickers there, or the strips blend into each other.
+    """
+    shifts = np.linspace(-1.6, 1.6, 129)
     stretches = np.linspace(0.85, 1.15, 7)
-    middle = predicted.mean(0)
-    comb = np.arange(len(ends)) - (len(ends) - 1) / 2
-    score = np.empty((len(stretches), len(shifts), samples))
+    score = np.empty((len(stretches), len(shifts), len(comb.s)))
     for k, stretch in enumerate(stretches):
-        place = (comb[:, None] * stretch + shifts)[:, :, None, None] * (spacing[:, None] * normal) + middle
-        gaps = ((np.arange(len(ends) + 1) - len(ends) / 2)[:, None] * stretch + shifts)[:, :, None, None] * (
-            spacing[:, None] * normal
-        ) + middle
-        score[k] = sample(flicker, place).mean(0) - sample(flicker, gaps).mean(0)
+        teeth, gaps = (comb.at((part[:, None] * stretch + shifts)[:, :, None]) for part in (comb.teeth, comb.gaps))
+        score[k] = sample(flicker, teeth).mean(0) - sample(flicker, gaps).mean(0)
     # With an outer strip dead the comb fits in two places: take the one nearer to the prediction.
     score *= (1 - 0.1 * shifts**2)[:, None]
-    inside = _inside(middle, width, height, 2)
-    if inside.sum() < samples / 4:
-        raise BoardNotFound("the strips are outside the picture")
-    # One stretch for the board; one shift curve, quadratic along the strips, refitted without outliers.
     stretch_at, _ = np.unravel_index(score[:, :, inside].mean(2).argmax(), score.shape[:2])
     stretch, best = stretches[stretch_at], score[stretch_at]
     overall = best[:, inside].mean(1).argmax()
-    near = np.abs(np.arange(len(shifts)) - overall)[:, None] <= 24
+    near = np.abs(np.arange(len(shifts)) - overall)[:, None] <= 24  # steps: 0.6 spacings
     shift = shifts[np.where(near, best, -np.inf).argmax(0)]
     strength = best.max(0)
-    if np.median(strength[inside]) < 12:
+    usual = np.median(strength[inside])
+    if usual < MIN_FLICKER:
         raise BoardNotFound(
-            f"no flickering strips where the board should have them (contrast {np.median(strength[inside]):.0f} of "
-            "255): is the board running, and are the strips in the picture? A frame rate that meets every period at "
-            "the same moment (25, 50 or 250 fps with 4 ms) freezes it: set another tick (gof capture board set "
-            "--tick-us 410)"
+            f"no flickering strips where the board should have them (contrast {usual:.0f} of 255): is the board "
+            "running, and are the strips in the picture? A frame rate that meets every period at the same moment (25, "
+            "50 or 250 fps with 4 ms) freezes it: set another tick (gof capture board set --tick-us 410)"
         )
-    use = inside & (strength > 0.3 * np.median(strength[inside]))
+    use = inside & (strength > 0.3 * usual)
     for _ in range(4):
-        curve = np.polyfit(s[use], shift[use], 2)
-        use = inside & (np.abs(np.polyval(curve, s) - shift) < 0.25)
+        curve = np.polyfit(comb.s[use], shift[use], 2)
+        use = inside & (np.abs(np.polyval(curve, comb.s) - shift) < 0.25)
         if use.sum() < 8:
             raise BoardNotFound("the five strips cannot be told apart; are they sharp and free in front of the camera?")
-    shift = np.polyval(curve, s)
-    strip = (comb[:, None] * stretch + shift)[..., None] * (spacing[:, None] * normal) + middle
-    # Each strip on its own: settle on its ridge, smooth.
-    fine = np.linspace(-0.35, 0.35, 29)
-    for k in range(len(ends)):
-        around = strip[k][None] + fine[:, None, None] * (spacing[:, None] * normal)
-        ridge = np.clip(sample(flicker, around) - 0.6 * flicker.max(), 0, None)
-        weight = ridge.sum(0)
-        ok = _inside(strip[k], width, height, 2) & (weight > 0)
-        if ok.sum() < 8:
-            continue
-        centre = (ridge * fine[:, None]).sum(0)[ok] / weight[ok]
-        curve = np.polyfit(s[ok], centre, 2)
-        strip[k] += np.polyval(curve, s)[:, None] * (spacing[:, None] * normal)
-    lit = sample(flicker, strip)
-    visible = _inside(strip, width, height, 1.5) & (lit > 0.5 * np.median(lit[:, inside]))
-    return strip, normal, visible, float(np.mean(shift) * spacing.mean())
+    return float(stretch), np.polyval(curve, comb.s)
+
+
+def _towards_ridge(flicker: np.ndarray, comb: _Comb, strip: np.ndarray) -> np.ndarray:
+    """(J, 2) px from one strip's points to the ridge of its own light, smooth along it; 0 where little is seen."""
+    height, width = flicker.shape
+    fine = np.linspace(-0.35, 0.35, 29)  # spacings: within the strip's own half
+    across = comb.spacing[:, None] * comb.normal
+    ridge = np.clip(sample(flicker, strip + fine[:, None, None] * across) - 0.6 * flicker.max(), 0, None)
+    weight = ridge.sum(0)
+    ok = _inside(strip, width, height, 2) & (weight > 0)
+    if ok.sum() < 8:
+        return np.zeros_like(strip)
+    centre = (ridge * fine[:, None]).sum(0)[ok] / weight[ok]
+    return np.polyval(np.polyfit(comb.s[ok], centre, 2), comb.s)[:, None] * across

@@ -121,7 +121,7 @@ def test_the_sharpest_of_equal_stretches_are_kept():
             assert max(np.diff([0, *index, frames])) < 2 * frames / 4
 
 
-def test_command_writes_what_gof_static_reads(views, tmp_path, capsys):
+def test_command_writes_what_gof_ingest_reads(views, tmp_path, capsys):
     (tmp_path / "photos").mkdir()
     for k, (picture, _, _) in enumerate(views):
         cv2.imwrite(str(tmp_path / f"photos/{k:02d}.png"), picture)
