@@ -16,23 +16,32 @@ uses face values.
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-import subprocess
-import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+import tyro
+
+from gof.io.files import write_json
+from gof_benchmark.evidence import child
 
 FACTORS = (0.0, 0.5, 0.8, 0.9, 0.97, 1.0, 1.03, 1.1, 1.25, 2.0)
 SHIFTS = (-0.5, -0.25, 0.0, 0.25, 0.5)
 BORDER = 3  # cells next to the walls are left out: boundary conditions act there after advection
 FRAMES = 12
 FIRST = 7  # index of the first frame compared; the emission ends long before, at frame 3
+
+
+@dataclass(frozen=True)
+class VelocityTruth:
+    """Check the exported velocity against the solver's own transport of smoke."""
+
+    out: Path
+    """Folder for the bakes and velocity_truth.json; bakes that are there are not made again."""
 
 
 @dataclass(frozen=True)
@@ -117,15 +126,42 @@ def residual(density: np.ndarray, following: np.ndarray, displacement: np.ndarra
     return float(((advect(density, displacement) - following)[inner] ** 2).sum())
 
 
-def measure(folder: Path) -> dict:
-    """Evaluate one finished bake (see `bake`).
+@dataclass(frozen=True)
+class Figures:
+    """What one bake says.
 
-    Returns:
-        "factors" and "shifts": {value: relative residual}, 1 = as bad as no motion at all, over all frames together;
-        "fitted_factor" and "fitted_per_frame": the scale of the velocity with the smallest residual;
-        "largest_motion_cells", "emitter_offset_cells" (density centroid of frame 1 against the emitter's place in the
-        world), "cells_with_velocity" (share of the inner cells), "storage_max_abs_error" m/s, "fastest_m_s".
+    Attributes:
+        factors, shifts: {value: relative residual}, 1 = as bad as no motion at all, over all frames together.
+        fitted_factor, fitted_per_frame: the scale of the velocity with the smallest residual.
+        largest_motion_cells: of one frame.
+        emitter_offset_cells: density centroid of frame 1 against the emitter's place in the world.
+        cells_with_velocity: share of the inner cells.
+        storage_max_abs_error, fastest_m_s: m/s.
     """
+
+    factors: dict[float, float]
+    shifts: dict[float, float]
+    fitted_factor: float
+    fitted_per_frame: list[float]
+    largest_motion_cells: float
+    emitter_offset_cells: list[float]
+    cells_with_velocity: float
+    storage_max_abs_error: float
+    fastest_m_s: float
+
+
+SHOWN = (
+    "fitted_factor",
+    "largest_motion_cells",
+    "cells_with_velocity",
+    "fastest_m_s",
+    "storage_max_abs_error",
+    "seconds",
+)
+
+
+def measure(folder: Path) -> Figures:
+    """Evaluate one finished bake (see `bake`)."""
     from scipy.optimize import minimize_scalar
 
     from gof.fields import VelocitySequence
@@ -136,10 +172,14 @@ def measure(folder: Path) -> dict:
     to_world, step_s = sequence.index_to_world, 1 / info["fps"]
     pairs = range(FIRST, len(sequence) - 1)
     moves = {k: displacement_in_cells(sequence.frame(k).velocity, to_world, step_s) for k in pairs}
-    still = {k: residual(density[k], density[k + 1], 0 * moves[k]) for k in pairs}
 
-    def relative(moved) -> float:
-        return (sum(residual(density[k], density[k + 1], moved(k)) for k in pairs) / sum(still.values())) ** 0.5
+    def error(moved: Callable[[int], np.ndarray], frames: Iterable[int] = pairs) -> float:
+        return sum(residual(density[k], density[k + 1], moved(k)) for k in frames)
+
+    still = error(lambda k: 0 * moves[k])
+
+    def relative(moved: Callable[[int], np.ndarray]) -> float:
+        return (error(moved) / still) ** 0.5
 
     def shifted(k: int, axis: int, cells: float) -> np.ndarray:
         offset = to_world[:3, axis] * cells
@@ -147,44 +187,49 @@ def measure(folder: Path) -> dict:
         sampled = field.sample((field.cell_centers() + offset).reshape(-1, 3)).reshape(field.velocity.shape)
         return displacement_in_cells(sampled, to_world, step_s)
 
-    def fit(frames) -> float:
-        return float(
-            minimize_scalar(
-                lambda f: sum(residual(density[k], density[k + 1], f * moves[k]) for k in frames),
-                bounds=(0.7, 1.4),
-                method="bounded",
-                options={"xatol": 1e-3},
-            ).x
-        )
+    def along_axes(cells: float) -> float:
+        return float(np.mean([relative(lambda k, axis=axis: shifted(k, axis, cells)) for axis in range(3)]))
 
-    index = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in density.shape[1:]), indexing="ij"), -1)
-    centroid = (density[0][..., None] * index).sum((0, 1, 2)) / density[0].sum()
-    emitter = np.linalg.solve(to_world, [*info["emitter_world"], 1.0])[:3]
+    def fit(frames: Iterable[int]) -> float:
+        def loss(factor: float) -> float:
+            return error(lambda k: factor * moves[k], frames)
+
+        return float(minimize_scalar(loss, bounds=(0.7, 1.4), method="bounded", options={"xatol": 1e-3}).x)
+
     speed = np.linalg.norm(sequence.frame(len(sequence) - 1).velocity.astype(float), axis=-1)
-    return {
-        "factors": {f: relative(lambda k, f=f: f * moves[k]) for f in FACTORS},
-        "shifts": {
-            s: float(np.mean([relative(lambda k, a=a, s=s: shifted(k, a, s)) for a in range(3)])) for s in SHIFTS
-        },
-        "fitted_factor": fit(pairs),
-        "fitted_per_frame": [fit([k]) for k in pairs],
-        "largest_motion_cells": max(float(np.abs(m).max()) for m in moves.values()),
-        "emitter_offset_cells": (centroid - emitter).tolist(),
-        "cells_with_velocity": float((speed[1:-1, 1:-1, 1:-1] > 0).mean()),
-        "storage_max_abs_error": info["storage_max_abs_error"],
-        "fastest_m_s": float(speed.max()),
-    }
+    return Figures(
+        factors={factor: relative(lambda k, factor=factor: factor * moves[k]) for factor in FACTORS},
+        shifts={cells: along_axes(cells) for cells in SHIFTS},
+        fitted_factor=fit(pairs),
+        fitted_per_frame=[fit([k]) for k in pairs],
+        largest_motion_cells=max(float(np.abs(m).max()) for m in moves.values()),
+        emitter_offset_cells=(_centroid(density[0]) - _to_index(to_world, info["emitter_world"])).tolist(),
+        cells_with_velocity=float((speed[1:-1, 1:-1, 1:-1] > 0).mean()),
+        storage_max_abs_error=info["storage_max_abs_error"],
+        fastest_m_s=float(speed.max()),
+    )
+
+
+def _centroid(density: np.ndarray) -> np.ndarray:
+    """(3,) in cells."""
+    index = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in density.shape), indexing="ij"), -1)
+    return (density[..., None] * index).sum((0, 1, 2)) / density.sum()
+
+
+def _to_index(index_to_world: np.ndarray, point: list[float]) -> np.ndarray:
+    return np.linalg.solve(index_to_world, [*point, 1.0])[:3]
 
 
 # ---------------------------------------------------------------- bake, in a process of its own
 
 
-def bake(case: Case, folder: Path) -> None:
-    """Bake one case and export it into `folder`: velocity.zarr, density.npy (T, X, Y, Z), bake.json. Needs bpy."""
+def bake(name: str, case_folder: str) -> None:
+    """Bake one of `CASES` and export it: velocity.zarr, density.npy (T, X, Y, Z), bake.json. Needs bpy."""
     import bpy
 
     from gof_blender.scene import mantaflow, velocity
 
+    case, folder = CASES[name], Path(case_folder)
     mantaflow.enable()
     domain, emitter = build_puff(case, folder / "cache")
     with bpy.context.temp_override(object=domain, active_object=domain, selected_objects=[domain]):
@@ -257,48 +302,27 @@ def run_case(name: str, folder: Path) -> Path:
     case_folder = folder / name
     if not (case_folder / "bake.json").is_file():
         case_folder.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, "-m", "gof_benchmark.evidence.velocity_truth", "--out", str(folder), "--bake", name]
-        result = subprocess.run(command, cwd=Path(__file__).resolve().parents[2], capture_output=True, text=True)
-        if result.returncode:
-            raise RuntimeError(
-                f"baking case '{name}' failed ({result.returncode}):\n{result.stdout[-2000:]}\n{result.stderr[-2000:]}"
-            )
+        child.call(bake, name, str(case_folder))
     return case_folder
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Check the exported velocity against the solver's own transport.")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the bakes and velocity_truth.json")
-    parser.add_argument("--bake", choices=CASES, help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.bake:
-        from gof_blender.scene import mantaflow
-
-        bake(CASES[args.bake], args.out.resolve() / args.bake)
-        mantaflow.leave()
+def main(argv: list[str] | None = None) -> None:
+    """Print all figures of all cases, and write them."""
+    config = tyro.cli(VelocityTruth, prog="python -m gof_benchmark.evidence.velocity_truth", args=argv)
+    folder = config.out.resolve()
     results = {}
     for name in CASES:
         start = time.perf_counter()
-        results[name] = measure(run_case(name, args.out.resolve()))
-        results[name]["seconds"] = time.perf_counter() - start
+        figures = asdict(measure(run_case(name, folder)))
+        results[name] = figures | {"seconds": time.perf_counter() - start}
     print("relative residual (1 = no motion)".ljust(36) + "".join(name.rjust(16) for name in results))
     for kind, unit in (("factors", "velocity x"), ("shifts", "shifted, cells:")):
         for value in results["plain"][kind]:
-            row = "".join(f"{r[kind][value]:16.5f}" for r in results.values())
-            print(f"{unit} {value:g}".ljust(36) + row)
-    for key in (
-        "fitted_factor",
-        "largest_motion_cells",
-        "cells_with_velocity",
-        "fastest_m_s",
-        "storage_max_abs_error",
-        "seconds",
-    ):
+            print(f"{unit} {value:g}".ljust(36) + "".join(f"{r[kind][value]:16.5f}" for r in results.values()))
+    for key in SHOWN:
         print(key.ljust(36) + "".join(f"{r[key]:16.5f}" for r in results.values()))
-    file = args.out / "velocity_truth.json"
-    file.with_suffix(".tmp").write_text(json.dumps(results, indent=1))
-    os.replace(file.with_suffix(".tmp"), file)
-    print(f"wrote {file}")
+    write_json(folder / "velocity_truth.json", results)
+    print(f"wrote {folder / 'velocity_truth.json'}")
 
 
 if __name__ == "__main__":

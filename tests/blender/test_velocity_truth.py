@@ -17,18 +17,18 @@ def folder(tmp_path_factory):
 @pytest.mark.parametrize("case", ["plain", "slow_50fps_2m"])
 def test_exported_velocity_moves_the_smoke(folder, case):
     result = velocity_truth.measure(velocity_truth.run_case(case, folder))
-    assert result["largest_motion_cells"] > 0.05  # else every factor would fit
-    factors, shifts = result["factors"], result["shifts"]
+    assert result.largest_motion_cells > 0.05  # else every factor would fit
+    factors, shifts = result.factors, result.shifts
     for wrong in (0.5, 0.8, 1.25, 2.0):
         assert factors[1.0] < 0.02 < 0.1 < factors[wrong], f"factor {wrong}: {factors}"
-    assert result["fitted_factor"] == pytest.approx(1.0, abs=0.03)
-    assert np.allclose(result["fitted_per_frame"], 1.0, atol=0.03)
+    assert result.fitted_factor == pytest.approx(1.0, abs=0.03)
+    assert np.allclose(result.fitted_per_frame, 1.0, atol=0.03)
     for shift in (-0.5, 0.5):
         assert shifts[0.0] < 0.02 < 0.1 < shifts[shift], f"shift of {shift} cells: {shifts}"
     # The grid sits where the emitter is: the first smoke is centred on it.
-    assert np.abs(result["emitter_offset_cells"]).max() < 0.1
-    assert result["cells_with_velocity"] > 0.999
-    assert result["storage_max_abs_error"] < 1e-3 * result["fastest_m_s"]
+    assert np.abs(result.emitter_offset_cells).max() < 0.1
+    assert result.cells_with_velocity > 0.999
+    assert result.storage_max_abs_error < 1e-3 * result.fastest_m_s
 
 
 @pytest.mark.blender

@@ -7,7 +7,6 @@ from gof.cameras import Camera
 from gof.errors import DataFormatError, GofError
 from gof.ingest import depth as d
 from gof.ingest import stereo
-from gof_benchmark.evidence.static_depth import plane_sweep
 from tests.ingest.scene import cameras, draw
 
 NEAR, FAR = 1.5, 8.0
@@ -33,19 +32,6 @@ def test_semi_global_matching(views, scale):
         found = stereo.semi_global(pictures, rig, reference, other, NEAR * scale, FAR * scale)
         cover, relative = error(found, truth[reference] * scale)
         assert cover > 0.5 and np.median(relative) < 0.01 and (relative < 0.05).mean() > 0.95
-
-
-def test_plane_sweep(views):
-    rig, pictures, truth = views
-    crop = [p[::2, ::2] for p in pictures]
-    small = [c.scaled(crop[0].shape[1], crop[0].shape[0]) for c in rig]
-    found, confidence = plane_sweep(crop, small, 1, NEAR, FAR, planes=48)
-    cover, relative = error(found, truth[1][::2, ::2])
-    assert cover == 1 and (relative < 0.05).mean() > 0.8
-    sure = confidence > np.median(confidence)
-    assert (error(np.where(sure, found, np.nan), truth[1][::2, ::2])[1] < 0.05).mean() > (relative < 0.05).mean()
-    with pytest.raises(ValueError, match="near"):
-        plane_sweep(crop, small, 1, 2.0, 1.0)
 
 
 def test_consistency_removes_what_no_other_view_confirms(views):
