@@ -38,7 +38,7 @@ class VelocityField:
 
     @classmethod
     def from_array(cls, velocity: np.ndarray, origin, voxel_size: float, time_s: float = 0.0) -> VelocityField:
-        """An axis-aligned field: velocity (X, Y, Z, 3) m/s; origin (3,) m, least corner of cell (0,0,0); voxel_size m."""
+        """An axis-aligned field: velocity (X, Y, Z, 3) m/s; origin (3,) m, min corner of cell (0,0,0); voxel_size m."""
         if not voxel_size > 0:
             raise DataFormatError(f"voxel_size must be positive, got {voxel_size}")
         index_to_world = np.diag([voxel_size, voxel_size, voxel_size, 1.0])

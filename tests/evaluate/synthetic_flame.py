@@ -1,4 +1,4 @@
-"""A small dataset whose reconstruction is known: a swirling plume of Gaussians, drawn by the renderer into every picture."""
+"""A small dataset whose reconstruction is known: a swirling plume of Gaussians, drawn into every picture."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ PLATE, ERROR = 64 / 255, 51 / 255
 
 @pytest.fixture
 def board(tmp_path):
-    """A grey wall; the board (rows 40 on, columns 10 to 19) shines ERROR brighter in the even frames and has a soft row above it."""
+    """A grey wall; a board (rows 40 on, columns 10 to 19, a soft row above) shines ERROR brighter in even frames."""
     cameras = arc(2)
     pictures = np.full((5, 2, 64, 36, 3), PLATE)
     pictures[::2, :, 39:, 10:20] += ERROR

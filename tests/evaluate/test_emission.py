@@ -1,4 +1,4 @@
-"""The score on the flame's own emission: places, the Gaussians' answer there, closed forms, and what it does not depend on."""
+"""The score on the flame's own emission: places, the Gaussians' answer there, closed forms, and independence."""
 
 import numpy as np
 import pytest
@@ -100,7 +100,7 @@ def test_one_vector_in_closed_form(column):
 
 
 def test_right_velocities_are_right_wherever_they_sit(column):
-    """DVE changes with where the Gaussians are and how bright, this score does not; half a column without Gaussians costs half."""
+    """Unlike DVE, it does not depend on where Gaussians are and how bright; half a column without any costs half."""
     flame, truth = column
 
     def right(g):
@@ -172,7 +172,7 @@ def test_in_evaluate(tmp_path):
     scores = evaluate(truth, dataset, images=False)
     on = scores.dve.on_emission
     assert 0.1 < on.uncovered < 0.6 and on.n == 9 * 1024  # the column goes on where no Gaussian is
-    # right where there are Gaussians, zero elsewhere: what is wrong is the missing part of the truth's directions and power
+    # right where there are Gaussians, zero elsewhere: what is wrong is the missing part of the truth
     assert on.cos_sim == pytest.approx(1 - on.uncovered, abs=0.01)
     assert on.l2**2 == pytest.approx(1 - on.speed_ratio, abs=0.01)
     flow = plume(dataset.velocity.at(0.0).cell_centers()[r < 0.15])

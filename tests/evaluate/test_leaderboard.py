@@ -149,13 +149,22 @@ def test_page(results, capsys):
 
 @pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
 def test_page_in_a_browser(results, tmp_path):
-    """Sorting works and nothing complains, in a real browser: a probe appended to the page writes what it saw into the title."""
+    """Sorting works and nothing complains, in a real browser: a probe in the page writes what it saw into the title."""
     main([str(results / "exact"), str(results / "slow"), "--truth", str(results / "data"), "--out", str(tmp_path)])
     page = (tmp_path / "leaderboard.html").read_text()
-    watch = "<script>window.faults = []; window.onerror = m => { faults.push(m); }; console.error = m => { faults.push(m); };</script>"
-    probe = """<script>const names = () => [...document.querySelectorAll("#scores tbody tr")].slice(0, 2).map(r => r.cells[0].textContent);
-    const b = [...document.querySelectorAll("#scores th button")].find(b => b.textContent === "DVE L2"); b.click(); const up = names(); b.click(); const down = names();
-    setTimeout(() => { document.title = JSON.stringify({up, down, faults, charts: document.querySelectorAll(".main-svg").length}); }, 500);</script>"""
+    watch = """<script>
+    window.faults = [];
+    window.onerror = m => { faults.push(m); };
+    console.error = m => { faults.push(m); };
+    </script>"""
+    probe = """<script>
+    const rows = () => [...document.querySelectorAll("#scores tbody tr")].slice(0, 2);
+    const names = () => rows().map(r => r.cells[0].textContent);
+    const button = [...document.querySelectorAll("#scores th button")].find(b => b.textContent === "DVE L2");
+    button.click(); const up = names(); button.click(); const down = names();
+    const charts = () => document.querySelectorAll(".main-svg").length;
+    setTimeout(() => { document.title = JSON.stringify({up, down, faults, charts: charts()}); }, 500);
+    </script>"""
     (tmp_path / "probe.html").write_text(page.replace("<head>", "<head>" + watch).replace("</body>", probe + "</body>"))
     done = subprocess.run(
         [

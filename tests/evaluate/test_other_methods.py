@@ -1,8 +1,8 @@
-"""A look-alike result of every foreign method through `gof evaluate` itself, in a flow where its DVE is known in closed form.
+"""A look-alike result of every foreign method through `gof evaluate` itself, where its DVE is known in closed form.
 
-The true velocity is linear in space, so a Gaussian's expectation is the value at its centre and the grid holds it exactly; what
-remains to be known is each method's weight, centre and velocity at a time, which every test writes out from the raw numbers of
-the file it made.
+The true velocity is linear in space, so a Gaussian's expectation is the value at its centre and the grid holds it
+exactly; what remains to be known is each method's weight, centre and velocity at a time, which every test writes out
+from the raw numbers of the file it made.
 """
 
 import json
@@ -159,7 +159,7 @@ def test_freetimegs_with_its_normalisation_undone(dataset, tmp_path, kind):
 
 
 def test_a_sequence_of_plys_at_half_steps(dataset, tmp_path):
-    """Deformation methods: accelerated motion, for which three-point differences are exact, with changing sizes and opacities."""
+    """Deformation methods: accelerated motion (three-point differences are exact), changing sizes and opacities."""
     rng = np.random.default_rng(5)
     x0, v0, a = rng.normal(size=(3, 40, 3)) * np.array([1, 1, 4])[:, None, None]
     raw = {k: v.detach().numpy() for k, v in lookalikes.capture(rng, 40).items()}

@@ -86,7 +86,7 @@ def test_without_velocity_truth_or_masks(tmp_path):
 
 
 def test_other_methods_through_the_whole_path(flame, tmp_path):
-    """FTGS-PLY, a trajectory at half steps, and a result in another world with its cameras: all score as the original."""
+    """FTGS-PLY, a trajectory at half steps, a result in another world with its cameras: all score as the original."""
     from gof.io.importers import ImportOptions
     from gof.io.importers.freetime import save
     from gof.trajectory import Trajectory
@@ -144,7 +144,7 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
 
 
 def test_a_checkpoint_of_the_papers_code_through_the_whole_path(flame, tmp_path):
-    """The known Gaussians written in its layout and units (ms, bounded scales, un-normalised quaternions) score as they are."""
+    """The known Gaussians in its layout and units (ms, bounded scales, un-normalised quaternions) score as they are."""
     torch = pytest.importorskip("torch")
     _, dataset, truth = flame
     n, (low, high) = len(truth), (0.005, 0.08)

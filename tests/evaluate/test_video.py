@@ -149,7 +149,7 @@ def test_sizes_that_do_not_divide_are_padded_with_the_last_value(model):
 
 
 def test_it_sees_time(model):
-    """What scores of single frames cannot tell apart: the same error in every frame, steady or with alternating sign."""
+    """What scores of single frames cannot tell apart: the same error in every frame, steady or of alternating sign."""
     folder, _ = model
     truth = np.full((8, 32, 32, 3), 0.5)
     pattern = 0.1 * np.sign(np.random.default_rng(3).normal(size=(32, 32, 3)))

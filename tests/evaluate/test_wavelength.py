@@ -22,7 +22,7 @@ def test_oblique_plane_wave(k_sigma):
     wave = Analytic(lambda p: np.sin(p @ direction * k)[:, None] * np.array([0.5, -1, 2]), voxel_size=0.02)
     got = phase_spread(wave, *parts(g))
     assert np.median(got) == pytest.approx(k_sigma, rel=0.06)
-    # a crest alone is hard to tell from a long wave, so single values scatter; which side of the limit they are on does not
+    # a crest alone is hard to tell from a long wave, so single values scatter; their side of the limit does not
     if k_sigma <= 1 or k_sigma >= 2:
         assert np.mean((got > LIMIT_RAD) == (k_sigma > LIMIT_RAD)) > 0.97
 
@@ -37,7 +37,7 @@ def test_a_thin_gaussian_along_the_crests_has_no_spread():
 
 @pytest.mark.parametrize("flow", ["abc", "taylor_green"])
 def test_flows_of_several_waves(flow):
-    """ABC: three waves of the same k along the axes, so the mean of (k sigma)^2 over axes; Taylor-Green: |k| = sqrt 2 k."""
+    """ABC: three waves of the same k along the axes, so the axes' mean (k sigma)^2; Taylor-Green: |k| = sqrt 2 k."""
     k, s = 8.0, 0.15
     g = make_gaussians(300, scale=np.full((300, 3), s))
     got = phase_spread(Analytic(waves(k)[flow][0], voxel_size=0.02), *parts(g))

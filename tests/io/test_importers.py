@@ -66,7 +66,7 @@ def test_authors_ply_has_no_velocity(tmp_path):
 
 
 def test_yang_against_the_density_in_space_time(tmp_path):
-    """Velocity by finite differences of the most likely place at each time; shape and window from the 4D density itself."""
+    """Velocity by finite differences of the most likely place at each time; shape and window from the 4D density."""
     raw = lookalikes.yang(tmp_path / "chkpnt30000.pth")
     got = read_result(tmp_path / "chkpnt30000.pth")
     g, S = got.gaussians, yang_covariance(raw)
@@ -277,7 +277,7 @@ def make_trajectory(times, n=40, rate=9.0):
 
 
 def test_half_steps_and_ends_of_a_swirl():
-    """True velocity is known: half steps at a 1.5 Hz swirl and 25 frames per second are right to 0.6 %, whole steps to 2.4 %."""
+    """A 1.5 Hz swirl at 25 frames per second: velocities of half steps are right to 0.6 %, of whole steps to 2.4 %."""
     rate = 2 * np.pi * 1.5
     errors = {}
     for name, times in (("whole", np.arange(0, 1.001, 0.04)), ("half", np.arange(0, 1.001, 0.02))):

@@ -43,7 +43,7 @@ def test_replacing_the_velocity_moves_nothing():
 
 @pytest.mark.parametrize("moving", [0, 1], ids=["front", "back"])
 def test_opacity_weighted_mean_of_two(moving):
-    """One moves, one is still: the mean over the ray weighs the front one by its alpha, the back one by what is left."""
+    """One moves, one is still: the ray's mean weighs the front one by its alpha, the back one by what is left."""
     camera = arc(1)[0]
     g = blob(2)
     g.velocity[:] = 0
