@@ -282,7 +282,7 @@ def _read_dataset(folder: Path):
         for k in d.train_frames[:2] + d.test_frames[:2]
     ]
     times = [d.camera_times_s(c) for c in range(len(d.cameras))]
-    return d.cameras, d.times_s, d.frame_time_s, pictures, times, d.velocity.times_s if d.meta.get("velocity") else None
+    return d.cameras, d.times_s, d.frame_time_s, pictures, times, d.velocity.times_s if d.has_velocity else None
 
 
 def _read_velocity(folder: Path):
