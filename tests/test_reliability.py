@@ -291,14 +291,14 @@ def test_a_scene_without_end_is_refused_at_once(clip):
 
 
 def test_kill_sees_what_was_rewritten_lost_or_spoilt(tmp_path):
-    job, record = kill.Job("x", (), ("*.json",)), kill.Record("x")
+    command, outcome = kill.ResumableCommand("x", (), ("*.json",)), kill.Outcome("x")
     for name in ("a", "b", "c"):
         (tmp_path / f"{name}.json").write_text("{}")
-    truth = job.files(tmp_path)
+    truth = command.files(tmp_path)
     (tmp_path / "a.json").unlink()
     (tmp_path / "b.json").write_text("{} ")
-    kill._compare(job, tmp_path, truth, truth, record)
-    assert [len(x) for x in (record.lost, record.rewritten, record.spoilt)] == [1, 1, 1] and record.kept == 3
+    kill.compare(command, tmp_path, truth, truth, outcome)
+    assert [len(x) for x in (outcome.lost, outcome.rewritten, outcome.spoilt)] == [1, 1, 1] and outcome.kept == 3
 
 
 def test_every_injury_changes_something():

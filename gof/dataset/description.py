@@ -13,6 +13,7 @@ from gof.errors import DataFormatError
 from gof.io.records import read_record, write_record
 
 FILE = "dataset.json"
+Row3, Row4 = tuple[float, float, float], tuple[float, float, float, float]
 TEST_EVERY, TEST_FIRST = 8, 4  # every 8th frame is held out (paper, "Results"), from the fifth on
 
 
@@ -48,8 +49,8 @@ class CameraEntry:
     name: str
     width: int
     height: int
-    K: tuple[tuple[float, ...], ...]
-    world_to_camera: tuple[tuple[float, ...], ...]
+    K: tuple[Row3, Row3, Row3]
+    world_to_camera: tuple[Row4, Row4, Row4, Row4]
     row_time_s: float = 0.0
     readout: str = "down"
     role: Literal["train", "eval"] = "train"
@@ -87,8 +88,8 @@ class DatasetDescription:
         provenance: what made it, in words and numbers.
 
     Raises:
-        DataFormatError: times do not increase, a camera's own times have another length, a split names a frame there is
-            not, two cameras share a name, or no camera is for training.
+        DataFormatError, NonFiniteError: times do not increase, a camera's own times have another length, a split names
+            a frame there is not, two cameras share a name, no camera is for training, or a matrix is not a camera's.
     """
 
     SCHEMA: ClassVar[str] = "gof-dataset"
@@ -115,6 +116,7 @@ class DatasetDescription:
             if not all(0 <= k < count for k in frames):
                 raise DataFormatError(f"splits.{name} must list frame numbers below {count}")
         for entry in self.cameras:
+            entry.camera()  # or it says what is wrong
             if entry.time_s is not None and not (len(entry.time_s) == count and _increasing(entry.time_s)):
                 raise DataFormatError(
                     f"camera '{entry.name}': time_s must hold {count} strictly increasing seconds, one per frame"

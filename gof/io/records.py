@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 import msgspec
 
-from gof.errors import DataFormatError
+from gof.errors import DataFormatError, GofError
 from gof.io.files import read_json, write_json
 
 
@@ -45,7 +45,7 @@ def from_json(kind: type[R], data: Any, source: str | Path) -> R:
         raise DataFormatError(f"{source}: not schema '{kind.SCHEMA}' version {kind.VERSION}")
     try:
         return msgspec.convert({f"{key}_" if iskeyword(key) else key: value for key, value in data.items()}, kind)
-    except (msgspec.ValidationError, DataFormatError) as e:  # of a field; of the record's own checks
+    except (msgspec.ValidationError, GofError) as e:  # of a field; of the record's own checks
         raise DataFormatError(f"{source}: {e}") from e
 
 

@@ -1,1 +1,5 @@
-"""Reliability campaign: damaged inputs, killed runs. `python -m gof_benchmark.evidence.reliability fuzz|kill --help`; results in docs/reliability.md."""
+"""Reliability campaign: damaged inputs, killed runs; results in docs/reliability.md.
+
+python -m gof_benchmark.evidence.reliability fuzz --help
+python -m gof_benchmark.evidence.reliability kill --help
+"""

@@ -54,18 +54,25 @@ class Kill:
     def run(self) -> int:
         from gof_benchmark.evidence.reliability import kill
 
-        status = 0
+        status = False
         print(
-            "| command | uninterrupted | kills | runs to the end | finished files left by kills | rewritten | lost | spoilt | failed | difference |"
+            "| command | uninterrupted | kills | runs to the end | finished files left by kills | rewritten | lost | "
+            "spoilt | failed | difference |"
         )
         print("|" + "---|" * 10)
-        for job in kill.jobs(self.out):
-            if not self.only or job.name in self.only:
-                record, length = kill.campaign(job, self.times if self.only else self.times // 2, self.seed, self.out)
-                print(kill.report(record, length), flush=True)
-                status |= bool(record.rewritten or record.lost or record.spoilt or record.failures)
+        for command in kill.commands(self.out):
+            if not self.only or command.name in self.only:
+                times = self.times if self.only else self.times // 2
+                outcome = kill.campaign(command, times, self.seed, self.out)
+                print(kill.report(outcome), flush=True)
+                status |= any(outcome.faults().values())
         return int(status)
 
 
+def main(argv: list[str] | None = None) -> int:
+    """Run a campaign. Returns 1 if something failed."""
+    return tyro.cli(Fuzz | Kill, prog="python -m gof_benchmark.evidence.reliability", args=argv).run()
+
+
 if __name__ == "__main__":
-    sys.exit(tyro.cli(Fuzz | Kill, prog="python -m gof_benchmark.evidence.reliability").run())
+    sys.exit(main())

@@ -53,7 +53,10 @@ SHAPES = ((), (0,), (1,), (10**18, 3), (2**28, 3), (2**63, 2**63), (3, 0, 2**62)
 
 
 def damaged(name: str, data: bytes, rng: np.random.Generator) -> bytes:
-    """A copy of a file's content with one to three injuries; those that keep the format's checksums right come as often as others."""
+    """A copy of a file's content with one to three injuries.
+
+    Those that keep the format's checksums right come as often as others.
+    """
     kind = next((f for suffix, f in WITHIN.items() if name.endswith(suffix)), None)
     for _ in range(rng.integers(1, 4)):
         try:

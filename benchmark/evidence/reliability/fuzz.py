@@ -35,7 +35,11 @@ class Tally:
 
 
 def verdict(format_name: str, folder: Path) -> tuple[str, str]:
-    """Read a folder's sample: "accepted", "refused", or one of the failures "memory", "exception", "not finite", "unnamed"."""
+    """Read a folder's sample.
+
+    Returns:
+        "accepted", "refused", or one of the failures "memory", "exception", "not finite", "unnamed"; and what was said.
+    """
     form = formats()[format_name]
     try:
         result = form.read(folder)
@@ -141,9 +145,8 @@ def table(tallies: list[Tally]) -> str:
         seen = tally.verdicts if tally else total
         total += seen if tally else Counter()
         bad = ", ".join(f"{n} {state}" for state, n in sorted(seen.items()) if state not in GOOD) or "0"
-        rows.append(
-            f"| {tally.format if tally else '**all**'} | {seen.total()} | {seen['accepted']} | {seen['refused']} | {bad} |"
-        )
+        name = tally.format if tally else "**all**"
+        rows.append(f"| {name} | {seen.total()} | {seen['accepted']} | {seen['refused']} | {bad} |")
     return "\n".join(rows)
 
 

@@ -1,4 +1,7 @@
-"""kill -9 at random moments: the same command must finish what it left, without making, losing or spoiling a finished file."""
+"""kill -9 at random moments: the same command must finish what it left.
+
+It must not make, lose or spoil a finished file while it does.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +27,13 @@ MADE_ONCE = (
     "dataset.json",
 )
 RESULT = ("result.npz", "result.ply", "plates/*.png")
+Files = dict[str, tuple[int, str]]
+"""By name: time of writing, ns; digest of the content."""
 
 
 @dataclass(frozen=True)
-class Job:
-    """A command that resumes: its arguments without --out, and the files that are finished once they have their name."""
+class ResumableCommand:
+    """A `gof` command: its arguments without --out, and the files that are finished once they have their name."""
 
     name: str
     arguments: tuple[str, ...]
@@ -40,24 +45,20 @@ class Job:
             command = [sys.executable, "-m", "gof", *self.arguments, "--out", str(out)]
             return subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
 
-    def files(self, out: Path) -> dict[str, tuple[int, str]]:
-        """(time of writing, digest of the content) of what is finished."""
-        found = sorted(
-            {
-                p
-                for pattern in self.finished
-                for p in out.glob(pattern)
-                if p.is_file() and not p.name.startswith(".") and complete(p)
-            }
-        )
-        return {str(p.relative_to(out)): (p.stat().st_mtime_ns, digest(p)) for p in found}
+    def files(self, out: Path) -> Files:
+        """What is finished."""
+        found = {path for pattern in self.finished for path in out.glob(pattern)}
+        finished = sorted(p for p in found if p.is_file() and not p.name.startswith(".") and complete(p))
+        return {str(p.relative_to(out)): (p.stat().st_mtime_ns, digest(p)) for p in finished}
 
 
 @dataclass
-class Record:
+class Outcome:
     """What the campaign saw."""
 
-    job: str
+    command: str
+    length_s: float = 0.0
+    """Of an uninterrupted run."""
     kills: int = 0
     finished_runs: int = 0
     kept: int = 0
@@ -66,9 +67,12 @@ class Record:
     lost: list[str] = field(default_factory=list)
     spoilt: list[str] = field(default_factory=list)
     """Files under their final name whose content is not that of the uninterrupted run."""
+    failures: list[str] = field(default_factory=list)
     difference: float = 0.0
     """Largest difference of a result's values from the uninterrupted run's, relative to their spread; results only."""
-    failures: list[str] = field(default_factory=list)
+
+    def faults(self) -> dict[str, list[str]]:
+        return {name: getattr(self, name) for name in ("rewritten", "lost", "spoilt", "failures")}
 
 
 def complete(path: Path) -> bool:
@@ -99,57 +103,69 @@ def digest(path: Path) -> str:
     return hashlib.sha256(data).hexdigest()[:16]
 
 
-def campaign(job: Job, kills: int, seed: int, folder: Path) -> tuple[Record, float]:
-    """Kill the job `kills` times, at moments spread over the length of an uninterrupted run. Returns that length in s, too."""
-    rng, record = random.Random(seed), Record(job.name)
+def campaign(command: ResumableCommand, kills: int, seed: int, folder: Path) -> Outcome:
+    """Kill the command `kills` times, at moments spread over the length of an uninterrupted run."""
+    rng, outcome = random.Random(seed), Outcome(command.name)
+    whole = folder / command.name / "whole"
+    outcome.length_s = _run_uninterrupted(command, whole)
+    truth = command.files(whole)
+    while outcome.kills < kills:
+        out = folder / command.name / f"run{outcome.finished_runs}"
+        _run_with_kills(command, out, truth, kills, rng, outcome)
+        outcome.difference = max(outcome.difference, difference(whole, out))
+        outcome.finished_runs += 1
+    return outcome
+
+
+def _run_uninterrupted(command: ResumableCommand, out: Path) -> float:
     begin = time.perf_counter()
-    whole = job.start(folder / job.name / "whole")
-    if whole.wait():
-        raise RuntimeError(f"{job.name}: the uninterrupted run failed, see {folder / job.name / 'whole.log'}")
-    length = time.perf_counter() - begin
-    truth = job.files(folder / job.name / "whole")
-    while record.kills < kills:
-        out, before = folder / job.name / f"run{record.finished_runs}", {}
-        status = None
-        while status is None:
-            process = job.start(out)
-            try:
-                status = process.wait(rng.uniform(0, length) if record.kills < kills else None)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-                record.kills += 1
-            before = _compare(job, out, before, truth, record)
-            print(
-                f"{job.name}: {record.kills} kills, {record.finished_runs} runs finished, {len(before)} files done",
-                file=sys.stderr,
-                flush=True,
-            )
-        if status:
-            record.failures.append(
-                f"{out}: status {status}\n{out.with_suffix('.log').read_text(errors='replace')[-500:]}"
-            )
-        record.lost += [f"{out.name}/{name}" for name in truth.keys() - before.keys()]
-        record.difference = max(record.difference, difference(folder / job.name / "whole", out))
-        record.finished_runs += 1
-    return record, length
+    if command.start(out).wait():
+        raise RuntimeError(f"{command.name}: the uninterrupted run failed, see {out.with_suffix('.log')}")
+    return time.perf_counter() - begin
 
 
-def _compare(job: Job, out: Path, before: dict, truth: dict, record: Record) -> dict:
-    now = job.files(out)
-    record.kept += len(before)
-    record.rewritten += [f"{out.name}/{name}" for name in before if name in now and now[name][0] != before[name][0]]
-    record.lost += [f"{out.name}/{name}" for name in before if name not in now]
+def _run_with_kills(
+    command: ResumableCommand, out: Path, truth: Files, kills: int, rng: random.Random, outcome: Outcome
+) -> None:
+    """Start the command again until it ends by itself; look at its files after every kill."""
+    files: Files = {}
+    status = None
+    while status is None:
+        process = command.start(out)
+        try:
+            status = process.wait(rng.uniform(0, outcome.length_s) if outcome.kills < kills else None)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            outcome.kills += 1
+        files = compare(command, out, files, truth, outcome)
+        done = f"{outcome.kills} kills, {outcome.finished_runs} runs finished, {len(files)} files done"
+        print(f"{command.name}: {done}", file=sys.stderr, flush=True)
+    if status:
+        last_words = out.with_suffix(".log").read_text(errors="replace")[-500:]
+        outcome.failures.append(f"{out}: status {status}\n{last_words}")
+    outcome.lost += [f"{out.name}/{name}" for name in truth.keys() - files.keys()]
+
+
+def compare(command: ResumableCommand, out: Path, before: Files, truth: Files, outcome: Outcome) -> Files:
+    """Add to the outcome what happened to the files that were there `before`; returns those that are there now."""
+    now = command.files(out)
+    outcome.kept += len(before)
+    outcome.rewritten += [f"{out.name}/{name}" for name in before if name in now and now[name][0] != before[name][0]]
+    outcome.lost += [f"{out.name}/{name}" for name in before if name not in now]
     for name, (_, content) in now.items():
         if name.endswith((".npz", ".ply")) or name.startswith("plates/"):
             continue  # compared as numbers
-        if content != truth.get(name, (0, ""))[1] and f"{out.name}/{name}" not in record.spoilt:
-            record.spoilt.append(f"{out.name}/{name}")
+        if content != truth.get(name, (0, ""))[1] and f"{out.name}/{name}" not in outcome.spoilt:
+            outcome.spoilt.append(f"{out.name}/{name}")
     return now
 
 
 def difference(a: Path, b: Path) -> float:
-    """Largest relative difference of two reconstructions' values: of each array, the root mean square of the difference over its spread."""
+    """Largest relative difference of two reconstructions' values.
+
+    Of each array, the root mean square of the difference over its spread.
+    """
     if not (a / "result.npz").is_file():
         return 0.0
     with np.load(a / "result.npz") as first, np.load(b / "result.npz") as second:
@@ -160,21 +176,22 @@ def difference(a: Path, b: Path) -> float:
     return max(float(np.sqrt(np.mean((x - y) ** 2)) / max(x.std(), 1e-12)) for x, y in pairs)
 
 
-def jobs(folder: Path) -> list[Job]:
+def commands(folder: Path) -> list[ResumableCommand]:
     """Generation of the toy scene, and the reconstruction of that dataset."""
     dataset = folder / "generate" / "whole"
     reconstruct = ("reconstruct", str(dataset), "--gaussians", "300", "--iterations", "600", "--voxels", "16")
     return [
-        Job("generate", ("generate", "demo", "--preset", "toy"), MADE_ONCE),
-        Job("reconstruct", reconstruct, RESULT),
+        ResumableCommand("generate", ("generate", "demo", "--preset", "toy"), MADE_ONCE),
+        ResumableCommand("reconstruct", reconstruct, RESULT),
     ]
 
 
-def report(record: Record, length: float) -> str:
-    bad = {name: getattr(record, name) for name in ("rewritten", "lost", "spoilt", "failures")}
-    lines = [
-        f"| {record.job} | {length:.0f} s | {record.kills} | {record.finished_runs} | {record.kept} | "
-        + " | ".join(str(len(v)) for v in bad.values())
-        + f" | {record.difference:.2g} |"
-    ]
-    return "\n".join(lines + [f"{name}: {json.dumps(value[:20], indent=1)}" for name, value in bad.items() if value])
+def report(outcome: Outcome) -> str:
+    """A row of the table, and below it what went wrong."""
+    counts = " | ".join(str(len(faults)) for faults in outcome.faults().values())
+    row = (
+        f"| {outcome.command} | {outcome.length_s:.0f} s | {outcome.kills} | {outcome.finished_runs} | "
+        f"{outcome.kept} | {counts} | {outcome.difference:.2g} |"
+    )
+    faults = [f"{name}: {json.dumps(found[:20], indent=1)}" for name, found in outcome.faults().items() if found]
+    return "\n".join([row, *faults])
