@@ -12,8 +12,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from gof import results
 from gof.errors import DataFormatError, GofError, require_finite
-from gof.io import results
 from gof.similarity import transformed_splats
 
 LIFE_SIGMAS = 3.0  # a Gaussian lives for this many t_sigma before and after t_mu; then 99 % of its opacity is gone

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gof.dataset import Dataset
+from gof.dataset.plates import background, save_plates
 from gof.errors import DataFormatError
-from gof.plates import background, save_plates
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from gof.dataset import Dataset
-from gof.view import Viewer
+from gof.report.viewer import Viewer
 
 
 @dataclass

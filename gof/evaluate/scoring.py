@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.dataset import Dataset
+from gof.dataset.plates import background
 from gof.errors import DataFormatError
 from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import DVESequence, Opacity
@@ -28,7 +29,6 @@ from gof.evaluate.sequence import dve_sequence, sanity_warnings
 from gof.gaussians import MovingGaussians
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
-from gof.plates import background
 
 
 def evaluate(
@@ -44,8 +44,8 @@ def evaluate(
 ) -> Scores:
     """All scores of a result.
 
-    Pictures: every held-out frame of every camera, rendered over the result's own plate (`gof.plates`), else the
-    fire-free one (over black when the result brings static Gaussians of its own); `flame` scores count pixels of the
+    Pictures: every held-out frame of every camera, rendered over the result's own plate (`gof.dataset.plates`), else
+    the fire-free one (over black when the result brings static Gaussians of its own); `flame` scores count pixels of the
     true flame mask only. Pixels of the sync board do not count. Velocities: DVE on every frame of the clip that has a
     true velocity field.
 

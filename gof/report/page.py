@@ -10,11 +10,11 @@ from PIL import Image
 
 from gof.costs import StageCost
 from gof.dataset import Dataset
+from gof.dataset.plates import background
 from gof.errors import DataFormatError
 from gof.evaluate.scores import Scores
 from gof.gaussians import TransientGaussians
 from gof.io.files import atomic_path
-from gof.plates import background
 from gof.reconstruct.captions import Captions
 from gof.report import animation as pictures
 from gof.report.chart import l2_chart
@@ -59,12 +59,7 @@ def build_report(
         dataset, gaussians, plates[camera], camera, lambda done, total: progress(done, total, stage="animation")
     )
     folder = out_dir / "pictures"
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_path(folder / "animation.webp") as temporary:
-        animation.save(temporary)
-    with atomic_path(folder / "animation.png") as temporary:
-        Image.fromarray(animation.frames[animation.still]).save(temporary)
-
+    _save(animation, folder)
     frame = pictures.brightest_frame(dataset)
     content = {
         "name": dataset.description.name,
@@ -92,6 +87,14 @@ def build_report(
     with atomic_path(out_dir / "report.html") as temporary:
         temporary.write_text(_render(content), encoding="utf-8")
     return out_dir / "report.html"
+
+
+def _save(animation: pictures.Animation, folder: Path) -> None:
+    """Write folder/animation.webp, and its frame with most flame as animation.png."""
+    with atomic_path(folder / "animation.webp") as temporary:
+        animation.save(temporary)
+    with atomic_path(folder / "animation.png") as temporary:
+        Image.fromarray(animation.frames[animation.still]).save(temporary)
 
 
 def _facts(dataset: Dataset, gaussians: TransientGaussians) -> dict[str, str]:

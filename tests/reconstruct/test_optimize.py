@@ -9,9 +9,9 @@ import pytest
 
 from gof.commands.reconstruct import ReconstructConfig
 from gof.dataset import Dataset
+from gof.dataset.plates import background
 from gof.evaluate.image import psnr
 from gof.gaussians import TransientGaussians
-from gof.plates import background
 from gof.reconstruct import ablations, optimize
 from gof.reconstruct.curve import Curve, HeldOutScores
 from gof.reconstruct.heldout import HeldOut

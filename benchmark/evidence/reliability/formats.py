@@ -97,7 +97,7 @@ def _trajectory(folder: Path) -> None:
 
 
 def _still_plys(folder: Path) -> None:
-    from gof.io.ply import splat_columns, write
+    from gof.ply import splat_columns, write
 
     for number in range(3):
         write(folder / f"{number:03d}.ply", splat_columns(_gaussians(5).arrays()), [])

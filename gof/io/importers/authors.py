@@ -10,7 +10,7 @@ from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.files import read_json
 from gof.io.importers.source import Imported, ImportOptions, Source, array
-from gof.io.ply import exp, quaternions, sigmoid
+from gof.ply import exp, quaternions, sigmoid
 
 LAYOUT = (
     "active_sh_degree",

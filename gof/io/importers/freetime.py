@@ -15,7 +15,7 @@ from gof.gaussians import TransientGaussians
 from gof.io.files import atomic_path
 from gof.io.importers.normalisation import world_from_training
 from gof.io.importers.source import Imported, ImportOptions, Source, array
-from gof.io.ply import exp, quaternions, sigmoid, splat_columns, write
+from gof.ply import exp, quaternions, sigmoid, splat_columns, write
 
 SPLATS = {"means", "scales", "quats", "opacities", "sh0", "shN", "times", "durations", "velocities"}
 MIN_DURATION = 0.02  # of the sequence; its renderer never uses a shorter one

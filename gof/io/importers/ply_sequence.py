@@ -8,7 +8,7 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.io.importers.source import Imported, ImportOptions, Source
-from gof.io.ply import Ply
+from gof.ply import Ply
 from gof.trajectory import Trajectory
 
 

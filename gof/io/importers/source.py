@@ -11,8 +11,8 @@ import numpy as np
 
 from gof.errors import DataFormatError, MissingDependencyError
 from gof.gaussians import MovingGaussians
-from gof.io.npz import read_npz
-from gof.io.ply import Ply
+from gof.npz import read_npz
+from gof.ply import Ply
 
 
 @dataclass(frozen=True)

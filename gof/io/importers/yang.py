@@ -13,7 +13,7 @@ from gof.gaussians import TransientGaussians
 from gof.harmonics import plain_color
 from gof.io.importers.authors import is_capture
 from gof.io.importers.source import Imported, ImportOptions, Source, array
-from gof.io.ply import exp, quaternions, sigmoid
+from gof.ply import exp, quaternions, sigmoid
 from gof.rotations import quaternions_wxyz
 
 LENGTH, LENGTH_3D = 19, 12

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gof.dataset import Dataset
+from gof.dataset.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.io.files import atomic_path
 

@@ -14,8 +14,8 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.harmonics import plain_color
 from gof.io.files import atomic_path
-from gof.io.npz import read_npz
-from gof.io.ply import Ply, splat_columns, write
+from gof.npz import read_npz
+from gof.ply import Ply, splat_columns, write
 
 Arrays = dict[str, np.ndarray]  # the fields of `gof.gaussians.TransientGaussians` by name
 

@@ -7,7 +7,7 @@ import pytest
 
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
-from gof.view import Viewer, newest, splats, time_span
+from gof.report.viewer import Viewer, newest, splats, time_span
 from tests.conftest import random_gaussians
 
 
