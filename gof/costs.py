@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-from gof.io.records import read_record, write_record
+from gof.records import read_record, write_record
 
 
 @dataclass(frozen=True)

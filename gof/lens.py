@@ -9,8 +9,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.io.files import read_json
-from gof.io.records import from_json
+from gof.files import read_json
+from gof.records import from_json
 
 Turn = Literal["none", "clockwise", "counterclockwise"]
 ROLL_DEG = {"none": 0, "clockwise": 90, "counterclockwise": -90}

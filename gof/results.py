@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.files import atomic_path
 from gof.harmonics import plain_color
-from gof.io.files import atomic_path
 from gof.npz import read_npz
 from gof.ply import Ply, splat_columns, write
 

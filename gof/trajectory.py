@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError, require_finite
+from gof.files import atomic_path
 from gof.gaussians import TransientGaussians
-from gof.io.files import atomic_path
 from gof.similarity import transformed_splats
 
 SCHEMA = "gof-trajectory/1"

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from gof.evaluate import evaluate
 from gof.dataset import Dataset
+from gof.evaluate import evaluate
 from gof_benchmark.commands import generate
 from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY

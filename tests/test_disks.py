@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from gof.errors import GofError
+from gof.files import only_run_in, write_json
 from gof.gaussians import TransientGaussians
-from gof.io.files import only_run_in, write_json
 from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY
 from tests.reconstruct.rising_flame import reconstruct, write_flame
@@ -116,7 +116,7 @@ def test_two_generators_in_one_folder(tmp_path):
 
 def test_the_folder_is_free_again_after_kill_9(tmp_path):
     code = (
-        "import os\nfrom pathlib import Path\nfrom gof.io.files import only_run_in\n"
+        "import os\nfrom pathlib import Path\nfrom gof.files import only_run_in\n"
         f"with only_run_in(Path({str(tmp_path)!r})):\n os.kill(os.getpid(), 9)"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == -9

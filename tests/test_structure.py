@@ -1,111 +1,86 @@
-"""Imports go one way, so that each room can be used, and understood, without those above it."""
+"""The house has an order: rooms and files import downwards only, and what must not be imported is not."""
 
-import ast
 import sys
-from pathlib import Path
+from graphlib import CycleError, TopologicalSorter
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-# What a part may import of ours: the parts named here (and itself).
-BELOW = {
-    "blender_addon": set(),
-    "gof.render": {"gof"},
-    "gof.io": {"gof", "gof.render"},
-    "gof.evaluate": {"gof", "gof.render", "gof.io"},
-    "gof.capture": {"gof", "gof.io"},
-    "gof.reconstruct": {"gof", "gof.render", "gof.io", "gof.evaluate", "gof.capture"},
-    "gof.report": {"gof", "gof.render", "gof.io", "gof.evaluate"},
-    "gof": {"gof.io", "gof.render", "gof.evaluate"},
-    "benchmark": {
-        "blender_addon",
-        "gof",
-        "gof.render",
-        "gof.io",
-        "gof.evaluate",
-        "gof.capture",
-        "gof.reconstruct",
-        "gof.report",
-    },
+from tools import import_graph
+from tools.import_graph import FOLDERS, file_graph, imports_of, modules, room_graph
+
+# Never imported by the part named: other people's libraries, and rooms of ours, by the start of their import names.
+FORBIDDEN = {
+    "gof": ("bpy", "gof_blender", "gof_benchmark"),
+    "gof_blender": ("gof", "gof_benchmark", "torch", "mitsuba", "drjit", "zarr"),
+    "gof_blender.pure": ("bpy", "mathutils", "gof_blender.scene", "gof_blender.ui", "gof_blender.worker"),
+    "gof_benchmark.commands": ("gof_benchmark.evidence",),
+    "gof_benchmark.generator": ("gof_benchmark.evidence", "gof_benchmark.studies"),
 }
-BASE = {
-    "errors",
-    "cameras",
-    "gaussians",
-    "fields",
-    "dataset",
-    "stages",
-    "lens",
-    "plates",
-    "__init__",
-}  # of gof: below every part
+BLENDERS_OWN = {"bpy", "mathutils", "bl_ui", "addon_utils", "bpy_extras", "manta", "_cycles"}
+BLENDERS_OWN |= {"OpenImageIO", "openvdb", "pyopenvdb"}
 
 
-def part_of(module: str) -> str:
-    """The part of ours that a dotted module name belongs to, "" for other people's."""
-    names = module.split(".")
-    if names[0] not in ("gof", "benchmark", "blender_addon"):
-        return ""
-    return ".".join(names[:2]) if names[0] == "gof" and ".".join(names[:2]) in BELOW else names[0]
+@pytest.mark.parametrize("graph", [file_graph, room_graph], ids=["files", "rooms"])
+def test_no_circle_of_imports(graph):
+    try:
+        TopologicalSorter(graph()).prepare()
+    except CycleError as e:
+        pytest.fail("imports go round: " + " <- ".join(e.args[1]))
 
 
-def imports(path: Path):
-    """(module, line) of every import of ours in a file, also inside functions."""
-    package = path.relative_to(ROOT).with_suffix("").parts
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from ((alias.name, node.lineno) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            base = ".".join(package[: len(package) - node.level]) if node.level else ""
-            yield ".".join(x for x in (base, node.module) if x), node.lineno
+def test_a_circle_is_found(tmp_path, monkeypatch):
+    """The graph sees imports of every form, also inside functions, and not those for type checkers."""
+    (tmp_path / "gof" / "room").mkdir(parents=True)
+    (tmp_path / "gof" / "__init__.py").write_text("")
+    (tmp_path / "gof" / "a.py").write_text("def f():\n    from gof.room import b\n")
+    (tmp_path / "gof" / "room" / "__init__.py").write_text("")
+    (tmp_path / "gof" / "room" / "b.py").write_text("if TYPE_CHECKING:\n    from gof import c\nfrom ..a import f\n")
+    (tmp_path / "gof" / "c.py").write_text("import gof.a\n")
+    monkeypatch.setattr(import_graph, "ROOT", tmp_path)
+    monkeypatch.setattr(import_graph, "FOLDERS", {"gof": "gof"})
+    graph = file_graph()
+    assert graph["gof.a"] == {"gof.room.b"} and graph["gof.room.b"] == {"gof.a"} and graph["gof.c"] == {"gof.a"}
+    with pytest.raises(CycleError):
+        TopologicalSorter(graph).prepare()
 
 
-@pytest.mark.parametrize("part", BELOW)
-def test_imports_go_one_way(part):
-    files = [
-        f
-        for f in (ROOT / part.replace(".", "/")).rglob("*.py")
-        if part_of(".".join(f.relative_to(ROOT).with_suffix("").parts)) == part
-    ]
-    assert files
-    wrong = []
-    for file in files:
-        for module, line in imports(file):
-            other = part_of(module)
-            if other and other != part and other not in BELOW[part]:
-                wrong.append(f"{file.relative_to(ROOT)}:{line} imports {module}")
-    assert not wrong, "\n".join(wrong)
-
-
-def test_the_base_needs_no_part_above_it():
-    allowed = {"gof", "gof.io"}  # gof.io.files: reading and writing safely
+@pytest.mark.parametrize("part", FORBIDDEN)
+def test_what_must_not_be_imported(part):
+    known = modules()
+    mine = {name: path for name, path in known.items() if name == part or name.startswith(f"{part}.")}
+    assert mine
     wrong = [
-        f"gof/{name}.py:{line} imports {module}"
-        for name in BASE
-        for module, line in imports(ROOT / "gof" / f"{name}.py")
-        if part_of(module) not in allowed | {""}
+        f"{path.relative_to(import_graph.ROOT)}:{line} imports {target}"
+        for name, path in mine.items()
+        for target, line in import_graph.all_imports(name, path)
+        if any(target == bad or target.startswith(f"{bad}.") for bad in FORBIDDEN[part])
     ]
     assert not wrong, "\n".join(wrong)
 
 
 def test_the_add_on_needs_numpy_and_blender_only():
-    blenders_own = {
-        "bpy",
-        "mathutils",
-        "bl_ui",
-        "addon_utils",
-        "bpy_extras",
-        "manta",
-        "_cycles",
-        "OpenImageIO",
-        "openvdb",
-        "pyopenvdb",
-    }
-    allowed = set(sys.stdlib_module_names) | blenders_own | {"numpy", "blender_addon"}
+    allowed = set(sys.stdlib_module_names) | BLENDERS_OWN | {"numpy", "gof_blender"}
     wrong = [
-        f"{file.relative_to(ROOT)}:{line} imports {module}"
-        for file in (ROOT / "blender_addon").rglob("*.py")
-        for module, line in imports(file)
-        if module.split(".")[0] not in allowed | {""}
+        f"{path.relative_to(import_graph.ROOT)}:{line} imports {target}"
+        for name, path in modules().items()
+        if name.split(".")[0] == "gof_blender"
+        for target, line in import_graph.all_imports(name, path)
+        if target.split(".")[0] not in allowed
     ]
     assert not wrong, "\n".join(wrong)
+
+
+def test_the_diagram_is_true():
+    page = import_graph.PAGE.read_text(encoding="utf-8")
+    assert import_graph.diagram() in page, "docs/architecture.md is old: run python tools/import_graph.py --write"
+
+
+def test_the_table_of_rooms_is_whole():
+    page = import_graph.PAGE.read_text(encoding="utf-8")
+    missing = [room for room in room_graph() if f"`{room}`" not in page]
+    assert not missing, f"docs/architecture.md does not say what is in {missing}"
+
+
+def test_every_folder_is_a_part_of_ours():
+    assert all((import_graph.ROOT / folder).is_dir() for folder in FOLDERS.values())
+    assert any(list(imports_of(name, path, modules())) for name, path in modules().items())

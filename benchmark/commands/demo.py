@@ -11,8 +11,8 @@ import tyro
 
 from gof.costs import StageCost, StageLog
 from gof.evaluate.scores import Scores
-from gof.io.files import write_json
-from gof.io.records import to_json
+from gof.files import write_json
+from gof.records import to_json
 from gof.worker import run_worker
 
 

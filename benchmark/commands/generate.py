@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gof.costs import Costs, StageLog
-from gof.io.files import only_run_in, write_json
+from gof.files import only_run_in, write_json
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec

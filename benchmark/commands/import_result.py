@@ -10,8 +10,8 @@ from typing import Literal
 import tyro
 
 from gof.dataset import Dataset
+from gof.files import write_json
 from gof.gaussians import TransientGaussians
-from gof.io.files import write_json
 from gof.report.preview import Preview
 from gof.worker import run_worker
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from gof.io.files import write_json
+from gof.files import write_json
 from gof_benchmark.evidence import child
 
 FRAMES = 36  # of the baked sequence, and of the playback

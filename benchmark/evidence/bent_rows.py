@@ -20,10 +20,10 @@ import tyro
 from gof.cameras import Camera
 from gof.capture.brightness import sample
 from gof.errors import GofError
+from gof.files import write_json
 from gof.flame_mask import flame_mask
 from gof.footage import stored_frames
 from gof.gaussians import TransientGaussians
-from gof.io.files import write_json
 from gof.lens import Lens, prepare
 
 ROW_TIME_S, FPS = 2.85e-6, 400  # of the cameras' 720 rows (paper)

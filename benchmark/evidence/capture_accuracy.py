@@ -29,7 +29,7 @@ from gof.capture.sync import synchronise
 from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.errors import GofError
-from gof.io.files import write_json
+from gof.files import write_json
 
 SHOWN = ("frame_interval_us", "rms_us", "max_residual_us", "outliers", "row_time_us", "readout", "faults")
 GOAL_US, GOAL_COMPRESSED_US, GOAL_REAL_US = 5.0, 15.0, 9.0

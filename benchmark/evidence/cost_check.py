@@ -19,7 +19,7 @@ from pathlib import Path
 import tyro
 
 from gof.costs import StageLog
-from gof.io.files import read_json, write_json
+from gof.files import read_json, write_json
 from gof_benchmark.evidence import child
 from gof_benchmark.generator import machine
 from gof_benchmark.scenes import load_scene

@@ -24,8 +24,8 @@ import numpy as np
 import tyro
 
 from gof.fields import VelocitySequence
+from gof.files import write_json
 from gof.gaussians import TransientGaussians
-from gof.io.files import write_json
 from gof_benchmark.evidence import child
 from gof_blender.pure.io.velocity_store import VelocityWriter
 

@@ -19,8 +19,8 @@ import tyro
 
 from gof.dataset import Dataset
 from gof.evaluate import dve
+from gof.files import write_json
 from gof.gaussians import TransientGaussians
-from gof.io.files import write_json
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.fusion import fuse_frame

@@ -168,7 +168,7 @@ def mitsuba_comparison(n: int = 300, spp: int = 64) -> tuple[np.ndarray, np.ndar
 def write_picture(path: Path, ours: np.ndarray, theirs: np.ndarray) -> None:
     from PIL import Image
 
-    from gof.io.files import atomic_path
+    from gof.files import atomic_path
 
     panel = np.concatenate([ours, theirs, 0.5 + 5 * (ours - theirs)], 1)
     with atomic_path(path) as temporary:

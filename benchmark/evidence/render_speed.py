@@ -2,27 +2,54 @@
 
     python -m gof_benchmark.evidence.render_speed [--quick] [--json FILE]
 
-Every figure is the minimum of several repetitions, as wall time and as CPU time over all threads (on a shared machine wall
-time is what the neighbours leave; ratios of CPU time within one run are the comparable figure). Mitsuba runs in processes of
-its own, once with its own settings of the LLVM backend and once with ours, and the faster of the two counts. The torch peer
-is a plain 16x16 tile loop under autograd, a weak baseline that is easy to check.
+Every figure is the minimum of several repetitions, as wall time and as CPU time over all threads (on a shared machine
+wall time is what the neighbours leave; ratios of CPU time within one run are the comparable figure). Mitsuba runs in
+processes of its own, once with its own settings of the LLVM backend and once with ours, and the faster of the two
+counts. The torch peer is a plain 16x16 tile loop under autograd, a weak baseline that is easy to check.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import platform
-import subprocess
-import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tyro
 
+from gof.files import write_json
+from gof_benchmark.evidence import child
 from gof_benchmark.evidence.render_scenes import camera, flame
+
+# Vector instructions per (pixel, Gaussian) of the blend kernels with three channels, counted in gof/render/blend.py:
+# a fixed part and one per channel; without what a 4x4 block shares (fetching the Gaussian, the gradient scatter) and
+# without register spills.
+CHANNELS = 3
+KERNEL_OPS = {"forward": 23 + CHANNELS, "backward": 38 + 2 * CHANNELS}
+KERNEL_GOALS_NS = {"forward": 0.8, "backward": 1.6}
+
+
+@dataclass(frozen=True)
+class RenderSpeed:
+    """Time a training step by its phases, against Mitsuba, a torch tile loop and the processor's limit."""
+
+    quick: bool = False
+    """Small scene, few repetitions: does the script run."""
+    json: Path | None = None
+    """Also write every figure to this file."""
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the tables."""
+    config = tyro.cli(RenderSpeed, prog="python -m gof_benchmark.evidence.render_speed", args=argv)
+    result = measure(config.quick)
+    print(report(result))
+    if config.json:
+        write_json(config.json, result)
 
 
 def best(function: Callable[[], object], repeats: int) -> tuple[float, float]:
@@ -135,12 +162,6 @@ class Training:
             "L1 + SSIM, both ways": run(loss),
             "blend backward": run(lambda: blend._gradient(records, band.lists, planes, grads, 3, shapes.columns, size)),
         }
-
-
-# Vector instructions per (pixel, Gaussian) of the blend kernels with C channels, counted in gof/render/blend.py, without
-# what a 4x4 block shares (fetching the Gaussian, the gradient scatter) and without register spills.
-FORWARD_OPS = lambda c: 23 + c  # noqa: E731
-BACKWARD_OPS = lambda c: 38 + 2 * c  # noqa: E731
 
 
 def vector_rate(repeats: int) -> float:
@@ -312,125 +333,160 @@ def growth(quick: bool, repeats: int) -> tuple[list[dict], dict]:
                 "compiled_late": late,
             }
         )
-    exponent = lambda xs, ys: float(np.polyfit(np.log(xs), np.log(ys), 1)[0])  # noqa: E731
-    by_n, by_size = rows[: len(counts)], [rows[-2], rows[counts.index(100_000)], rows[-1]]
+    by_n = rows[: len(counts)]
+    by_size = [rows[-2], rows[counts.index(100_000)], rows[-1]]
     return rows, {
-        "cpu ~ N^": exponent([r["n"] for r in by_n], [r["cpu_ms"] for r in by_n]),
-        "cpu ~ pixels^": exponent([r["width"] * r["height"] for r in by_size], [r["cpu_ms"] for r in by_size]),
+        "cpu ~ N^": _exponent([r["n"] for r in by_n], [r["cpu_ms"] for r in by_n]),
+        "cpu ~ pixels^": _exponent([r["width"] * r["height"] for r in by_size], [r["cpu_ms"] for r in by_size]),
     }
 
 
-def measure(quick: bool) -> dict:
+def _exponent(xs: list[float], ys: list[float]) -> float:
+    """p of y ~ x^p, least squares in logarithms."""
+    return float(np.polyfit(np.log(xs), np.log(ys), 1)[0])
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """All figures."""
     import drjit as dr
 
     repeats = 5 if quick else 25
     n, w, h = (20_000, 320, 180) if quick else (100_000, 640, 360)
-    result = {
+    result: dict[str, Any] = {
         "machine": {"cpu": _cpu_name(), "threads": dr.thread_count(), "drjit": dr.__version__},
         "scene": [n, w, h],
     }
-    training = Training(n, w, h)
-    for _ in range(3):
-        training.step()
-        training.draw_and_differentiate()
+    training = _warm(Training(n, w, h))
     result["step"] = best(training.step, repeats)
-    result["forward"], result["both"] = best(training.draw, repeats), best(training.draw_and_differentiate, repeats)
+    result["forward"] = best(training.draw, repeats)
+    result["both"] = best(training.draw_and_differentiate, repeats)
     result["one_thread"] = one_thread(training, repeats)
     result["mean"] = float(np.mean([c.numpy().mean() for c in training.draw().color]))
     result["pairs"] = training.frame.intersections
     result["phases"] = training.phases(repeats)
-    evaluated, rate = 16 * result["pairs"], vector_rate(repeats)
-    result["fma_per_ns"] = rate
-    result["kernels"] = {
-        name: {
-            "ns_per_pair": 1e6 * result["phases"][f"blend {name}"][1] / evaluated,
-            "limit_ns": ops(3) / rate,
-            "ops": ops(3),
-        }
-        for name, ops in (("forward", FORWARD_OPS), ("backward", BACKWARD_OPS))
+    result["fma_per_ns"] = vector_rate(repeats)
+    result["kernels"] = _kernels(result)
+    result["mitsuba"] = {
+        "its own settings": child.call(mitsuba_peer, n, w, h, False),
+        "our LLVM settings": child.call(mitsuba_peer, n, w, h, True),
     }
-    peers = {}
-    for ours in (False, True):
-        command = [
-            sys.executable,
-            "-m",
-            "gof_benchmark.evidence.render_speed",
-            "--mitsuba",
-            str(n),
-            str(w),
-            str(h),
-            str(int(ours)),
-        ]
-        answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip().splitlines()[-1]
-        peers["our LLVM settings" if ours else "its own settings"] = json.loads(answer)
-    result["mitsuba"] = peers
-    tn, tw, th = (2_000, 160, 90) if quick else (20_000, 320, 180)
-    small = Training(tn, tw, th)
-    for _ in range(3):
-        small.draw_and_differentiate()
-    result["torch"] = {
-        "scene": [tn, tw, th],
-        "peer": torch_peer(tn, tw, th, 2),
-        "ours_forward": best(small.draw, repeats),
-        "ours_both": best(small.draw_and_differentiate, repeats),
-    }
+    result["torch"] = _against_torch(quick, repeats)
     result["growth"], result["exponents"] = growth(quick, max(3, repeats // 4))
     return result
 
 
-def report(r: dict) -> str:
-    """The table as text."""
+def _warm(training: Training) -> Training:
+    """With its kernels compiled."""
+    for _ in range(3):
+        training.step()
+        training.draw_and_differentiate()
+    return training
+
+
+def _kernels(result: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Time of the blend kernels per evaluated (pixel, Gaussian) pair, and what the processor's vector rate allows."""
+    evaluated = 16 * result["pairs"]  # a pair of a 4x4 block and a Gaussian is 16 pixels
+    return {
+        name: {
+            "ns_per_pair": 1e6 * result["phases"][f"blend {name}"][1] / evaluated,
+            "limit_ns": ops / result["fma_per_ns"],
+            "ops": ops,
+        }
+        for name, ops in KERNEL_OPS.items()
+    }
+
+
+def _against_torch(quick: bool, repeats: int) -> dict[str, Any]:
+    n, w, h = (2_000, 160, 90) if quick else (20_000, 320, 180)
+    small = Training(n, w, h)
+    for _ in range(3):
+        small.draw_and_differentiate()
+    return {
+        "scene": [n, w, h],
+        "peer": torch_peer(n, w, h, 2),
+        "ours_forward": best(small.draw, repeats),
+        "ours_both": best(small.draw_and_differentiate, repeats),
+    }
+
+
+# ---------------------------------------------------------------- the tables as text
+
+
+def report(r: dict[str, Any]) -> str:
+    """All tables."""
+    return "\n".join([*_times(r), "", *_ratios(r), "", *_kernel_limits(r), "", *_growth_table(r)])
+
+
+def _time_line(name: str, wall_and_cpu: tuple[float, float]) -> str:
+    wall, cpu = wall_and_cpu
+    return f"{name:44s}{wall:10.2f}{cpu:10.2f}"
+
+
+def _times(r: dict[str, Any]) -> list[str]:
+    one, torch = r["one_thread"], r["torch"]
     lines = [
         f"scene {r['scene'][0]} Gaussians, {r['scene'][1]}x{r['scene'][2]}, {r['pairs']} (block, Gaussian) pairs; "
         f"{r['machine']['cpu']}, {r['machine']['threads']} threads",
         "",
         f"{'what':44s}{'wall ms':>10s}{'CPU ms':>10s}",
+        *(_time_line(f"  {name}", t) for name, t in r["phases"].items()),
+        _time_line("full training step with Adam", r["step"]),
+        _time_line("forward", r["forward"]),
+        _time_line("forward + backward", r["both"]),
+        f"one thread: step {one['step_ms']:.1f} CPU ms, forward + backward {one['both_ms']:.1f} CPU ms, while the "
+        f"core gave {one['fma_per_ns']:.0f} fused multiply-adds per ns",
     ]
-    row = lambda name, t: lines.append(f"{name:44s}{t[0]:10.2f}{t[1]:10.2f}")  # noqa: E731
-    for name, t in r["phases"].items():
-        row(f"  {name}", t)
-    row("full training step with Adam", r["step"])
-    row("forward", r["forward"])
-    row("forward + backward", r["both"])
-    one = r["one_thread"]
-    lines.append(
-        f"one thread: step {one['step_ms']:.1f} CPU ms, forward + backward {one['both_ms']:.1f} CPU ms, while the core gave "
-        f"{one['fma_per_ns']:.0f} fused multiply-adds per ns"
-    )
     for name, peer in r["mitsuba"].items():
-        row(f"Mitsuba volprim_rf_basic forward ({name})", peer["forward"])
-        row(f"Mitsuba forward + backward ({name})", peer["both"])
-    row("torch tile loop forward " + "x".join(map(str, r["torch"]["scene"])), r["torch"]["peer"]["forward"])
-    row("torch tile loop forward + backward", r["torch"]["peer"]["both"])
-    row("  ours, same scene, forward + backward", r["torch"]["ours_both"])
-    fastest = {k: [min(p[k][i] for p in r["mitsuba"].values()) for i in (0, 1)] for k in ("forward", "both")}
-    lines += ["", f"{'ratio':44s}{'wall':>10s}{'CPU':>10s}{'goal':>10s}"]
+        lines.append(_time_line(f"Mitsuba volprim_rf_basic forward ({name})", peer["forward"]))
+        lines.append(_time_line(f"Mitsuba forward + backward ({name})", peer["both"]))
+    return [
+        *lines,
+        _time_line("torch tile loop forward " + "x".join(map(str, torch["scene"])), torch["peer"]["forward"]),
+        _time_line("torch tile loop forward + backward", torch["peer"]["both"]),
+        _time_line("  ours, same scene, forward + backward", torch["ours_both"]),
+    ]
+
+
+def _ratios(r: dict[str, Any]) -> list[str]:
+    """Against the faster of the two Mitsubas, and against torch."""
+    fastest = {key: np.min([peer[key] for peer in r["mitsuba"].values()], axis=0) for key in ("forward", "both")}
+    lines = [f"{'ratio':44s}{'wall':>10s}{'CPU':>10s}{'goal':>10s}"]
     for name, peer, ours, goal in (
         ("forward vs Mitsuba", fastest["forward"], r["forward"], 40),
         ("both vs Mitsuba", fastest["both"], r["both"], 80),
         ("both vs torch tile loop", r["torch"]["peer"]["both"], r["torch"]["ours_both"], 150),
     ):
         lines.append(f"{name:44s}{peer[0] / ours[0]:9.0f}x{peer[1] / ours[1]:9.0f}x{goal:9d}x")
-    lines += [
-        "",
-        f"{'kernel':20s}{'CPU ns/pair':>12s}{'goal':>8s}{'instructions':>14s}{'limit ns':>10s}{'of limit':>10s}",
-    ]
-    for (name, k), goal in zip(r["kernels"].items(), (0.8, 1.6), strict=True):
+    return lines
+
+
+def _kernel_limits(r: dict[str, Any]) -> list[str]:
+    lines = [f"{'kernel':20s}{'CPU ns/pair':>12s}{'goal':>8s}{'instructions':>14s}{'limit ns':>10s}{'of limit':>10s}"]
+    for name, k in r["kernels"].items():
         lines.append(
-            f"blend {name:14s}{k['ns_per_pair']:12.2f}{goal:8.1f}{k['ops']:14d}{k['limit_ns']:10.2f}{k['limit_ns'] / k['ns_per_pair']:10.0%}"
+            f"blend {name:14s}{k['ns_per_pair']:12.2f}{KERNEL_GOALS_NS[name]:8.1f}{k['ops']:14d}"
+            f"{k['limit_ns']:10.2f}{k['limit_ns'] / k['ns_per_pair']:10.0%}"
         )
-    lines += [
-        f"(limit: those instructions at the {r['fma_per_ns']:.1f} fused multiply-adds per ns and thread measured here)",
-        "",
-        f"{'N':>9s}{'image':>12s}{'pairs':>10s}{'wall ms':>10s}{'CPU ms':>10s}{'compiled late':>15s}",
+    rate = r["fma_per_ns"]
+    return [
+        *lines,
+        f"(limit: those instructions at the {rate:.1f} fused multiply-adds per ns and thread measured here)",
     ]
+
+
+def _growth_table(r: dict[str, Any]) -> list[str]:
+    lines = [f"{'N':>9s}{'image':>12s}{'pairs':>10s}{'wall ms':>10s}{'CPU ms':>10s}{'compiled late':>15s}"]
     for g in r["growth"]:
         lines.append(
-            f"{g['n']:9d}{g['width']:7d}x{g['height']:<4d}{g['pairs']:10d}{g['wall_ms']:10.1f}{g['cpu_ms']:10.1f}{g['compiled_late']:15d}"
+            f"{g['n']:9d}{g['width']:7d}x{g['height']:<4d}{g['pairs']:10d}{g['wall_ms']:10.1f}{g['cpu_ms']:10.1f}"
+            f"{g['compiled_late']:15d}"
         )
-    lines.append("  ".join(f"{k}{v:.2f}" for k, v in r["exponents"].items()))
-    lines.append(f"mean of the image: ours {r['mean']:.4f}, Mitsuba {next(iter(r['mitsuba'].values()))['mean']:.4f}")
-    return "\n".join(lines)
+    mitsuba = next(iter(r["mitsuba"].values()))
+    return [
+        *lines,
+        "  ".join(f"{k}{v:.2f}" for k, v in r["exponents"].items()),
+        f"mean of the image: ours {r['mean']:.4f}, Mitsuba {mitsuba['mean']:.4f}",
+    ]
 
 
 def _cpu_name() -> str:
@@ -439,25 +495,6 @@ def _cpu_name() -> str:
             return next(line.split(":")[1].strip() for line in f if line.startswith("model name"))
     except (OSError, StopIteration):
         return platform.processor()
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="small scene, few repetitions: does the script run")
-    parser.add_argument("--json", help="also write every figure to this file")
-    parser.add_argument("--mitsuba", nargs=4, type=int, metavar=("N", "W", "H", "OURS"), help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.mitsuba:
-        n, w, h, ours = args.mitsuba
-        print(json.dumps(mitsuba_peer(n, w, h, bool(ours))))
-        return
-    result = measure(args.quick)
-    print(report(result))
-    if args.json:
-        from gof.io.files import atomic_path
-
-        with atomic_path(Path(args.json)) as path:
-            path.write_text(json.dumps(result, indent=1))
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.io.files import write_json
+from gof.files import write_json
 from gof_benchmark.evidence import child
 
 FACTORS = (0.0, 0.5, 0.8, 0.9, 0.97, 1.0, 1.03, 1.1, 1.25, 2.0)

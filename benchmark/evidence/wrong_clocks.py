@@ -20,7 +20,7 @@ import tyro
 from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.evaluate import evaluate
-from gof.io.files import read_json, write_json
+from gof.files import read_json, write_json
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings

@@ -26,7 +26,7 @@ import numpy as np
 
 from gof.errors import DataFormatError, require_finite
 from gof.fields import CHUNK, VelocitySequence, open_array, read_array
-from gof.io.records import read_record, write_record
+from gof.records import read_record, write_record
 
 QUANTITIES = {"emission": "W m^-3 sr^-1 nm^-1", "temperature": "K", "heat_release": "W/m3", "fuel": "1"}
 COMMON = {"version": 1, "frame": "world", "layout": "cell_centred"}

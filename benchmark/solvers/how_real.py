@@ -10,7 +10,7 @@ from pathlib import Path
 import tyro
 
 from gof.errors import GofError
-from gof.io.files import write_json
+from gof.files import write_json
 from gof_benchmark.solvers.grids import FireGrids
 from gof_benchmark.solvers.physics import Plausibility, plausibility
 

@@ -20,9 +20,9 @@ from gof.evaluate.closed_forms import Flow, abc, gaussian_vortex, linear, taylor
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import ORDERS, expected_velocity_plain
 from gof.fields import VelocityField
-from gof.io.files import write_json
-from gof.io.records import to_json
+from gof.files import write_json
 from gof.progress import progress_bar
+from gof.records import to_json
 from gof.rotations import rotation_matrices
 
 HALF = 0.6  # m; the Gaussians stay well inside the box of this half width

@@ -17,7 +17,7 @@ import tyro
 
 from gof.evaluate import line_chart
 from gof.fields import VelocitySequence
-from gof.io.files import atomic_path, read_json, write_json
+from gof.files import atomic_path, read_json, write_json
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.layout import Layout

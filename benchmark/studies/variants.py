@@ -12,7 +12,7 @@ import tyro
 from gof.costs import StageLog
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
-from gof.io.files import atomic_path, read_json, write_json
+from gof.files import atomic_path, read_json, write_json
 from gof.reconstruct.curve import Curve
 from gof.reconstruct.presets import PRESETS, PresetName
 from gof.worker import run_worker

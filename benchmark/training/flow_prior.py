@@ -19,7 +19,7 @@ import tyro
 
 from gof.dataset import Dataset
 from gof.evaluate import dve
-from gof.io.files import atomic_path
+from gof.files import atomic_path
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import WEIGHTS, FlowPrior, describe
 from gof.reconstruct.observation import observe

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.io.files import atomic_path
+from gof.files import atomic_path
 from gof.rotations import quaternions_wxyz
 
 from .source import ViewSource

@@ -10,7 +10,7 @@ import math
 from gof.cameras import Camera
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
-from gof.io.files import write_json
+from gof.files import write_json
 
 from .source import ViewSource
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.io.files import atomic_path
+from gof.files import atomic_path
 
 from .source import ViewSource
 

@@ -14,8 +14,8 @@ from gof.capture.mask import board_mask
 from gof.capture.template import BoardTemplate
 from gof.dataset import CameraEntry, Dataset
 from gof.errors import DataFormatError, GofError
+from gof.files import atomic_path
 from gof.footage import stored_frames
-from gof.io.files import atomic_path
 from gof.lens import ROLL_DEG, Lens, Turn, prepare, read_cameras
 
 LOOK_AT = 160  # frames in which the board is looked for

@@ -7,7 +7,7 @@ from importlib.resources import files
 from typing import ClassVar
 
 from gof.errors import DataFormatError
-from gof.io.records import read_record
+from gof.records import read_record
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.io.records import read_record
+from gof.records import read_record
 
 BUILT_IN = ("paper_rig", "gof_board")
 DISAMBIGUATION = -1  # instead of a Gray bit

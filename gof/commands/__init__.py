@@ -39,7 +39,9 @@ COMMANDS = {
     "capture": Command(
         "gof.commands.capture", "the camera rig: LED board, frame times from footage, calibration, board masks", 120
     ),
-    "report": Command("gof.commands.report", "pictures, animation, scores and costs on one self-contained HTML page", 130),
+    "report": Command(
+        "gof.commands.report", "pictures, animation, scores and costs on one self-contained HTML page", 130
+    ),
     "doctor": Command(
         "gof.commands.doctor", "check this machine: Blender, Mantaflow, Dr.Jit, CUDA, OpenEXR, disk, weights", 140
     ),

@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from gof.costs import StageLog
-from gof.io.files import write_json
+from gof.files import write_json
 from gof.reconstruct.background import BackgroundOptions, add_flame, make_background
 
 

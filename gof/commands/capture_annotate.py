@@ -10,7 +10,7 @@ import tyro
 from gof.capture.annotate import annotate
 from gof.capture.template import BoardTemplate
 from gof.dataset import Dataset
-from gof.io.files import write_json
+from gof.files import write_json
 
 
 @dataclass(frozen=True)

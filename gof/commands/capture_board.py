@@ -11,7 +11,7 @@ import tyro
 
 from gof.capture.controller import Board, BoardError, candidate_ports, find_boards, only_board
 from gof.capture.protocol import State, Status
-from gof.io.files import write_json
+from gof.files import write_json
 
 
 @dataclass(frozen=True)

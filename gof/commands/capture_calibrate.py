@@ -11,9 +11,9 @@ from gof.capture.calibration import Calibration, calibrate, sharpest
 from gof.capture.charuco import Charuco
 from gof.errors import GofError
 from gof.footage import distinct_names, stated_frames, stored_frames
-from gof.io.records import write_record
 from gof.lens import CamerasFile
 from gof.progress import progress_bar
+from gof.records import write_record
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 
 from gof.capture.template import BoardTemplate, draw_svg
-from gof.io.files import atomic_path, write_json
+from gof.files import atomic_path, write_json
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
 from gof.capture.times import FILE, Readout, SyncedVideo
 from gof.errors import GofError
-from gof.io.records import write_record
+from gof.records import write_record
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import tyro
 
 from gof.capture.charuco import Charuco, draw_pdf, draw_svg, page
 from gof.errors import GofError
-from gof.io.files import atomic_path, write_json
+from gof.files import atomic_path, write_json
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import tyro
 from rich.console import Console
 
 from gof.commands.foreign_options import ForeignOptions
+from gof.files import write_json
 from gof.io.convert import convert
-from gof.io.files import write_json
 from gof.io.importers import read_result
 
 

@@ -9,7 +9,7 @@ import tyro
 
 from gof.checks import checks, examine
 from gof.errors import GofError
-from gof.io.files import write_json
+from gof.files import write_json
 
 STYLES = {"ok": "green", "missing": "yellow", "broken": "bold red"}
 

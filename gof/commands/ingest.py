@@ -9,12 +9,12 @@ import tyro
 
 from gof.capture.template import BoardTemplate
 from gof.costs import StageLog
+from gof.files import write_json
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
 from gof.ingest.pipeline import Ingested, PlateKind, make_dataset
 from gof.ingest.place import PoseOptions, Solver
-from gof.io.files import write_json
 from gof.lens import Turn
 
 

@@ -12,8 +12,8 @@ from rich.table import Table
 from gof.dataset import Dataset
 from gof.evaluate.leaderboard import COLUMNS, Leaderboard, Row, collect, rows_of, to_csv, to_markdown, used_columns
 from gof.evaluate.leaderboard_page import stream_plots, to_html
-from gof.io.files import atomic_path
-from gof.io.records import write_record
+from gof.files import atomic_path
+from gof.records import write_record
 
 SHOWN = ("l2", "cos_sim", "psnr_flame", "ssim_flame", "train_s")  # columns for the terminal
 

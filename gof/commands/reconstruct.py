@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from gof.dataset import Dataset
-from gof.io.files import write_json
+from gof.files import write_json
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.optical_flow import FlowName
 from gof.reconstruct.presets import PRESETS, Effort, MethodName, PresetName

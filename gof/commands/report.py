@@ -10,7 +10,7 @@ import tyro
 from gof.costs import StageCost, StageLog
 from gof.dataset import Dataset
 from gof.evaluate.scores import Scores
-from gof.io.files import write_json
+from gof.files import write_json
 from gof.progress import progress_bar
 from gof.report import Preview, build_report
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gof.cameras import Camera
 from gof.errors import DataFormatError
-from gof.io.records import read_record, write_record
+from gof.records import read_record, write_record
 
 FILE = "dataset.json"
 Row3, Row4 = tuple[float, float, float], tuple[float, float, float, float]

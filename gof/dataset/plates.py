@@ -9,7 +9,7 @@ import numpy as np
 
 from gof.dataset.dataset import Dataset
 from gof.errors import DataFormatError
-from gof.io.files import atomic_path
+from gof.files import atomic_path
 
 LEVELS = 65535  # 16 bits: plates are optimised and lit in steps finer than 1/255
 

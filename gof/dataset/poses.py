@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from gof.io.records import read_record, write_record
+from gof.records import read_record, write_record
 
 FILE = "poses.json"
 

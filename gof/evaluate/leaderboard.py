@@ -12,7 +12,7 @@ from typing import ClassVar
 from gof.costs import StageLog
 from gof.errors import DataFormatError
 from gof.evaluate.scores import Scores
-from gof.io.files import read_json
+from gof.files import read_json
 
 LOWER, NEITHER, HIGHER = -1, 0, 1  # which values of a column are better
 

@@ -6,7 +6,7 @@ import math
 from html import escape
 from pathlib import Path
 
-from gof.io.files import atomic_path
+from gof.files import atomic_path
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 560, 340, 70, 20, 34, 52
 COLOURS = ("#c2410c", "#1d4ed8", "#15803d", "#7e22ce")

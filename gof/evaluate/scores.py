@@ -13,7 +13,7 @@ from gof.errors import DataFormatError
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
-from gof.io.records import read_record, write_record
+from gof.records import read_record, write_record
 
 # ---------------------------------------------------------------- velocities
 

@@ -45,9 +45,9 @@ def evaluate(
     """All scores of a result.
 
     Pictures: every held-out frame of every camera, rendered over the result's own plate (`gof.dataset.plates`), else
-    the fire-free one (over black when the result brings static Gaussians of its own); `flame` scores count pixels of the
-    true flame mask only. Pixels of the sync board do not count. Velocities: DVE on every frame of the clip that has a
-    true velocity field.
+    the fire-free one (over black when the result brings static Gaussians of its own); `flame` scores count pixels of
+    the true flame mask only. Pixels of the sync board do not count. Velocities: DVE on every frame of the clip that has
+    a true velocity field.
 
     Args:
         result: file or folder of any known method (gof.io.importers), or the Gaussians.

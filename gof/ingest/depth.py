@@ -8,8 +8,8 @@ import numpy as np
 
 from gof.cameras import Camera
 from gof.errors import DataFormatError, GofError, MissingDependencyError
+from gof.files import atomic_path
 from gof.io import ply
-from gof.io.files import atomic_path
 
 
 def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:

@@ -9,8 +9,8 @@ import numpy as np
 
 from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
 from gof.errors import DataFormatError, GofError
-from gof.io.records import read_record
 from gof.lens import Turn
+from gof.records import read_record
 
 CLOCKWISE = ("down", "left", "up", "right")  # readout directions, each a clockwise quarter after the one before
 QUARTERS = {"none": 0, "clockwise": 1, "counterclockwise": 3}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.io.files import read_json
+from gof.files import read_json
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from gof.costs import StageLog
 from gof.dataset import CameraEntry, DatasetDescription, held_out
 from gof.dataset.poses import Poses
 from gof.errors import GofError
+from gof.files import atomic_path
 from gof.flame_mask import flame_mask
 from gof.ingest import plates
 from gof.ingest.depth import back_project, whole_depth, write_points
@@ -20,7 +21,6 @@ from gof.ingest.footage import Footage
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
 from gof.ingest.place import Placed, PoseOptions, place_cameras
 from gof.ingest.stereo import stereo_depth
-from gof.io.files import atomic_path
 from gof.lens import ROLL_DEG
 
 PlateKind = Literal["steady", "minimum"]

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from drjit.opt import Adam
 
-from gof.io.files import atomic_path
+from gof.files import atomic_path
 
 
 def save_checkpoint(path: Path, optimizer: Adam, step: int) -> None:

@@ -19,8 +19,8 @@ from gof.costs import StageCost, StageLog
 from gof.dataset import Dataset
 from gof.dataset.plates import save_plates
 from gof.errors import GofError
+from gof.files import only_run_in
 from gof.gaussians import TransientGaussians
-from gof.io.files import only_run_in
 from gof.progress import progress_bar
 from gof.reconstruct import ablations, stage_images
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint

@@ -8,10 +8,10 @@ from typing import Any, ClassVar, Literal
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
-from gof.io.records import read_record, write_record
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.optical_flow import FlowName
 from gof.reconstruct.presets import Effort, MethodName
+from gof.records import read_record, write_record
 
 FILE = "settings.json"
 Until = Literal["motion", "flow-field", "seeds", "result"]  # the stages that a reconstruction can stop after

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from gof.direction_colors import direction_colors
-from gof.io.files import atomic_path
+from gof.files import atomic_path
 from gof.reconstruct.captions import Caption, Captions
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.observation import Observation

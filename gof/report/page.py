@@ -13,8 +13,8 @@ from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.errors import DataFormatError
 from gof.evaluate.scores import Scores
+from gof.files import atomic_path
 from gof.gaussians import TransientGaussians
-from gof.io.files import atomic_path
 from gof.reconstruct.captions import Captions
 from gof.report import animation as pictures
 from gof.report.chart import l2_chart

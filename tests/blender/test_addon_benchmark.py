@@ -11,7 +11,7 @@ import pytest
 
 import gof.costs
 from gof.dataset import Dataset
-from gof.io.records import read_record
+from gof.records import read_record
 from gof_benchmark.commands import generate
 from gof_blender.pure import cost_model, report
 from gof_blender.pure import spec as scene_spec

@@ -7,7 +7,7 @@ import pytest
 
 import gof.costs
 import gof.dataset.description as library
-from gof.io.records import read_record, write_record
+from gof.records import read_record, write_record
 from gof_blender.pure import costs, description
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io.files import atomic_path, write_json

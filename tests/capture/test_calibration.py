@@ -20,8 +20,8 @@ from gof.capture.template import BoardTemplate
 from gof.cli import main as gof
 from gof.dataset import Dataset, DatasetDescription
 from gof.errors import DataFormatError, GofError
-from gof.io.records import write_record
 from gof.lens import CalibratedCamera, CamerasFile, Lens, read_cameras
+from gof.records import write_record
 from tests.conftest import look_at, write_dataset
 
 TARGET = Charuco()

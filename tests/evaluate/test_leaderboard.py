@@ -18,7 +18,7 @@ from gof.errors import DataFormatError
 from gof.evaluate.leaderboard import Leaderboard, best_rows, collect, pareto, rows_of, to_csv, to_markdown
 from gof.evaluate.streams import draw, max_projection, streamlines, volume, x_slice
 from gof.gaussians import TransientGaussians
-from gof.io.records import read_record, write_record
+from gof.records import read_record, write_record
 from tests.evaluate.synthetic_flame import flame_dataset
 
 

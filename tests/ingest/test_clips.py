@@ -17,8 +17,8 @@ from gof.ingest import plates
 from gof.ingest.footage import Footage, read_clip
 from gof.ingest.frame_times import Timing, read_frame_times
 from gof.ingest.sfm import PoseError
-from gof.io.records import write_record
 from gof.lens import Lens, prepare
+from gof.records import write_record
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
 
 

@@ -10,10 +10,10 @@ from gof.dataset import Dataset
 from gof.errors import GofError, NonFiniteError
 from gof.evaluate import dve
 from gof.gaussians import TransientGaussians
-from gof.io.records import read_record
 from gof.reconstruct import pipeline
 from gof.reconstruct.curve import Curve
 from gof.reconstruct.settings import ReconstructionSettings
+from gof.records import read_record
 from gof.render import render
 from tests.reconstruct.rising_flame import RISE, mean_velocity, reconstruct, write_flame
 

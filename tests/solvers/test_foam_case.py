@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gof.errors import DataFormatError, MissingDependencyError
-from gof.io.records import from_json, to_json
+from gof.records import from_json, to_json
 from gof_benchmark.solvers.openfoam import installation
 from gof_benchmark.solvers.openfoam.__main__ import FIRES, find_fire, main
 from gof_benchmark.solvers.openfoam.case import (

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gof.errors import DataFormatError, GofError
-from gof.io.records import write_record
+from gof.records import write_record
 from gof_benchmark.solvers.grids import FireGrids
 from gof_benchmark.solvers.openfoam import run
 from gof_benchmark.solvers.openfoam.case import write_case

@@ -8,7 +8,7 @@ import pytest
 
 from gof.errors import DataFormatError, NonFiniteError
 from gof.fields import VelocitySequence
-from gof.io.records import from_json, to_json
+from gof.records import from_json, to_json
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireGrids, FireHistory, write_fire
 from tests.solvers.conftest import write_small_fire
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import tyro
 
 from gof.errors import DataFormatError, GofError
-from gof.io.records import read_record
+from gof.records import read_record
 from gof_benchmark.solvers.openfoam.case import FoamFire
 from gof_benchmark.solvers.openfoam.run import bake
 

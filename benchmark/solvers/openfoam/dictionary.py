@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gof.io.files import atomic_path
+from gof.files import atomic_path
 
 END = "// * //\n"  # OpenFOAM's own files end in a line like this; a file that was cut off lacks it
 

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from gof.errors import DataFormatError
-from gof.io.records import to_json
+from gof.files import atomic_path
+from gof.records import to_json
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireHistory, Hearth, write_fire
 from gof_benchmark.solvers.openfoam.case import FoamFire, edges, probe_points
 from gof_benchmark.solvers.openfoam.emission import LAWS, luminous_emission
@@ -62,6 +63,23 @@ def _binary(data: bytes, start: int, count: int, path: Path) -> np.ndarray:
     if len(data) < start + 8 * count:
         raise DataFormatError(f"{path}: cut off: {len(data) - start} bytes of values, expected {8 * count}")
     return np.frombuffer(data, order + "f8", count, start).astype(float)
+
+
+def add_to_internal(path: Path, change: np.ndarray) -> None:
+    """Add to the values at the cells of a binary field, in place of its file; (cells, 3) or (cells,), OpenFOAM's order.
+
+    Raises:
+        DataFormatError: as `read_internal`, or the field is not a binary list.
+    """
+    values = read_internal(path, len(change)) + change
+    data = path.read_bytes()
+    start = re.search(rb"internalField\s+nonuniform\s+List<(?:scalar|vector)>\s*\d+\s*\(", data[:4000])
+    if not start or not re.search(rb"format\s+binary", data[:2000]):
+        raise DataFormatError(f"{path}: not a binary list of values")
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(
+            data[: start.end()] + values.astype("<f8").tobytes() + data[start.end() + 8 * values.size :]
+        )
 
 
 def on_mesh(values: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:

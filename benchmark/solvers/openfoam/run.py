@@ -18,15 +18,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gof.errors import DataFormatError, GofError
-from gof.io.files import only_run_in
-from gof.io.records import read_record, write_record
+from gof.files import only_run_in
 from gof.progress import progress_bar
+from gof.records import read_record, write_record
 from gof.worker import die_with_parent
 from gof_benchmark.solvers.grids import FireGrids
-from gof_benchmark.solvers.openfoam.case import FoamFire, write_case, write_control, write_fields
+from gof_benchmark.solvers.openfoam.case import FoamFire, draught, write_case, write_control, write_fields
 from gof_benchmark.solvers.openfoam.chemistry import species_of
 from gof_benchmark.solvers.openfoam.dictionary import END
-from gof_benchmark.solvers.openfoam.fields import grids_of
+from gof_benchmark.solvers.openfoam.fields import add_to_internal, grids_of
 from gof_benchmark.solvers.openfoam.installation import Installation, find_installation
 
 TIME = re.compile(r"^Time = (\S+)")
@@ -98,6 +98,8 @@ def _map(installation: Installation, fire: FoamFire, coarse: Path, fine: Path) -
         shutil.rmtree(fine / folder)
     shutil.copytree(fine / "0", fine / source)  # boundaries as written; the insides come from the coarse flame
     _run(installation, fine, "mapFields", "../coarse", "-consistent", "-sourceTime", source)
+    # The coarse flame may be too smooth to start swaying by itself; what it is shaken with is gone when the clip starts.
+    add_to_internal(fine / source / "U", draught(fire, "fine"))
 
 
 def _solve(

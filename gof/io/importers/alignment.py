@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError, GofError
+from gof.files import read_json
 from gof.io.colmap import check_poses, read_colmap
-from gof.io.files import read_json
 
 
 @dataclass(frozen=True)

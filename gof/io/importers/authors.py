@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.files import read_json
 from gof.gaussians import TransientGaussians
-from gof.io.files import read_json
 from gof.io.importers.source import Imported, ImportOptions, Source, array
 from gof.ply import exp, quaternions, sigmoid
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.files import atomic_path
 from gof.gaussians import TransientGaussians
-from gof.io.files import atomic_path
 from gof.io.importers.normalisation import world_from_training
 from gof.io.importers.source import Imported, ImportOptions, Source, array
 from gof.ply import exp, quaternions, sigmoid, splat_columns, write

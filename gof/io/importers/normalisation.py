@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.files import read_json
 from gof.io.colmap import read_colmap
-from gof.io.files import read_json
 
 
 def normalisation(poses: dict[str, np.ndarray], points: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import msgspec
 
 from gof.errors import DataFormatError, GofError
-from gof.io.files import read_json, write_json
+from gof.files import read_json, write_json
 
 
 class Record(Protocol):

@@ -1,0 +1,134 @@
+"""Who imports whom: files and rooms as graphs, for tests/test_structure.py and docs/architecture.md.
+
+python tools/import_graph.py          print the diagram of docs/architecture.md
+python tools/import_graph.py --write  put it there
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = {"gof": "gof", "gof_benchmark": "benchmark", "gof_blender": "blender_addon"}  # as in setup.py
+# What starts a program belongs to the room that it opens, wherever the file has to stand.
+ENTRANCES = {"gof.cli": "gof/commands", "gof.__main__": "gof/commands", "gof_blender": "blender_addon/ui"}
+PAGE = ROOT / "docs" / "architecture.md"
+BEGIN, END = "<!-- made by tools/import_graph.py --write -->\n", "<!-- end -->\n"
+
+
+def modules() -> dict[str, Path]:
+    """Every module of ours by its dotted import name."""
+    found = {}
+    for package, folder in FOLDERS.items():
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            inner = path.relative_to(ROOT / folder).with_suffix("").parts
+            found[".".join([package, *(inner[:-1] if inner[-1] == "__init__" else inner)])] = path
+    return found
+
+
+def all_imports(name: str, path: Path) -> Iterator[tuple[str, int]]:
+    """(dotted name, line) of everything a file imports, also inside functions, but not for type checkers only.
+
+    `from a import b` gives `a.b`, whether b is a module or not.
+    """
+    package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    for node in _executed(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            source = ".".join([*base, *([node.module] if node.module else [])])
+            yield from ((f"{source}.{alias.name}", node.lineno) for alias in node.names)
+
+
+def imports_of(name: str, path: Path, known: dict[str, Path]) -> Iterator[tuple[str, int]]:
+    """(module of ours, line) of a file's imports."""
+    for target, line in all_imports(name, path):
+        module = target if target in known else target.rpartition(".")[0]
+        if module in known:
+            yield module, line
+
+
+def _executed(tree: ast.AST) -> Iterator[ast.AST]:
+    """The nodes of a tree without the bodies of `if TYPE_CHECKING:`."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and getattr(node.test, "id", None) == "TYPE_CHECKING":
+            continue
+        yield node
+        yield from _executed(node)
+
+
+def file_graph() -> dict[str, set[str]]:
+    """Module -> modules of ours that it imports."""
+    known = modules()
+    return {name: {target for target, _ in imports_of(name, path, known)} - {name} for name, path in known.items()}
+
+
+def room_of(module: str) -> str:
+    """The room of a module: its folder, as in the repository; gof's own files are the room "gof"."""
+    if module in ENTRANCES:
+        return ENTRANCES[module]
+    names = module.split(".")
+    path = modules()[module]
+    inner = names[1:] if path.name == "__init__.py" else names[1:-1]
+    return "/".join([FOLDERS[names[0]], *inner[:1]])
+
+
+def room_graph() -> dict[str, set[str]]:
+    """Room -> rooms that it imports from."""
+    rooms = {name: room_of(name) for name in modules()}
+    graph: dict[str, set[str]] = {room: set() for room in rooms.values()}
+    for name, targets in file_graph().items():
+        graph[rooms[name]] |= {rooms[target] for target in targets} - {rooms[name]}
+    return graph
+
+
+def diagram() -> str:
+    """The rooms as a Mermaid flowchart. An arrow that a longer way round implies is left out."""
+    graph = room_graph()
+    lines = ["```mermaid", "flowchart TD"]
+    for folder in FOLDERS.values():
+        lines.append(f"  subgraph {folder}")
+        lines += [f'    {_key(room)}["{room}"]' for room in sorted(graph) if room.split("/")[0] == folder]
+        lines.append("  end")
+    for room in sorted(graph):
+        implied = {far for near in graph[room] for far in _reachable(graph, near)}
+        lines += [f"  {_key(room)} --> {_key(other)}" for other in sorted(graph[room] - implied)]
+    return "\n".join([*lines, "```"]) + "\n"
+
+
+def _reachable(graph: dict[str, set[str]], start: str) -> set[str]:
+    found: set[str] = set()
+    waiting = list(graph[start])
+    while waiting:
+        room = waiting.pop()
+        if room not in found:
+            found.add(room)
+            waiting += graph[room]
+    return found
+
+
+def _key(room: str) -> str:
+    return room.replace("/", "_")
+
+
+def page_with(text: str, new: str) -> str:
+    """A page with its diagram replaced."""
+    before, _, rest = text.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return before + BEGIN + new + END + after
+
+
+def main() -> int:
+    if "--write" in sys.argv[1:]:
+        PAGE.write_text(page_with(PAGE.read_text(encoding="utf-8"), diagram()), encoding="utf-8")
+    else:
+        print(diagram(), end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
