@@ -28,6 +28,7 @@ from gof.capture.signals import make_signals, read_signals, sample_frame
 from gof.capture.sync import synchronise
 from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
+from gof.capture.times import VideoTimes
 from gof.errors import GofError
 from gof.files import write_json
 
@@ -51,13 +52,52 @@ COMPRESSED = [(codec, {}) for codec in CODECS] + [
     (codec, change) for codec in ("h264 23", "h264 33") for change in CHANGES
 ]
 
-# Offsets (us) of the cameras' nearest frames to cam_0's first, measured on the same clips with another decoder (first row of the
-# picture instead of its middle, other row time; 30 us systematic).
+# Offsets (us) of the cameras' nearest frames to cam_0's first, measured on the same clips with another decoder (first
+# row of the picture instead of its middle, other row time; 30 us systematic).
 KNOWN_OFFSETS_US: dict[str, dict[str, float]] = {
     "capture_05/scene_0006": {"cam_1": -646, "cam_2": 635},
     "capture_04/scene_0010": {"cam_2": 904},
     "capture_04/scene_0009": {"cam_2": -840},
 }
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class CaptureAccuracy:
+    """Error and cost of the times read off the LED board, on rendered and on real footage."""
+
+    parts: tuple[Literal["synthetic", "real", "cost"], ...] = ("synthetic", "real", "cost")
+    """Which tables to make."""
+    captures: Path = Path(os.environ.get("GOF_CAPTURES", Path(__file__).parents[3] / "shared" / "captures"))
+    """Folder of the public clips; GOF_CAPTURES names it too."""
+    plots: Path | None = None
+    """Write the real clips' residual plots below this folder."""
+    frames: int = 96
+    """Frames per rendered clip."""
+    repeats: int = 3
+    """Starts per case of the synthetic table."""
+    json: Path | None = None
+    """Also write the figures to this file."""
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the tables that are asked for."""
+    config = tyro.cli(CaptureAccuracy, prog="python -m gof_benchmark.evidence.capture_accuracy", args=argv)
+    tables = {
+        "synthetic": lambda: synthetic(config.frames, config.repeats),
+        "real": lambda: real(config.captures, config.plots),
+        "cost": lambda: cost(config.frames),
+    }
+    figures: dict[str, list[Row]] = {}
+    for part in config.parts:
+        print(f"\n{part}\n")
+        figures[part] = tables[part]()
+    if config.json:
+        write_json(config.json, figures)
+
+
+# ---------------------------------------------------------------- one clip
 
 
 def measure(
@@ -125,30 +165,11 @@ def write_h264(path: Path, pictures: Iterator[np.ndarray], crf: int) -> None:
     if not shutil.which("ffmpeg"):
         raise GofError("needs ffmpeg")
     first = next(pictures)
-    command = [
-        "ffmpeg",
-        "-v",
-        "error",
-        "-y",
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "gray",
-        "-s",
-        f"{first.shape[1]}x{first.shape[0]}",
-        "-r",
-        "30",
-        "-i",
-        "-",
-        "-c:v",
-        "libx264",
-        "-crf",
-        str(crf),
-        "-pix_fmt",
-        "yuv420p",
-        str(path),
-    ]
-    with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+    size = f"{first.shape[1]}x{first.shape[0]}"
+    command = (
+        f"ffmpeg -v error -y -f rawvideo -pix_fmt gray -s {size} -r 30 -i - -c:v libx264 -crf {crf} -pix_fmt yuv420p"
+    )
+    with subprocess.Popen([*command.split(), str(path)], stdin=subprocess.PIPE) as process:
         for picture in (first, *pictures):
             process.stdin.write(picture.tobytes())
         process.stdin.close()
@@ -169,9 +190,12 @@ def _unpack(packed: np.ndarray) -> np.ndarray:
 
 
 def errors(times: CameraTimes, truth: np.ndarray, shot: SyntheticShot) -> dict[str, float]:
-    """Errors of decoded times (us) against the truth, bias included: of the fused times, and of single frames' own
-    measurements (frames that were left out do not count there)."""
-    fused, single = times.time_us - truth, (times.measured_us - truth)[times.used]
+    """Errors of decoded times (us) against the truth, bias included.
+
+    Of the fused times, and of single frames' own measurements (frames that were left out do not count there).
+    """
+    fused = times.time_us - truth
+    single = (times.measured_us - truth)[times.used]
     return {
         "fused_rms_us": float(np.sqrt(np.mean(fused**2))),
         "single_rms_us": float(np.sqrt(np.mean(single**2))),
@@ -183,59 +207,70 @@ def errors(times: CameraTimes, truth: np.ndarray, shot: SyntheticShot) -> dict[s
     }
 
 
-def synthetic(frames: int, repeats: int) -> list[dict[str, Any]]:
+# ---------------------------------------------------------------- rendered footage
+
+
+def synthetic(frames: int, repeats: int) -> list[Row]:
     """All sweeps; every case from `repeats` other starts, rms over them."""
     template = BoardTemplate.load("gof_board")
     cases = [({}, None)] + [({name: value}, None) for name, values in SWEEPS.items() for value in values]
     cases += [(change, codec) for codec, change in COMPRESSED]
     print(
-        "| varied | codec | kB per frame | fused rms (us) | single frame rms (us) | stated sigma (us) | row time error (us) | frames left out | goal (us) |"
+        "| varied | codec | kB per frame | fused rms (us) | single frame rms (us) | stated sigma (us) "
+        "| row time error (us) | frames left out | goal (us) |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     rows = []
     for n, (change, codec) in enumerate(cases):
-        goal = GOAL_COMPRESSED_US if codec else GOAL_US
-        row: dict[str, Any] = {"change": change, "codec": codec, "goal_us": goal}
-        label = ", ".join(f"{k} {v:g}" for k, v in change.items()) or "default"
+        starts = [1_000_000.0 + 777.7 * n + 12_345.6 * k for k in range(repeats)]
+        shots = [replace(SyntheticShot(seed=10 * n + k, start=start), **change) for k, start in enumerate(starts)]
+        row = {"change": change, "codec": codec, "goal_us": GOAL_COMPRESSED_US if codec else GOAL_US}
         try:
-            found = [
-                measure(
-                    replace(SyntheticShot(seed=10 * n + k, start=1_000_000.0 + 777.7 * n + 12_345.6 * k), **change),
-                    template,
-                    frames,
-                    codec,
-                )
-                for k in range(repeats)
-            ]
-            row |= {
-                key: float(np.sqrt(np.mean([f[key] ** 2 for f in found])))
-                for key in ("fused_rms_us", "single_rms_us", "row_time_error_us", "stated_us")
-            }
-            row |= {"kb_per_frame": float(np.mean([f["kb_per_frame"] for f in found])) if codec else None}
-            row |= {
-                "left_out": sum(f["left_out"] for f in found),
-                "met": max(f["single_rms_us"] for f in found) <= goal,
-            }
-            cells = (
-                f"{'' if codec is None else format(row['kb_per_frame'], '.2g')} | {row['fused_rms_us']:.2f} | {row['single_rms_us']:.2f} | {row['stated_us']:.2f} | {row['row_time_error_us']:.4f} | "
-                f"{row['left_out']} of {frames * repeats} | {goal:g} {'met' if row['met'] else 'MISSED'}"
-            )
+            row |= _pooled([measure(shot, template, frames, codec) for shot in shots], codec, row["goal_us"])
         except GofError as error:
             row |= {"error": str(error), "met": False}
-            cells = f" | {error} | | | | | {goal:g} not decoded"
+        print(_synthetic_line(row, frames * repeats), flush=True)
         rows.append(row)
-        print(f"| {label} | {codec or 'none'} | {cells} |", flush=True)
     return rows
 
 
-def real(captures: Path, plots: Path | None) -> list[dict[str, Any]]:
+def _pooled(found: list[dict[str, float]], codec: str | None, goal_us: float) -> Row:
+    """Several measurements of a case as one: rms of the errors, the worst against the goal."""
+    names = ("fused_rms_us", "single_rms_us", "row_time_error_us", "stated_us")
+    row: Row = {name: float(np.sqrt(np.mean([f[name] ** 2 for f in found]))) for name in names}
+    return row | {
+        "kb_per_frame": float(np.mean([f["kb_per_frame"] for f in found])) if codec else None,
+        "left_out": sum(f["left_out"] for f in found),
+        "met": max(f["single_rms_us"] for f in found) <= goal_us,
+    }
+
+
+def _synthetic_line(row: Row, shown: int) -> str:
+    """`shown` frames in all."""
+    varied = ", ".join(f"{k} {v:g}" for k, v in row["change"].items()) or "default"
+    head = f"| {varied} | {row['codec'] or 'none'} |"
+    if "error" in row:
+        return f"{head}  | {row['error']} | | | | | {row['goal_us']:g} not decoded |"
+    size = "" if row["codec"] is None else format(row["kb_per_frame"], ".2g")
+    return (
+        f"{head} {size} | {row['fused_rms_us']:.2f} | {row['single_rms_us']:.2f} | {row['stated_us']:.2f} | "
+        f"{row['row_time_error_us']:.4f} | {row['left_out']} of {shown} | "
+        f"{row['goal_us']:g} {'met' if row['met'] else 'MISSED'} |"
+    )
+
+
+# ---------------------------------------------------------------- real footage
+
+
+def real(captures: Path, plots: Path | None) -> list[Row]:
     """Every clip folder of three cameras below `captures`."""
     scenes = sorted(p.parent for p in captures.glob("*/*/cam_0.mp4"))
     if not scenes:
         print(f"skipped: no clips at {captures} (give --captures, or set GOF_CAPTURES)")
         return []
     print(
-        "| clip | camera | us per frame | rms (us) | max (us) | outliers | row time (us/px), direction | offset to cam_0 (us) | known (us) | fault |"
+        "| clip | camera | us per frame | rms (us) | max (us) | outliers | row time (us/px), direction "
+        "| offset to cam_0 (us) | known (us) | fault |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|")
     rows = []
@@ -245,31 +280,41 @@ def real(captures: Path, plots: Path | None) -> list[dict[str, Any]]:
         target = plots / scene.replace("/", "_") if plots else None
         result = synchronise(videos, BoardTemplate.load("paper_rig"), [DecodeOptions()] * len(videos), target)
         for camera in result.cameras:
-            row, times = {"clip": scene, "camera": camera.name}, camera.times
-            if times is None:
+            row = {"clip": scene, "camera": camera.name}
+            if camera.times is None:
                 row["error"] = camera.error
-                cells = " | " * 7 + camera.error.split(":")[0]
             else:
-                offset = result.nearest_frames[camera.name].offset_us
-                known = KNOWN_OFFSETS_US.get(scene, {}).get(camera.name)
-                row |= {key: getattr(times, key) for key in SHOWN}
-                row |= {
-                    "offset_us": offset,
-                    "known_offset_us": known,
-                    "met": times.rms_us <= GOAL_REAL_US,
-                    "frames_per_second": times.cost.frames_per_second,
-                }
-                cells = (
-                    f"{times.frame_interval_us:.2f} | {times.rms_us:.2f} | {times.max_residual_us:.1f} | "
-                    f"{times.outliers} | {times.row_time_us:.3f} {times.readout} | {offset:+.0f} | "
-                    f"{'' if known is None else f'{known:+.0f}'} | {'; '.join(times.faults) or 'none'}"
-                )
+                row |= _real_figures(camera.times, result.nearest_frames[camera.name].offset_us)
+                row["known_offset_us"] = KNOWN_OFFSETS_US.get(scene, {}).get(camera.name)
+            print(_real_line(row), flush=True)
             rows.append(row)
-            print(f"| {scene} | {camera.name} | {cells} |", flush=True)
     return rows
 
 
-def cost(frames: int) -> list[dict[str, Any]]:
+def _real_figures(times: VideoTimes, offset_us: float) -> Row:
+    return {name: getattr(times, name) for name in SHOWN} | {
+        "offset_us": offset_us,
+        "met": times.rms_us <= GOAL_REAL_US,
+        "frames_per_second": times.cost.frames_per_second,
+    }
+
+
+def _real_line(row: Row) -> str:
+    head = f"| {row['clip']} | {row['camera']} |"
+    if "error" in row:
+        return f"{head} {' | ' * 7}{row['error'].split(':')[0]} |"
+    known = row["known_offset_us"]
+    return (
+        f"{head} {row['frame_interval_us']:.2f} | {row['rms_us']:.2f} | {row['max_residual_us']:.1f} | "
+        f"{row['outliers']} | {row['row_time_us']:.3f} {row['readout']} | {row['offset_us']:+.0f} | "
+        f"{'' if known is None else f'{known:+.0f}'} | {'; '.join(row['faults']) or 'none'} |"
+    )
+
+
+# ---------------------------------------------------------------- what options cost
+
+
+def cost(frames: int) -> list[Row]:
     """Options and clip lengths, on one rendered shot with codec (JPEG 30), mean of three starts."""
     template = BoardTemplate.load("gof_board")
     shot = SyntheticShot(noise=4)
@@ -283,7 +328,8 @@ def cost(frames: int) -> list[dict[str, Any]]:
     ]
     cases += [(f"{n} frames", n, {}) for n in (12, 24, 48, 192, 384)]
     print(
-        "| option | frames | fused rms (us) | single frame rms (us) | read (ms per frame) | fit (ms per frame) | frames/s |"
+        "| option | frames | fused rms (us) | single frame rms (us) | read (ms per frame) | fit (ms per frame) "
+        "| frames/s |"
     )
     print("|---|---|---|---|---|---|---|")
     rows = []
@@ -303,44 +349,9 @@ def cost(frames: int) -> list[dict[str, Any]]:
         }
         rows.append({"option": label, "frames": n} | row)
         read, fit = 1e3 * row["read_s"] / n, 1e3 * row["decode_s"] / n
-        print(
-            f"| {label} | {n} | {row['fused_rms_us']:.2f} | {row['single_rms_us']:.2f} | {read:.2f} | {fit:.2f} | {1e3 / (read + fit):.0f} |",
-            flush=True,
-        )
+        errors_us = f"{row['fused_rms_us']:.2f} | {row['single_rms_us']:.2f}"
+        print(f"| {label} | {n} | {errors_us} | {read:.2f} | {fit:.2f} | {1e3 / (read + fit):.0f} |", flush=True)
     return rows
-
-
-@dataclass
-class AccuracyStudy:
-    """Error and cost of the times read off the LED board, on rendered and on real footage."""
-
-    parts: tuple[Literal["synthetic", "real", "cost"], ...] = ("synthetic", "real", "cost")
-    """Which tables to make."""
-    captures: Path = Path(os.environ.get("GOF_CAPTURES", Path(__file__).parents[3] / "shared" / "captures"))
-    """Folder of the public clips; GOF_CAPTURES names it too."""
-    plots: Path | None = None
-    """Write the real clips' residual plots below this folder."""
-    frames: int = 96
-    """Frames per rendered clip."""
-    repeats: int = 3
-    """Starts per case of the synthetic table."""
-    json: Path | None = None
-    """Also write the figures to this file."""
-
-
-def main() -> None:
-    """Print the tables that are asked for."""
-    study = tyro.cli(AccuracyStudy)
-    figures: dict[str, Any] = {}
-    for part in study.parts:
-        print(f"\n{part}\n")
-        figures[part] = {
-            "synthetic": lambda: synthetic(study.frames, study.repeats),
-            "real": lambda: real(study.captures, study.plots),
-            "cost": lambda: cost(study.frames),
-        }[part]()
-    if study.json:
-        write_json(study.json, figures)
 
 
 if __name__ == "__main__":
