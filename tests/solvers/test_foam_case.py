@@ -80,7 +80,7 @@ def test_the_core_is_uniform_and_lies_where_it_should():
 def test_the_seed_draws_the_air_and_nothing_else():
     fire = toy_fire(seed=3)
     air = draught(fire, "fine")
-    assert air.shape == (np.prod(fire.cells("fine")), 3) and 0.03 < air.std() < 0.11
+    assert air.shape == (np.prod(fire.cells("fine")), 3) and 0.06 < air.std() < 0.22
     np.testing.assert_array_equal(air, draught(replace(fire, name="other"), "fine"))
     assert not np.allclose(air, draught(replace(fire, seed=4), "fine"))
 
@@ -153,7 +153,7 @@ def test_openfoam_reads_every_file(foam, tmp_path, fire):
     assert len(files) > 25
     for file in files:
         assert ask(foam, tmp_path, "foamDictionary", "-keywords", str(file)).split(), file
-    assert ask(foam, tmp_path, "foamDictionary", "-entry", "maxCo", "-value", "system/controlDict").strip() == "0.6"
+    assert ask(foam, tmp_path, "foamDictionary", "-entry", "maxCo", "-value", "system/controlDict").strip() == str(fire.courant)
 
 
 @pytest.mark.parametrize("name", ["toy", *SHIPPED])

@@ -70,10 +70,12 @@ class FoamFire:
         stretch: largest ratio between neighbouring cells outside the core.
         coarse: the flame develops on cells this many times as large.
         warm_up_s: on the coarse mesh, from still air.
-        settle_s: on the fine mesh, until detail below the coarse cells has grown.
+        settle_s: on the fine mesh, until detail below the coarse cells has grown, and puffing with it: cells of a tenth
+            of the burner damp it.
         courant: largest Courant number, which sets the time step.
         radiating_share: of the heat release that soot radiates away at once (the gases' own radiation is solved for).
-        draught_m_s: standard deviation of the air's motion at the start; `seed` draws it, and with it the whole flame.
+        draught_m_s: standard deviation of the air's motion at the start, and of what the flame is shaken with on the
+            fine mesh; `seed` draws it, and with it the whole flame.
         emission: how light follows from the gas (`emission.py`).
     """
 
@@ -92,14 +94,14 @@ class FoamFire:
     wind_m_s: tuple[float, float] = (0.0, 0.0)
     frames: int = 37
     frame_rate_hz: float = 100.0
-    warm_up_s: float = 2.0
-    settle_s: float = 0.3
-    coarse: float = 1.6
-    stretch: float = 1.4
-    courant: float = 0.6
+    warm_up_s: float = 1.2
+    settle_s: float = 0.9
+    coarse: float = 2.0
+    stretch: float = 1.35
+    courant: float = 0.8
     les_model: Literal["kEqn", "WALE"] = "kEqn"
     radiating_share: float = 0.0
-    draught_m_s: float = 0.1
+    draught_m_s: float = 0.2
     seed: int = 0
     emission: Literal["polynomial", "planck"] = "polynomial"
 

@@ -164,12 +164,15 @@ def frame_folder(fire: FoamFire, case: Path, number: int) -> Path:
 
 
 def history_of(fire: FoamFire, out: Path) -> FireHistory:
-    """What probes recorded at every second step of the solver: over the coarse run's second half and the fine run."""
-    speeds, heat = {}, {}
-    for level in ("coarse", "fine"):
-        speeds |= _table(out / level, "risePoints/*/U")
-        heat |= _table(out / level, "heatRelease/*/volFieldValue.dat")
-    times = [t for t in sorted(speeds) if t >= fire.warm_up_s / 2]
+    """What was recorded at every second step on the fine mesh, from a third of its settling on: before, the flame is
+    what the mapping left of it.
+
+    Raises:
+        DataFormatError: the solver wrote no tables.
+    """
+    speeds = _table(out / "fine", "risePoints/*/U")
+    heat = _table(out / "fine", "heatRelease/*/volFieldValue.dat")
+    times = [t for t in sorted(speeds) if t >= fire.warm_up_s + fire.settle_s / 3]
     if not times or not heat:
         raise DataFormatError(f"{out}: no postProcessing tables of the solver; bake on with the same command")
     heat_times = sorted(heat)

@@ -98,7 +98,7 @@ def _map(installation: Installation, fire: FoamFire, coarse: Path, fine: Path) -
         shutil.rmtree(fine / folder)
     shutil.copytree(fine / "0", fine / source)  # boundaries as written; the insides come from the coarse flame
     _run(installation, fine, "mapFields", "../coarse", "-consistent", "-sourceTime", source)
-    # The coarse flame may be too smooth to start swaying by itself; what it is shaken with is gone when the clip starts.
+    # The coarse flame is too smooth to start swaying by itself; what shakes it is gone when the clip starts.
     add_to_internal(fine / source / "U", draught(fire, "fine"))
 
 
