@@ -10,6 +10,7 @@ import time
 import pytest
 
 from gof.gaussians import TransientGaussians
+from tests.test_contracts import OURS, strange
 
 
 def spec(folder):
@@ -120,3 +121,16 @@ def test_a_third_start_does_nothing(demo):
     done = subprocess.run(command(folder, folder / "toy.json"), capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and done.stdout.count("finished before") == 5
     assert {p: p.stat().st_mtime_ns for p in times} == times
+
+
+def test_every_file_holds_its_record(demo):
+    """Real writers against the records: each JSON file of the run has a known schema and exactly its fields."""
+    found = set()
+    for path in sorted(demo[0].rglob("*.json")):
+        data = json.loads(path.read_text()) if "zarr" not in str(path) and ".cache" not in path.parts else {}
+        if data.get("schema") in OURS:
+            found.add(data["schema"])
+            if path.name == "scores.json":
+                data.pop("stages")  # the demo adds what its stages cost
+            assert not strange(data, OURS[data["schema"]]), path
+    assert found >= {"gof-dataset", "gof-scores", "gof-costs", "gof-curve", "gof-captions", "gof-preview"}

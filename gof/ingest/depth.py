@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gof import ply
 from gof.cameras import Camera
 from gof.errors import DataFormatError, GofError, MissingDependencyError
 from gof.files import atomic_path
-from gof.io import ply
 
 
 def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
