@@ -139,7 +139,7 @@ def measure_camera(lens: Lens, clips: list[Path]) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class BentRowsStudy:
+class BentRows:
     """What straight sensor lines cost, with the real lenses and clips."""
 
     captures: Path = Path(os.environ.get("GOF_CAPTURES", Path(__file__).parents[3] / "shared" / "captures"))
@@ -148,9 +148,9 @@ class BentRowsStudy:
     """Also write the figures to this file."""
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     """Print one row per camera."""
-    study = tyro.cli(BentRowsStudy)
+    study = tyro.cli(BentRows, prog="python -m gof_benchmark.evidence.bent_rows", args=argv)
     calibrations = sorted((study.captures / "calibration").glob("*.npz"))
     if not calibrations:
         raise GofError(f"{study.captures}: no calibration/*.npz (give --captures, or set GOF_CAPTURES)")

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +24,14 @@ from gof.gaussians import TransientGaussians
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.fusion import fuse_frame
-from gof.reconstruct.observation import observe
+from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.optical_flow import deepflow, tvl1
 from gof.reconstruct.presets import METHODS
 from gof.reconstruct.voxels import FlameVoxels
 
 
-@dataclass
-class FusionStudy:
+@dataclass(frozen=True)
+class FlowFusion:
     """Velocity error of the fused flow field for each choice, against the dataset's own velocity."""
 
     dataset: tyro.conf.Positional[Path]
@@ -40,6 +40,79 @@ class FusionStudy:
     """Voxels along the longest side of the flame's box."""
     json: Path | None = None
     """Also write the table to this file."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """Means of DVE's figures over the frames of a flow field."""
+
+    l2: float
+    cos_sim: float
+    speed_ratio: float
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print a row per choice."""
+    config = tyro.cli(FlowFusion, prog="python -m gof_benchmark.evidence.flow_fusion", args=argv)
+    dataset = Dataset.open(config.dataset)
+    seen = observe(dataset)
+    field = seen_flow_field(seen, METHODS["gof"], config.voxels)
+    table = []
+    print(f"{'choice':<46} {'L2':>7} {'CosSim':>7} {'speed':>6} {'s':>6}")
+    for name, choice in choices(dataset, seen, field).items():
+        start = time.perf_counter()
+        found = score(choice(), dataset)
+        seconds = time.perf_counter() - start
+        table.append({"choice": name} | asdict(found) | {"seconds": seconds})
+        figures = f"{found.l2:7.3f} {found.cos_sim:7.3f} {found.speed_ratio:6.2f} {seconds:6.1f}"
+        print(f"{name:<46} {figures}", flush=True)
+    if config.json:
+        write_json(config.json, {"dataset": str(config.dataset), "voxels": len(field.voxels.center), "rows": table})
+
+
+def choices(dataset: Dataset, seen: Observation, field: FlowField) -> dict[str, Callable[[], FlowField]]:
+    """What makes the field, by what is said of it in the table."""
+
+    def fused(flow: np.ndarray, fusion: str = "full", smooth: float = 3.0) -> FlowField:
+        """The field with another flow, fusion or smoothing; its emission stays."""
+        frames = []
+        for f, frame in enumerate(field.frames):
+            velocity, known = fuse_frame(field.voxels, flow[f], seen.mask[f], frame.emission, fusion, smooth)
+            frames.append(replace(frame, velocity=velocity, known=known))
+        return replace(field, frames=tuple(frames))
+
+    return {
+        "control: best constant vector": lambda: best_constant(field, dataset),
+        "default: full, smooth 3, light above plate": lambda: fused(seen.flow),
+        "no smoothing": lambda: fused(seen.flow, smooth=0.0),
+        "smooth 6": lambda: fused(seen.flow, smooth=6.0),
+        "the paper's constraint, smooth 3": lambda: fused(seen.flow, "paper"),
+        "the paper's constraint, no smoothing": lambda: fused(seen.flow, "paper", 0.0),
+        "flow on grey display pictures": lambda: fused(observe(dataset, picture=grey_picture).flow),
+        "flow by DeepFlow": lambda: fused(observe(dataset, flow=deepflow).flow),
+        "flow by TV-L1": lambda: fused(observe(dataset, flow=tvl1).flow),
+        "default, and the flow prior": lambda: FlowPrior.load().correct(fused(seen.flow)),
+    }
+
+
+def best_constant(field: FlowField, dataset: Dataset) -> FlowField:
+    """Each frame's mean true velocity, weighted by emission, everywhere."""
+    frames = []
+    for frame in field.frames:
+        truth = dataset.velocity.at(frame.time_s).sample(field.voxels.center)
+        mean = (frame.emission[:, None] * truth).sum(0) / frame.emission.sum()
+        frames.append(replace(frame, velocity=np.broadcast_to(mean, truth.shape)))
+    return replace(field, frames=tuple(frames))
+
+
+def score(field: FlowField, dataset: Dataset) -> Score:
+    """Of a flow field against the dataset's true velocity."""
+    results = []
+    for frame in field.frames:
+        cloud = on_voxels(field.voxels, frame.velocity, frame.emission, frame.time_s)
+        result = dve(cloud, dataset.velocity.at(frame.time_s), frame.time_s, order=1)
+        results.append((result.l2, result.cos_sim, result.speed_ratio))
+    return Score(*np.mean(results, 0).tolist())
 
 
 def on_voxels(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray, time_s: float) -> TransientGaussians:
@@ -61,62 +134,6 @@ def on_voxels(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray, t
 def grey_picture(image: np.ndarray, static: np.ndarray) -> np.ndarray:
     """The usual choice for optical flow: the display picture in grey, background and all."""
     return (np.clip(image, 0, 1) @ [0.299, 0.587, 0.114] * 255).astype(np.uint8)
-
-
-def main(argv: list[str] | None = None) -> None:
-    config = tyro.cli(FusionStudy, prog="python -m gof_benchmark.evidence.flow_fusion", args=argv)
-    dataset = Dataset.open(config.dataset)
-    seen = observe(dataset)
-    field = seen_flow_field(seen, METHODS["gof"], config.voxels)
-    voxels = field.voxels
-
-    def measure(field: FlowField) -> list[float]:
-        results = []
-        for frame in field.frames:
-            cloud = on_voxels(voxels, frame.velocity, frame.emission, frame.time_s)
-            r = dve(cloud, dataset.velocity.at(frame.time_s), frame.time_s, order=1)
-            results.append((r.l2, r.cos_sim, r.speed_ratio))
-        return np.mean(results, 0).tolist()
-
-    def constant() -> FlowField:
-        frames = []
-        for frame in field.frames:
-            truth = dataset.velocity.at(frame.time_s).sample(voxels.center)
-            mean = (frame.emission[:, None] * truth).sum(0) / frame.emission.sum()
-            frames.append(replace(frame, velocity=np.broadcast_to(mean, truth.shape)))
-        return replace(field, frames=tuple(frames))
-
-    def fused(flow: np.ndarray, fusion: str, smooth: float) -> FlowField:
-        """The field with another flow, fusion or smoothing; its emission stays."""
-        frames = []
-        for f, frame in enumerate(field.frames):
-            velocity, known = fuse_frame(voxels, flow[f], seen.mask[f], frame.emission, fusion, smooth)
-            frames.append(replace(frame, velocity=velocity, known=known))
-        return replace(field, frames=tuple(frames))
-
-    rows: list[tuple[str, Callable[[], FlowField]]] = [
-        ("control: best constant vector", constant),
-        ("default: full, smooth 3, light above plate", lambda: fused(seen.flow, "full", 3.0)),
-        ("no smoothing", lambda: fused(seen.flow, "full", 0.0)),
-        ("smooth 6", lambda: fused(seen.flow, "full", 6.0)),
-        ("the paper's constraint, smooth 3", lambda: fused(seen.flow, "paper", 3.0)),
-        ("the paper's constraint, no smoothing", lambda: fused(seen.flow, "paper", 0.0)),
-        ("flow on grey display pictures", lambda: fused(observe(dataset, picture=grey_picture).flow, "full", 3.0)),
-        ("flow by DeepFlow", lambda: fused(observe(dataset, flow=deepflow).flow, "full", 3.0)),
-        ("flow by TV-L1", lambda: fused(observe(dataset, flow=tvl1).flow, "full", 3.0)),
-        ("default, and the flow prior", lambda: FlowPrior.load().correct(fused(seen.flow, "full", 3.0))),
-    ]
-    table = []
-    print(f"{'choice':<46} {'L2':>7} {'CosSim':>7} {'speed':>6} {'s':>6}")
-    for name, row in rows:
-        start = time.perf_counter()
-        l2, cosine, speed = measure(row())
-        table.append(
-            {"choice": name, "l2": l2, "cos_sim": cosine, "speed_ratio": speed, "seconds": time.perf_counter() - start}
-        )
-        print(f"{name:<46} {l2:7.3f} {cosine:7.3f} {speed:6.2f} {table[-1]['seconds']:6.1f}", flush=True)
-    if config.json:
-        write_json(config.json, {"dataset": str(config.dataset), "voxels": len(voxels.center), "rows": table})
 
 
 if __name__ == "__main__":
