@@ -1,5 +1,6 @@
-"""What the documents name exists: tests, files, pictures, commands, modules."""
+"""What the documents name exists: tests, files, pictures, commands, modules; every evidence script is in its table."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -8,10 +9,13 @@ import pytest
 from gof.cli import ALIASES, commands
 
 ROOT = Path(__file__).parents[1]
+EVIDENCE = ROOT / "benchmark/evidence"
 PAGES = [
     ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "benchmark/scenes").glob("*/README.md")),
+    EVIDENCE / "README.md",
     ROOT / "firmware/README.md",
 ]
 TESTS = {name for path in (ROOT / "tests").rglob("*.py") for name in re.findall(r"def (test_\w+)", path.read_text())}
@@ -19,6 +23,11 @@ TESTS |= {path.stem for folder in ("tests", "firmware") for path in (ROOT / fold
 TESTS |= {
     name for path in (ROOT / "firmware/host").glob("*.c") for name in re.findall(r"void (test_\w+)", path.read_text())
 }
+
+
+def modules_run_by(text: str) -> set[str]:
+    """Names, without the package, of the modules of `gof_benchmark` that a text runs with `python -m`."""
+    return {name.strip(".") for name in re.findall(r"python -m gof_benchmark([\w.]*)", text)}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
@@ -29,10 +38,9 @@ def test_what_a_page_names_exists(page):
             assert (page.parent / target).exists(), f"link to {target}"
     for name in re.findall(r"\b(test_\w+)\b(?!\.py)", text):
         assert name in TESTS, f"test {name}"
-    for module in re.findall(r"python -m gof_(benchmark[\w.]*)", text):
-        assert (ROOT / (module.replace(".", "/") + ".py")).exists() or (
-            ROOT / module.replace(".", "/") / "__main__.py"
-        ).exists(), module
+    for module in modules_run_by(text) - {"evidence.NAME"}:
+        path = ROOT / "benchmark" / module.replace(".", "/")
+        assert path.with_suffix(".py").exists() or (path / "__main__.py").exists(), module
     for command in re.findall(r"(?:^|`)gof ([a-z]\w*)", text, re.MULTILINE):
         assert command in commands() or command in ALIASES, f"gof {command}"
 
@@ -41,3 +49,46 @@ def test_pictures_are_shown_somewhere():
     shown = "".join(page.read_text() for page in PAGES)
     for path in [*(ROOT / "docs/images").iterdir(), *(ROOT / "docs/figures").iterdir()]:
         assert path.name in shown, path
+
+
+# ---------------------------------------------------------------- benchmark/evidence
+
+
+def evidence_rows() -> list[list[str]]:
+    """Cells of the table: claim, script, page, how long it takes."""
+    lines = [line for line in (EVIDENCE / "README.md").read_text().splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[1:]]
+
+
+def evidence_scripts() -> set[str]:
+    """Names of the scripts: what can be run with `python -m`."""
+    runnable = {path.stem for path in EVIDENCE.glob("*.py") if 'if __name__ == "__main__":' in path.read_text()}
+    return runnable | {path.parent.name for path in EVIDENCE.glob("*/__main__.py")}
+
+
+def test_every_evidence_script_is_in_the_table_and_every_row_has_its_script():
+    named = [modules_run_by(script) for _, script, _, _ in evidence_rows()]
+    assert all(len(modules) == 1 for modules in named), "one script per row"
+    assert {module.removeprefix("evidence.") for modules in named for module in modules} == evidence_scripts()
+    assert len(named) == len(evidence_scripts()), "one row per script"
+
+
+def test_every_evidence_row_says_where_its_claim_stands_and_how_long_it_takes():
+    for claim, script, page, takes in evidence_rows():
+        pages = [(EVIDENCE / target) for target in re.findall(r"\]\(([^)]+)\)", page)]
+        assert claim and pages, script
+        assert takes.startswith("about") or takes == "seconds", script
+        (module,) = modules_run_by(script)
+        name = module.removeprefix("evidence.")
+        text = "".join(path.read_text() for path in [*pages, *(ROOT / "benchmark/scenes").glob("*/README.md")])
+        assert re.search(rf"\b{name}\b", text), f"{name} is not named on {page}"
+
+
+@pytest.mark.parametrize("name", sorted(evidence_scripts() - {"reliability"}))
+def test_evidence_scripts_look_the_same(name):
+    """A dataclass of options with a docstring, and `main(argv)`, by tyro."""
+    text = (EVIDENCE / f"{name}.py").read_text()
+    top = {node.name: node for node in ast.parse(text).body if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+    assert [argument.arg for argument in top["main"].args.args] == ["argv"] and ast.get_docstring(top["main"])
+    asked = re.search(rf'tyro\.cli\((\w+), prog="python -m gof_benchmark\.evidence\.{name}"', text)
+    assert ast.get_docstring(top[asked[1]])
