@@ -14,14 +14,8 @@ from gof.errors import GofError
 
 ALIASES = {"static": "ingest"}  # old name -> new name, for one version
 
-DISK = (
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.EFBIG,
-    errno.EROFS,
-    errno.EACCES,
-    errno.EPERM,
-)  # what a user's disk can do to a run
+# What a user's disk can do to a run.
+DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
 
 HELP = """\
 gof {version} - Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
@@ -43,7 +37,7 @@ Every command resumes what it finds half done, and writes its figures with --jso
 
 @cache
 def commands() -> dict[str, Command]:
-    """Every command by name, in the order of the work: gof's own and those that installed packages add (`gof.commands`)."""
+    """Every command by name, in the order of the work: gof's own, and those of installed packages (`gof.commands`)."""
     found = dict(COMMANDS)
     for table in entry_points(group="gof.commands"):
         found |= table.load()
@@ -60,31 +54,34 @@ def main(argv: list[str] | None = None) -> int:
     if argv[0] == "--version":
         print(f"gof {__version__}")
         return 0
-    if argv[0] in ALIASES:
-        print(
-            f"gof {argv[0]} is now called gof {ALIASES[argv[0]]}; the old name goes with the next version",
-            file=sys.stderr,
-        )
-        argv = [ALIASES[argv[0]], *argv[1:]]
-    if argv[0] not in commands():
-        print(f"gof: no command '{argv[0]}'; commands: {', '.join(commands())}", file=sys.stderr)
+    name, *rest = argv
+    if name in ALIASES:
+        print(f"gof {name} is now called gof {ALIASES[name]}; the old name goes with the next version", file=sys.stderr)
+        name = ALIASES[name]
+    if name not in commands():
+        print(f"gof: no command '{name}'; commands: {', '.join(commands())}", file=sys.stderr)
         return 2
+    return run(name, rest)
+
+
+def run(name: str, argv: list[str]) -> int:
+    """Run a command with its own arguments, and say what stopped it in words that help."""
     try:
-        return importlib.import_module(commands()[argv[0]].module).main(argv[1:]) or 0
+        return importlib.import_module(commands()[name].module).main(argv) or 0
     except GofError as e:
-        print(f"gof {argv[0]}: {e}", file=sys.stderr)
+        print(f"gof {name}: {e}", file=sys.stderr)
         return 1
     except OSError as e:
         if e.errno not in DISK:
             raise
         print(
-            f"gof {argv[0]}: {e.filename or 'a file'}: {e.strerror}; finished work is kept: make room, or choose another folder, and run the same "
-            "command again",
+            f"gof {name}: {e.filename or 'a file'}: {e.strerror}; finished work is kept: make room, or choose another "
+            "folder, and run the same command again",
             file=sys.stderr,
         )
         return 1
     except KeyboardInterrupt:
-        print(f"\ngof {argv[0]}: stopped; finished work is kept, the same command resumes", file=sys.stderr)
+        print(f"\ngof {name}: stopped; finished work is kept, the same command resumes", file=sys.stderr)
         return 130
 
 
