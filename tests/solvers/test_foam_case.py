@@ -153,7 +153,9 @@ def test_openfoam_reads_every_file(foam, tmp_path, fire):
     assert len(files) > 25
     for file in files:
         assert ask(foam, tmp_path, "foamDictionary", "-keywords", str(file)).split(), file
-    assert ask(foam, tmp_path, "foamDictionary", "-entry", "maxCo", "-value", "system/controlDict").strip() == str(fire.courant)
+    assert ask(foam, tmp_path, "foamDictionary", "-entry", "maxCo", "-value", "system/controlDict").strip() == str(
+        fire.courant
+    )
 
 
 @pytest.mark.parametrize("name", ["toy", *SHIPPED])

@@ -6,7 +6,7 @@ import pytest
 from gof.errors import DataFormatError
 from gof_benchmark.solvers.openfoam.chemistry import AMBIENT_K, FUELS, MOLAR_MASS, NASA, enthalpy, reactions
 from gof_benchmark.solvers.openfoam.emission import luminous_emission, planck, soot_share
-from gof_benchmark.solvers.openfoam.fields import Resampler, frame_folder, on_mesh, read_internal
+from gof_benchmark.solvers.openfoam.fields import Resampler, add_to_internal, frame_folder, on_mesh, read_internal
 from tests.solvers.conftest import toy_fire
 
 HEADER = """FoamFile
@@ -52,6 +52,22 @@ def test_text_and_uniform_fields_are_read(tmp_path):
     np.testing.assert_array_equal(read_internal(tmp_path / "V", 2), [[0, 0, 1.5]] * 2)
     (tmp_path / "T").write_text(head.replace("Vector", "Scalar") + "uniform 300;\n")
     np.testing.assert_array_equal(read_internal(tmp_path / "T", 3), [300] * 3)
+
+
+def test_a_field_is_shaken_in_place_and_nothing_else_changes(tmp_path):
+    values, shake = np.random.default_rng(0).normal(size=(2, 7, 3))
+    (tmp_path / "U").write_bytes(binary(values))
+    before = (tmp_path / "U").read_bytes()
+    add_to_internal(tmp_path / "U", shake)
+    np.testing.assert_array_equal(read_internal(tmp_path / "U", 7), values + shake)
+    add_to_internal(tmp_path / "U", -shake)
+    after = (tmp_path / "U").read_bytes()
+    assert len(after) == len(before) and after.endswith(before[-50:]) and after.startswith(before[:200])
+    (tmp_path / "T").write_text(
+        HEADER.format(form="ascii", kind="Scalar", item="scalar", count=2, arch=ARCH) + "1 2)\n;"
+    )
+    with pytest.raises(DataFormatError, match="not a binary list"):
+        add_to_internal(tmp_path / "T", np.ones(2))
 
 
 def test_what_is_wrong_with_a_field_is_named(tmp_path):

@@ -107,7 +107,10 @@ def _solve(
 ) -> None:
     """Run fireFoam from the latest whole time to `end_s`, with a bar of simulated milliseconds."""
     drop_torn_times(fire, case)
-    if float(times_of(case)[-1] if times_of(case) else 0) > end_s - 1e-6:
+    times = times_of(case)
+    if not times and case.name == "fine":  # from 0 it would be another fire
+        raise GofError(f"{case}: no whole time is left; remove the folders fine and steps/2* to steps/5* beside it")
+    if times and float(times[-1]) > end_s - 1e-6:
         return
     write_control(case, fire, end_s, every_s, keep)
     with progress_bar(f"{fire.name} {title} (ms)", ticking=True) as update:
