@@ -25,6 +25,7 @@ def client():
         yield client
 
 
+@pytest.mark.blender
 def test_the_generator_on_two_workers(client, tmp_path):
     pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
     scene_spec.save(replace(TOY, name="cluster"), tmp_path / "spec.json")

@@ -12,6 +12,8 @@ import pytest
 from gof.gaussians import TransientGaussians
 from tests.test_contracts import OURS, strange
 
+pytestmark = pytest.mark.blender
+
 
 def spec(folder):
     """The built-in demo scene, coarse: 6 frames of 72x128 pixels, frame 4 held out."""
@@ -27,25 +29,16 @@ def spec(folder):
 
 
 def command(folder, scene):
-    return [
-        sys.executable,
-        "-m",
-        "gof",
-        "demo",
-        "--scene",
-        str(scene),
-        "--gaussians",
-        "3000",
-        "--iterations",
-        "150",
-        "--out",
-        str(folder / "demo"),
-    ]
+    effort = ["--gaussians", "3000", "--iterations", "150"]
+    return [sys.executable, "-m", "gof", "demo", "--scene", str(scene), *effort, "--out", str(folder / "demo")]
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    """A demo that was killed in the middle of rendering and started again; returns its folder and what was finished before."""
+    """A demo that was killed in the middle of rendering and started again.
+
+    Returns its folder, what was finished before, and what it printed.
+    """
     folder = tmp_path_factory.mktemp("run")
     scene = spec(folder)
     cameras = folder / "demo" / "dataset" / "cameras"

@@ -84,6 +84,7 @@ def test_read_only_folders_are_named(disk, flame):
         assert str(disk.path) in run.stderr
 
 
+@pytest.mark.blender
 def test_generate_on_a_full_disk_keeps_its_folder_and_goes_on(disk, tmp_path):
     pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
     scene_spec.save(TOY, tmp_path / "spec.json")
