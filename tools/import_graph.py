@@ -67,19 +67,18 @@ def file_graph() -> dict[str, set[str]]:
     return {name: {target for target, _ in imports_of(name, path, known)} - {name} for name, path in known.items()}
 
 
-def room_of(module: str) -> str:
+def room_of(module: str, path: Path) -> str:
     """The room of a module: its folder, as in the repository; gof's own files are the room "gof"."""
     if module in ENTRANCES:
         return ENTRANCES[module]
     names = module.split(".")
-    path = modules()[module]
     inner = names[1:] if path.name == "__init__.py" else names[1:-1]
     return "/".join([FOLDERS[names[0]], *inner[:1]])
 
 
 def room_graph() -> dict[str, set[str]]:
     """Room -> rooms that it imports from."""
-    rooms = {name: room_of(name) for name in modules()}
+    rooms = {name: room_of(name, path) for name, path in modules().items()}
     graph: dict[str, set[str]] = {room: set() for room in rooms.values()}
     for name, targets in file_graph().items():
         graph[rooms[name]] |= {rooms[target] for target in targets} - {rooms[name]}
