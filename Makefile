@@ -2,6 +2,8 @@
 # a virtual environment, pinned packages.
 #   make demo    a small real fire: simulated, rendered, reconstructed, scored, shown (out/demo/report.html)
 #   make test    the test suite
+#   make quick   the part of it for a loop while you work: under a minute on two cores
+#   make lint    the rules and the format of the code
 #   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python 3.11
 # TORCH: which PyTorch to install; a CUDA build of your own is kept if it is in the environment already.
 PYTHON ?= python3.11
@@ -10,7 +12,7 @@ OUT    ?= out/demo
 VENV   := .venv
 READY  := $(VENV)/.ready
 
-.PHONY: demo test addon setup lint clean
+.PHONY: demo test quick addon setup lint clean
 
 demo: setup
 	$(VENV)/bin/gof demo --out $(OUT)
@@ -33,6 +35,7 @@ $(READY): pyproject.toml tools/system_packages.sh
 
 lint: setup
 	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
 
 clean:
 	rm -rf out build *.egg-info
