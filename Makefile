@@ -20,6 +20,9 @@ demo: setup
 test: setup
 	$(VENV)/bin/python -m pytest $(ARGS)
 
+quick: setup
+	$(VENV)/bin/python -m pytest -q -m "not long and not blender and not slow and not gpu" $(ARGS)
+
 addon:
 	$(PYTHON) tools/build_addon.py
 

@@ -27,6 +27,7 @@ def test_help_names_every_command_and_loads_nothing_heavy():
 
 
 @pytest.mark.parametrize("command", cli.commands())
+@pytest.mark.long
 def test_every_command_explains_itself(command):
     done = run(command, "--help")
     assert done.returncode == 0, done.stderr
@@ -34,12 +35,14 @@ def test_every_command_explains_itself(command):
     assert "--json" in done.stdout or command == "view", "a window has no figures"
 
 
+@pytest.mark.long
 def test_unknown_command_and_wrong_option():
     done = run("recontruct")
     assert done.returncode == 2 and "no command 'recontruct'" in done.stderr
     assert run("reconstruct", "--iteration").returncode == 2
 
 
+@pytest.mark.long
 def test_named_error_without_traceback(tmp_path):
     done = run("reconstruct", tmp_path / "nothing", "--out", tmp_path / "out")
     assert done.returncode == 1
@@ -57,12 +60,14 @@ def test_ctrl_c_is_reported_as_kept_work(monkeypatch, capsys):
     assert "resumes" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_old_name_of_ingest_still_works_and_says_the_new_one():
     old, new = run("static", "--help"), run("ingest", "--help")
     assert old.returncode == 0 and old.stdout == new.stdout
     assert "gof static is now called gof ingest" in old.stderr and not new.stderr
 
 
+@pytest.mark.long
 def test_study_explains_and_names_every_study():
     done = run("study", "--help")
     assert done.returncode == 0, done.stderr

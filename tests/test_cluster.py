@@ -12,6 +12,8 @@ from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY
 from tests.conftest import random_gaussians
 
+pytestmark = pytest.mark.long
+
 distributed = pytest.importorskip("distributed")
 
 

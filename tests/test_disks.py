@@ -14,6 +14,8 @@ from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY
 from tests.reconstruct.rising_flame import reconstruct, write_flame
 
+pytestmark = pytest.mark.long
+
 OPTIONS = ("--gaussians", "800", "--iterations", "20", "--voxels", "24", "--no-flow-prior")
 
 

@@ -25,6 +25,7 @@ from tests.conftest import arc, random_gaussians
 NEED_BLENDER_OR_TORCH = ("pictures .exr", "checkpoint .pth")
 
 
+@pytest.mark.long
 def test_a_slice_of_the_campaign_has_no_failure():
     names = tuple(name for name in formats() if name not in NEED_BLENDER_OR_TORCH)
     tallies = fuzz.campaign(2000, seed=2024, only=names)
@@ -41,6 +42,7 @@ def test_an_input_is_the_same_again(tmp_path, name):
     assert file[1] != file[0].read_bytes()
 
 
+@pytest.mark.long
 def test_hangs_crashes_and_greed_are_failures(monkeypatch):
     """Readers that go wrong on purpose, in place of one that does not."""
     monkeypatch.setattr(fuzz, "LIMIT_S", 0.5)
@@ -146,6 +148,7 @@ def test_an_npz_that_announces_too_much_is_refused_unread(tmp_path, shape):
         assert allocated(refused) < 2**24
 
 
+@pytest.mark.long
 def test_a_zip_bomb_is_refused_unread(tmp_path):
     path = tmp_path / "r.npz"
     with np.load(random_gaussians(3).save(path)) as good:

@@ -13,6 +13,7 @@ from gof.errors import GofError
 from gof.worker import run_worker
 
 
+@pytest.mark.long
 def test_worker_reports_cost_and_last_figures(tmp_path):
     code = (
         "from gof.progress import progress_bar; x = bytearray(150 << 20); import time\n"

@@ -90,6 +90,7 @@ result["kept"] = bpy.context.scene.gof.score.numbers.splitlines() == result["num
     assert {f"DVE L2: {wanted.l2:.3f}", f"DVE CosSim: {wanted.cos_sim:.3f}"} <= set(found["numbers"])
 
 
+@pytest.mark.long
 def test_weight_outside_is_a_percentage_of_the_weight(folder, tmp_path):
     """Nothing but two Gaussians of the same size and light at the same time: one in the domain, one far from it."""
     gaussians = random_gaussians(2)
@@ -206,6 +207,7 @@ def test_evaluation_can_be_stopped(folder):
     assert not scratch.exists() and run._process.returncode != 0
 
 
+@pytest.mark.long
 def test_a_failing_evaluation_says_what_gof_said(folder):
     with pytest.raises(EvaluationError, match=r"gof evaluate: .*nothing\.npz"):
         Evaluation(Path(sys.executable), folder / "nothing.npz", folder / "dataset").run()

@@ -42,6 +42,7 @@ def test_light_weighs_the_layers_of_a_ray():
     assert weight[50, 40] == pytest.approx(4 * 0.05, rel=0.1)
 
 
+@pytest.mark.long
 def test_bad_points_stay_finite():
     for emission in (np.zeros(SHAPE), np.ones(SHAPE)):
         flow, weight = project(emission, np.full((*SHAPE, 3), 1e3))

@@ -83,6 +83,7 @@ def bilinear(grid: np.ndarray, x: float, y: float) -> np.ndarray:
     )[0, 0]
 
 
+@pytest.mark.long
 def test_pycolmap_reads_the_model_and_depth_lands_on_the_same_pixels(dataset):
     pycolmap = pytest.importorskip("pycolmap", reason="the extra 'views' installs pycolmap")
     model = pycolmap.Reconstruction(str(dataset / "sparse" / "0"))

@@ -15,6 +15,8 @@ from gof.capture.protocol import Identity, ProtocolError, State, encode_frame
 from gof.cli import main as gof
 from gof.commands import capture_board
 
+pytestmark = pytest.mark.long
+
 
 def test_a_session_with_the_emulator(start_emulator):
     _, port = start_emulator()

@@ -24,6 +24,8 @@ from gof.lens import CalibratedCamera, CamerasFile, Lens, read_cameras
 from gof.records import write_record
 from tests.conftest import look_at, write_dataset
 
+pytestmark = pytest.mark.long
+
 TARGET = Charuco()
 TRUE = Lens(
     640, 360, np.array([[560.0, 0, 326], [0, 561.0, 177], [0, 0, 1]]), np.array([-0.25, 0.06, 0.0005, -0.0005, 0.0])

@@ -1,6 +1,7 @@
 """The camera's clock with any pattern of dropped and repeated frames."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -40,6 +41,7 @@ intervals = st.sampled_from([2500.0, 1e6 / 240, 1e6 / 120])
 
 @settings(max_examples=150, deadline=None)
 @given(steps, intervals, st.integers(0, 1000), st.floats(-0.2, 0.2))
+@pytest.mark.long
 def test_any_drops_and_repeats_are_found(pattern, interval, seed, wrong_interval):
     """With counted times, even where single counts are wrong and the interval is a little off."""
     index, repeated = positions(pattern)
@@ -55,6 +57,7 @@ def test_any_drops_and_repeats_are_found(pattern, interval, seed, wrong_interval
 
 @settings(max_examples=150, deadline=None)
 @given(st.integers(0, 7), st.integers(0, 7), intervals, st.integers(0, 1000))
+@pytest.mark.long
 def test_without_counts_drops_below_a_cycle_are_found(first, second, interval, seed):
     """At 2500 us eight frames fill five periods: up to seven missing ones are seen by the phase alone."""
     pattern = [1] * 20 + [0] + [1] * 30 + [1 + first] + [1] * 12 + [1 + second] + [1] * 40
@@ -65,6 +68,7 @@ def test_without_counts_drops_below_a_cycle_are_found(first, second, interval, s
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.floats(-2000, 2000), min_size=1, max_size=12), st.booleans(), st.integers(0, 1000))
+@pytest.mark.long
 def test_wrong_single_times_are_not_drops(wrong, counted, seed):
     index, repeated = positions([1] * 95)
     time = times(index, repeated, 2500.0, 5.0, seed)

@@ -9,6 +9,8 @@ from gof.capture.decode import DecodeOptions
 from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def sync(clips):

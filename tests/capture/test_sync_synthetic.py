@@ -14,6 +14,8 @@ from gof.capture.template import BoardTemplate
 from gof.cli import main as gof
 from gof_benchmark.evidence.capture_accuracy import errors, measure, signals_of
 
+pytestmark = pytest.mark.long
+
 BOARD = BoardTemplate.load("gof_board")
 SMALL = SyntheticShot(width=400, height=560, marker_px=42, centre=(0.48, 0.72), row_time=4.0)
 

@@ -47,6 +47,7 @@ def shape_of(g):
 
 
 @pytest.mark.parametrize("time_s", [0.0, 0.1, 0.03])
+@pytest.mark.long
 def test_same_as_the_whole_field(store, time_s):
     g = gaussians()
     whole, stored = store.at(time_s), StoredField(store, time_s)
@@ -63,6 +64,7 @@ def test_same_as_the_whole_field(store, time_s):
     np.testing.assert_array_equal(stored.contains(points), whole.contains(points))
 
 
+@pytest.mark.long
 def test_parts_do_not_change_the_answer(store, monkeypatch):
     g = gaussians()
     whole = expected_velocity_on_grid(StoredField(store, 0.0), *shape_of(g), 3)
@@ -123,6 +125,7 @@ def test_every_node_falls_into_its_cell_range():
     assert (index >= low[:, None]).all() and (index <= high[:, None]).all()
 
 
+@pytest.mark.long
 def test_sequence_scores_equal_those_of_whole_fields(store):
     g = gaussians()
     whole = Sequence(store.times_s, store.at)

@@ -199,6 +199,7 @@ def test_order_of_the_gaussians_does_not_matter():
         assert getattr(a, name) == pytest.approx(getattr(b, name), rel=1e-12)
 
 
+@pytest.mark.long
 def test_sums_of_ten_million_terms_are_right_in_any_order():
     rng = np.random.default_rng(6)
     terms = 10.0 ** rng.uniform(-8, 0, 10_000_000)

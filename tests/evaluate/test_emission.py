@@ -146,6 +146,7 @@ def test_without_flame_and_with_bad_grids(tmp_path, column):
         )
 
 
+@pytest.mark.long
 def test_in_evaluate(tmp_path):
     """A dataset without the grid says so with null; with it the truth scores well, and the table shows it."""
     import zarr

@@ -63,6 +63,7 @@ def test_bad_input_is_named():
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.3])
+@pytest.mark.long
 def test_against_torchmetrics_and_pytorch_msssim(noise):
     torch = pytest.importorskip("torch")
     metrics = pytest.importorskip("torchmetrics.functional.image", reason="torchmetrics is not installed")

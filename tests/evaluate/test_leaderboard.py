@@ -21,6 +21,8 @@ from gof.gaussians import TransientGaussians
 from gof.records import read_record, write_record
 from tests.evaluate.synthetic_flame import flame_dataset
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):

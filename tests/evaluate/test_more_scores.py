@@ -147,6 +147,7 @@ def test_absent_and_wrong_weights_are_named(weights, tmp_path):
         lpips(image, image, tmp_path)
 
 
+@pytest.mark.long
 def test_all_of_them_in_evaluate(tmp_path, weights):
     truth = flame_dataset(tmp_path / "data")
     dataset = Dataset.open(tmp_path / "data")

@@ -20,6 +20,8 @@ from tests.conftest import arc, write_dataset
 from tests.io import lookalikes
 from tests.io.lookalikes import logistic, yang_covariance
 
+pytestmark = pytest.mark.long
+
 TIMES, SAME = 0.02 * np.arange(9), np.eye(4)
 A, B = np.array([[0.2, -0.5, 0.1], [0.4, 0.1, 0.0], [-0.1, 0.3, -0.3]]), np.array([0.3, -0.2, 1.0])
 

@@ -13,6 +13,8 @@ from gof.evaluate import Scores, evaluate
 from gof.gaussians import TransientGaussians
 from tests.evaluate.synthetic_flame import flame_dataset
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def flame(tmp_path_factory):

@@ -9,6 +9,8 @@ from gof.evaluate.closed_forms import abc, gaussian_vortex, linear, taylor_green
 from gof.rotations import rotation_matrices
 from gof_benchmark.studies.dve import gaussians, main
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("flow", [linear(), taylor_green(10.0), abc(10.0), gaussian_vortex(0.15)], ids=lambda f: f.name)
 def test_closed_forms_against_a_million_samples(flow):

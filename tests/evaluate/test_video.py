@@ -10,6 +10,8 @@ import pytest
 from gof.errors import DataFormatError, GofError, MissingDependencyError, NonFiniteError
 from gof.evaluate.video import CHANNELS, HEADS, TRUNK, VideoQuality, available, clip_length, trunk_shapes
 
+pytestmark = pytest.mark.long
+
 torch = pytest.importorskip("torch")
 nn = torch.nn
 

@@ -15,6 +15,8 @@ from gof.render import render
 from tests.conftest import look_at, write_dataset
 from tests.ingest import scene
 
+pytestmark = pytest.mark.long
+
 BUDGET = 9000
 
 

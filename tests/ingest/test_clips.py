@@ -21,6 +21,8 @@ from gof.lens import Lens, prepare
 from gof.records import write_record
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
 
+pytestmark = pytest.mark.long
+
 
 def burning(picture: np.ndarray, frames: int, centre, seed=0, noise=0.0) -> np.ndarray:
     """(T, H, W, 3) uint8: an orange spot that wanders around `centre`; every pixel is free of it in some frame."""

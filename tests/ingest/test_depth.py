@@ -25,6 +25,7 @@ def error(found, truth):
 
 
 @pytest.mark.parametrize("scale", [1.0, 1000.0])
+@pytest.mark.long
 def test_semi_global_matching(views, scale):
     _, pictures, truth = views
     rig = cameras(scale)
@@ -34,6 +35,7 @@ def test_semi_global_matching(views, scale):
         assert cover > 0.5 and np.median(relative) < 0.01 and (relative < 0.05).mean() > 0.95
 
 
+@pytest.mark.long
 def test_consistency_removes_what_no_other_view_confirms(views):
     rig, _, truth = views
     spoilt = [z.astype(np.float32).copy() for z in truth]

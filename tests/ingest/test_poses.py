@@ -13,6 +13,8 @@ from gof.ingest.marked_points import MarkedPoint, read_points
 from gof.ingest.place import upright_world
 from tests.ingest.scene import HEIGHT, WIDTH, cameras, draw, lens, pose_errors
 
+pytestmark = pytest.mark.long
+
 pytest.importorskip("pycolmap")
 NAMES = ["cam_0", "cam_1", "cam_2"]
 

@@ -12,6 +12,8 @@ from gof.gaussians import TransientGaussians
 from gof.reconstruct.observation import observe
 from tests.reconstruct.rising_flame import DT, RISE, edit, held_out, mean_velocity, reconstruct, write_flame
 
+pytestmark = pytest.mark.long
+
 SMALL = {"gaussians": 1000, "iterations": 120, "voxels": 24}
 
 

@@ -39,6 +39,7 @@ def make(tmp_path, frames, plate, test_frames=(), dt=0.01):
 @pytest.mark.parametrize(
     ("method", "off"), [("dis", 0.03), ("tvl1", 0.03), ("deepflow", 0.35)]
 )  # DeepFlow smooths small motion away
+@pytest.mark.long
 def test_flow_is_in_pixels_per_second_of_the_dataset_clock(tmp_path, method, off):
     frames, plate = moving_texture(4, (0.5, -2.0))
     seen = observe(make(tmp_path, frames, plate, dt=0.02), flow=flow_method(method))

@@ -51,6 +51,7 @@ def test_the_optimiser_sees_what_the_renderer_draws(row_time_s):
     assert (np.abs(drawn - still).max() > 0.02) == (row_time_s > 0), "the shutter makes a difference that can be seen"
 
 
+@pytest.mark.long
 def test_rolling_shutter_is_undone(tmp_path):
     """Pictures read over a whole frame time: fitting them as read explains held-out ones better than as snapshots."""
     folder = write_flame(tmp_path / "rolling", row_time_s=DT / 96)
@@ -74,6 +75,7 @@ def test_rolling_shutter_is_undone(tmp_path):
     assert error(rolling) < 0.8 * error(ignored)
 
 
+@pytest.mark.long
 def test_a_full_disk_costs_the_checkpoint_not_the_run(flame, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(optimize, "CHECKPOINT_EVERY", 20)
     small = {"gaussians": 3000, "iterations": 40, "voxels": 24}
@@ -116,6 +118,7 @@ def test_ablations_change_what_they_say(flame):
         assert change("none", *value) is value[0]
 
 
+@pytest.mark.long
 def test_plates_move_as_the_method_says_and_are_kept_beside_the_result(flame, tmp_path, monkeypatch):
     scored = {}
 
@@ -153,6 +156,7 @@ def test_held_out_scores_are_those_of_the_pictures(flame, with_novel_view):
     assert nothing.psnr == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.long
 def test_the_curve_follows_the_optimisation(with_novel_view, tmp_path, monkeypatch):
     monkeypatch.setattr(optimize, "EVALUATE_AT", (10, 40))
     result = reconstruct(with_novel_view, tmp_path, iterations=80, gaussians=1000, voxels=24)

@@ -17,6 +17,8 @@ from gof.records import read_record
 from gof.render import render
 from tests.reconstruct.rising_flame import RISE, mean_velocity, reconstruct, write_flame
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def rising_flame(tmp_path_factory):

@@ -17,6 +17,7 @@ def test_training_step_and_phases_run():
     assert len(phases) == 6 and all(wall > 0 for wall, _ in phases.values())
 
 
+@pytest.mark.long
 def test_torch_peer_draws_the_same_picture():
     pytest.importorskip("torch")
     ours = np.mean([c.numpy().mean() for c in render_speed.Training(400, 64, 48).draw().color])
@@ -24,11 +25,13 @@ def test_torch_peer_draws_the_same_picture():
     assert peer["mean"] == pytest.approx(ours, rel=0.01)  # it keeps the tails that a 3 sigma radius leaves
 
 
+@pytest.mark.long
 def test_mitsuba_peer_draws_the_same_picture():
     pytest.importorskip("mitsuba")
     ours = np.mean([c.numpy().mean() for c in render_speed.Training(400, 64, 48).draw().color])
     assert render_speed.mitsuba_peer(400, 64, 48, ours=True)["mean"] == pytest.approx(ours, rel=0.1)
 
 
+@pytest.mark.long
 def test_gradient_table_is_small():
     assert max(render_agreement.gradient_table(scenes=1, n=8).values()) < 1e-4

@@ -102,6 +102,7 @@ def test_the_1_255_threshold_is_the_only_jump():
     assert np.abs(smooth[1] - smooth[0]).max() < 1e-4  # without the threshold there is no jump
 
 
+@pytest.mark.long
 def test_stopping_and_clamp_gradients_equal_central_differences():
     """Opaque stacks: alpha above 0.99 is clamped (gradient 0), pixels stop at 1e-4."""
     cam, g = camera(12, 12), gaussians(30, 7, 0.3, spread=0.1)
@@ -123,6 +124,7 @@ def test_stopping_and_clamp_gradients_equal_central_differences():
     assert max(errors) < 5e-3 * max(sizes)
 
 
+@pytest.mark.long
 def test_random_scenes_stay_within_a_stated_bound_of_float64():
     """Away from threshold flips (a pixel may gain or lose pairs of alpha 1/255), float32 is within 2e-5 of float64."""
     flips, pixels = 0, 0
@@ -240,6 +242,7 @@ def test_dynamic_alpha_counts_only_flagged_gaussians():
     assert 0 < frame.dynamic_alpha.numpy().max() <= frame.alpha.numpy().max() and not none.dynamic_alpha.numpy().any()
 
 
+@pytest.mark.long
 def test_memory_of_a_crowded_image_is_bounded_by_the_budget():
     """1500 Gaussians over the whole image are 2.9 million pairs; a budget of a tenth lowers peak memory."""
     cam, g = camera(176, 176), gaussians(1500, 1, 3.0)

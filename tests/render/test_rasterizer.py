@@ -53,6 +53,7 @@ def test_image_equals_float64_twin(n, size, wh, channels, antialias):
 
 
 @pytest.mark.parametrize("antialias", [False, True])
+@pytest.mark.long
 def test_gradient_equals_central_differences(antialias):
     cam, g = camera(24, 20), gaussians(25, 3, 0.12)
     weights, extra = loss_weights(cam, 3)

@@ -56,6 +56,7 @@ def test_batch_of_cameras_equals_twin_in_every_mode(mode):
 
 
 @pytest.mark.parametrize("degree", [None, 0, 1, 2, 3])
+@pytest.mark.long
 def test_autograd_equals_central_differences(degree):
     cams, g = two_cameras(), gaussians(15, 3, 0.12)
     r = np.random.default_rng(0)
@@ -97,6 +98,7 @@ def test_autograd_equals_central_differences(degree):
         np.testing.assert_allclose(got, want, atol=3e-3 * np.abs(want).max(), err_msg=name)
 
 
+@pytest.mark.long
 def test_optimisation_with_torch_adam_recovers_a_picture():
     cams, g = two_cameras()[:1], gaussians(30, 5, 0.1)
     target = torch.tensor(reference.render(*g.values(), cams[0])[0], dtype=torch.float32)

@@ -23,6 +23,8 @@ from gof.report.chart import l2_chart
 from gof.report.verdicts import verdicts
 from tests.evaluate.synthetic_flame import flame_dataset
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory):

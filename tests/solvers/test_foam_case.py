@@ -25,6 +25,8 @@ from gof_benchmark.solvers.openfoam.case import (
 from gof_benchmark.solvers.openfoam.dictionary import named, render, write_dictionary
 from tests.solvers.conftest import toy_fire
 
+pytestmark = pytest.mark.long
+
 SHIPPED = sorted(p.stem for p in FIRES.glob("*.json"))
 
 
