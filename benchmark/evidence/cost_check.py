@@ -151,13 +151,14 @@ def bare(spec_path: str, folder: str) -> None:
     import bpy
 
     from gof_blender.scene import build, fire, render, rig
+    from gof_blender.scene.fire_objects import find_flame
 
     spec, layout = scene_spec.load(spec_path), Layout(Path(folder))
     layout.hidden.mkdir(parents=True)
     os.chdir(layout.hidden)
     build.scene(spec)
     bpy.ops.wm.save_as_mainfile(filepath=str(layout.blend))
-    domain = fire.find_domain()
+    domain = find_flame()
     fire.bake(domain)
     scene = bpy.context.scene
     scene.render.image_settings.file_format = "OPEN_EXR_MULTILAYER"

@@ -21,14 +21,16 @@ def load_scene(scene: str, preset: str | None = None) -> SceneSpec:
     """The spec of a file or of a built-in scene, with a cost preset applied.
 
     Raises:
-        GofError: no such file or scene, or a field of the spec is wrong (names it).
+        GofError: no such file or scene, a field of the spec is wrong, or the grids it burns are (names it).
     """
     path = FOLDER / scene / "spec.json" if scene in built_in_scenes() else Path(scene)
     if not path.is_file():
         raise GofError(f"'{scene}' is neither a spec file nor a built-in scene ({', '.join(built_in_scenes())})")
     try:
         spec = scene_spec.load(path)
-        return spec.with_preset(preset) if preset else spec
+        spec = spec.with_preset(preset) if preset else spec
+        _ = spec.box  # opens what it burns
+        return spec
     except SpecError as error:
         raise GofError(str(error)) from error
 

@@ -11,7 +11,7 @@
 All grids are cell-centred cubes of one box, world axes (Z up, metres), on one clock that starts at 0. Emission is
 spectral radiance per metre of path, W m^-3 sr^-1 nm^-1 at the three wavelengths that stand for R, G and B, and true
 up to one factor for the whole fire, because no solver here knows the amount of soot; absorption is left out (a thin
-flame).
+flame). Chunks are packed with gzip: Blender's Python has no zstd.
 """
 
 from __future__ import annotations
@@ -276,6 +276,7 @@ def write_fire(
 
 def _create(folder: Path, name: str, shape: tuple[int, ...], times_s: tuple[float, ...], index_to_world: np.ndarray):
     import zarr
+    import zarr.codecs
 
     vector = name in ("velocity", "emission")
     if len(shape) != 3 + vector or (vector and shape[3] != 3):
@@ -297,5 +298,6 @@ def _create(folder: Path, name: str, shape: tuple[int, ...], times_s: tuple[floa
         chunks=chunks,
         dtype="float32",
         fill_value=0,
+        compressors=zarr.codecs.GzipCodec(level=1),
         attributes=attributes,
     )

@@ -47,7 +47,7 @@ def _value(hint: Any, value: Any, name: str, ignore_unknown: bool) -> Any:
     if hint is Any or (value is None and type(None) in typing.get_args(hint)):
         return value  # effects, which are built already; optional fields
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        hint = next(item for item in typing.get_args(hint) if item is not type(None))
+        hint = _chosen([item for item in typing.get_args(hint) if item is not type(None)], value)
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value, name + ".", ignore_unknown)
     origin, args = typing.get_origin(hint), typing.get_args(hint)
@@ -61,6 +61,19 @@ def _value(hint: Any, value: Any, name: str, ignore_unknown: bool) -> Any:
     kind = origin or hint  # dict[str, Any] is checked as a dict
     require(isinstance(value, kind), name, f"a {kind.__name__}", value)
     return value
+
+
+def _chosen(hints: list[Any], value: Any) -> Any:
+    """Of several dataclasses the first whose required fields are all there, otherwise the last."""
+    for hint in hints[:-1]:
+        required = {
+            item.name
+            for item in dataclasses.fields(hint)
+            if item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
+        }
+        if isinstance(value, dict) and required <= set(value):
+            return hint
+    return hints[-1]
 
 
 def _tuple(args: tuple, value: Any, name: str, ignore_unknown: bool) -> tuple:

@@ -1,6 +1,6 @@
 """What a dataset will cost on this machine, before it is made: a small linear model with measured coefficients.
 
-    bake     start + steps * a * cells^p
+    bake     start + steps * a * cells^p, of a fire of grids start + steps * f * cells
     picture  b + pixels * (c + samples * (d + e * resolution))        the flame is marched in steps of a cell
     velocity start + frames * f * cells
 
@@ -90,19 +90,19 @@ class Prediction:
 
 
 def cells(spec: SceneSpec) -> int:
-    cell = max(spec.domain.size) / spec.domain.resolution
-    return int(np.prod([max(round(side / cell), 1) for side in spec.domain.size]))
+    """Of the flame's whole grid. Raises SpecError: files of a fire of grids are wrong."""
+    cell = max(spec.box.size) / spec.box.resolution
+    return int(np.prod([max(round(side / cell), 1) for side in spec.box.size]))
 
 
 def predict(spec: SceneSpec, machine: Machine) -> Prediction:
     """Cost of a dataset made from nothing."""
-    count, fine = cells(spec), _fine_cells(spec)
-    cameras, frames, steps = len(spec.cameras.names), spec.clip.frames, spec.timeline.last_frame
-    step = machine.bake_scale * count**machine.bake_power * (1 + NOISE_BAKE * fine)
+    count = cells(spec)
+    cameras, frames = len(spec.cameras.names), spec.clip.frames
     plates = cameras * _picture_s(spec, machine, 1.0, spec.render.plate_samples)
     grids = 1 + len(spec.ground_truth)
     return Prediction(
-        bake_s=machine.start + steps * step,
+        bake_s=machine.start + spec.fire.bake_steps(spec) * _step_s(spec, machine),
         render_s=machine.start + plates + cameras * frames * _frame_s(spec, machine),
         ground_truth_s=machine.start + frames * count * machine.velocity * grids,
         memory_mb=_memory_mb(spec),
@@ -139,6 +139,11 @@ def require_room(spec: SceneSpec, root: Path) -> Prediction:
     memory = memory_mb()
     disk = shutil.disk_usage(next(path for path in (root, *root.parents) if path.exists())).free / 2**20
     if prediction.memory_mb > 0.9 * memory:
+        if spec.domain is None:
+            raise SpecError(
+                f"{spec.name}: needs about {prediction.memory_mb / 1000:.0f} GB of memory, this machine has "
+                f"{memory / 1000:.0f} GB; resample fire.grids to fewer cells"
+            )
         smaller = spec.domain.resolution
         while smaller > 8 and predict(with_resolution(spec, smaller), REFERENCE).memory_mb > 0.8 * memory:
             smaller -= 8
@@ -168,16 +173,16 @@ def memory_mb() -> float:
 
 def stage_settings(stage: str, spec: SceneSpec) -> dict:
     """The settings that explain a stage's cost, for costs.json."""
-    frames, cameras = spec.clip.frames, len(spec.cameras.names)
+    frames, cameras, resolution = spec.clip.frames, len(spec.cameras.names), spec.box.resolution
     return {
-        "bake": {"resolution": spec.domain.resolution, "steps": spec.timeline.last_frame, "effects": spec.effect_names},
+        "bake": {"resolution": resolution, "steps": spec.fire.bake_steps(spec), "effects": spec.effect_names},
         "render": {
             "images": frames * cameras,
             "percentage": spec.render.percentage,
             "samples": spec.render.samples,
             "effects": spec.effect_names,
         },
-        "ground-truth": {"frames": frames, "resolution": spec.domain.resolution},
+        "ground-truth": {"frames": frames, "resolution": resolution},
         "video": {"cameras": cameras},
         "flow": {"images": frames * cameras},
         "finish": {},
@@ -200,6 +205,14 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
+def _step_s(spec: SceneSpec, machine: Machine) -> float:
+    """Seconds of one step of the bake: of the solver, or of reading grids and writing them for Cycles."""
+    count = cells(spec)
+    if spec.domain is None:
+        return machine.velocity * count
+    return machine.bake_scale * count**machine.bake_power * (1 + NOISE_BAKE * _fine_cells(spec))
+
+
 def _fine_cells(spec: SceneSpec) -> int:
     """Cells of detail per cell of the flow, 0 without fine noise."""
     noise = next((e for e, name in zip(spec.effects, spec.effect_names, strict=True) if name == "fine_noise"), None)
@@ -218,7 +231,7 @@ def _disk_mb(spec: SceneSpec) -> float:
     """Of pictures, the solver's cache and the ground truth."""
     frames, grids = spec.clip.frames, 1 + len(spec.ground_truth)
     images = math.prod(spec.picture_px) * len(spec.cameras.names) * frames * PICTURE_BYTES_PER_PIXEL
-    cache = (1 + _fine_cells(spec) / 4) * spec.timeline.last_frame * CACHE_BYTES_PER_CELL_STEP
+    cache = (1 + _fine_cells(spec) / 4) * spec.fire.bake_steps(spec) * CACHE_BYTES_PER_CELL_STEP
     return (images + cells(spec) * (cache + frames * grids * VELOCITY_BYTES_PER_CELL_FRAME)) / 2**20
 
 
@@ -233,4 +246,4 @@ def _frame_s(spec: SceneSpec, machine: Machine) -> float:
 
 
 def _picture_s(spec: SceneSpec, machine: Machine, part: float, samples: int) -> float:
-    return picture_s(machine, part * math.prod(spec.picture_px), samples, spec.domain.resolution)
+    return picture_s(machine, part * math.prod(spec.picture_px), samples, spec.box.resolution)

@@ -77,8 +77,12 @@ class Layout:
         return self.hidden / "bake-finished.json"
 
     def cached_velocity(self, blender_frame: int) -> Path:
-        """Cache file that the solver writes last in a step."""
+        """Cache file that our solver writes last in a step."""
         return self.bake / "data" / f"vel_{blender_frame:04d}.uni"
+
+    def step_grids(self, blender_frame: int) -> Path:
+        """What Cycles renders of a fire of grids in a step."""
+        return self.bake / f"{blender_frame:06d}.vdb"
 
     def is_baked(self, blender_frame: int) -> bool:
         """Whether a frame's cache is complete, also while the bake goes on: the next step is then there too."""

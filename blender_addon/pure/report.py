@@ -60,8 +60,10 @@ def _summary(dataset: DatasetDescription, layout: Layout) -> str:
     store = read_json(layout.velocity / "zarr.json")
     cells = " x ".join(map(str, store["shape"][1:4]))
     effects = ", ".join(dataset.effects) or "none"
+    fire = dataset.provenance.get("fire")  # of another solver
+    burns = f"{fire['name']} ({fire['solver']})" if fire else spec.fire.title
     return (
-        f"{escape(spec.fire.fuel.replace('_', ' '))} in {escape(spec.background.replace('_', ' '))}; "
+        f"{escape(burns)} in {escape(spec.background.replace('_', ' '))}; "
         f"effects: {escape(effects)}. {len(dataset.time_s)} frames at {spec.clip.fps:g} per second, "
         f"{len(dataset.cameras)} cameras of {first.width} x {first.height} pixels, "
         f"velocity on {cells} cells of {1000 * store['attributes']['voxel_size']:.1f} mm."

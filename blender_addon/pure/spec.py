@@ -9,6 +9,7 @@ import dataclasses
 import json
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any, Literal
 from . import effects as effect_modules
 from .checked_json import SpecError, from_dict, require
 from .clip import Clip
+from .fires import Domain, Fire, GridFire, Vector
 from .fuels import FUELS, Fuel
 from .io.files import write_json
 from .presets import PRESETS
@@ -26,54 +28,6 @@ SCHEMA = "gof-scene"
 VERSION = 1
 MOST_PICTURES = 100_000
 LAST_FRAME = 1_048_574  # Blender counts no further
-
-Vector = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Domain:
-    """The simulated box. Its cells are cubes with sides of (longest side) / resolution."""
-
-    min: Vector = (-0.4, -0.4, 0.0)
-    """Lowest corner, world metres."""
-    size: Vector = (0.8, 0.8, 1.6)
-    """Side lengths, metres."""
-    resolution: int = 64
-    """Cells along the longest side."""
-
-    def __post_init__(self):
-        require(all(side > 0 for side in self.size), "domain.size", "positive on every side", self.size)
-        require(8 <= self.resolution <= 2048, "domain.resolution", "between 8 and 2048", self.resolution)
-
-    @property
-    def max(self) -> Vector:
-        return tuple(low + side for low, side in zip(self.min, self.size, strict=True))
-
-
-@dataclass(frozen=True)
-class Fire:
-    """The emitter of fuel and what it burns."""
-
-    fuel: str = "propane_high"
-    """Name of a preset in FUELS."""
-    shape: Literal["disc", "sphere", "logs"] = "disc"
-    """disc: a flat round burner of 1/3 radius height; sphere: a ball; logs: three crossed logs."""
-    position: Vector = (0.0, 0.0, 0.12)
-    """Centre of the emitter, world metres."""
-    radius: float = 0.13
-    """Metres."""
-    jet_speed: float = 0.0
-    """Upward speed at which the fuel leaves the burner, m/s."""
-
-    def __post_init__(self):
-        require(self.fuel in FUELS, "fire.fuel", f"one of {sorted(FUELS)}", self.fuel)
-        require(self.radius > 0, "fire.radius", "positive", self.radius)
-
-    @property
-    def half_size(self) -> Vector:
-        """Half extents of the emitter's bounding box, metres."""
-        thickness = {"disc": self.radius / 6, "sphere": self.radius, "logs": self.radius / 2}
-        return (self.radius, self.radius, thickness[self.shape])
 
 
 @dataclass(frozen=True)
@@ -193,8 +147,10 @@ class SceneSpec:
     name: str
     seed: int = 0
     clip: Clip = field(default_factory=Clip)
-    domain: Domain = field(default_factory=Domain)
-    fire: Fire = field(default_factory=Fire)
+    domain: Domain | None = None
+    """The box that we simulate; None for a fire of grids, which has its own. Left out: `Domain()`."""
+    fire: GridFire | Fire = field(default_factory=Fire)
+    """What burns; in JSON an object with "grids" is a `GridFire`."""
     cameras: Rig = field(default_factory=Rig)
     render: Render = field(default_factory=Render)
     background: Literal["studio", "workshop", "classroom", "cloister", "blend_file"] = "workshop"
@@ -207,6 +163,8 @@ class SceneSpec:
     display: Display = field(default_factory=Display)
 
     def __post_init__(self):
+        if self.domain is None and isinstance(self.fire, Fire):
+            object.__setattr__(self, "domain", Domain())
         require(bool(self.name) and not set(self.name) & set('/\\:*?"<>|'), "name", "a plain file name", self.name)
         require(0 <= self.seed < 2**31, "seed", "in [0, 2^31)", self.seed)
         with_file = self.background == "blend_file"
@@ -216,7 +174,7 @@ class SceneSpec:
             require(len(set(listed)) == len(listed), name, "listed once each", listed)
         self._check_pictures()
         self._check_timeline()
-        self._check_emitter()
+        self.fire.check(self)
 
     def _check_pictures(self) -> None:
         least = -(-400 // min(self.cameras.sensor_px))
@@ -233,20 +191,19 @@ class SceneSpec:
         rule = f"such that the solver ends by step {LAST_FRAME}, Blender's last"
         require(self.timeline.last_frame <= LAST_FRAME, "clip.warm_up_frames", rule, self.timeline.last_frame)
 
-    def _check_emitter(self) -> None:
-        sides = zip("xyz", self.fire.position, self.fire.half_size, self.domain.min, self.domain.max, strict=True)
-        for axis, centre, half, low, high in sides:
-            inside = low <= centre - half and centre + half <= high
-            rule = f"such that the emitter lies inside the domain along {axis}"
-            require(inside, "fire.position", rule, self.fire.position)
-
     @property
     def effect_names(self) -> list[str]:
         return [effect_modules.name_of(effect) for effect in self.effects]
 
     @property
     def fuel(self) -> Fuel:
+        """Of a fire that we simulate."""
         return FUELS[self.fire.fuel]
+
+    @cached_property
+    def box(self) -> Domain:
+        """The box of the flame's cells, and how many. Raises SpecError: files of a fire of grids are wrong."""
+        return self.fire.box(self)
 
     @property
     def picture_px(self) -> tuple[int, int]:
@@ -260,17 +217,24 @@ class SceneSpec:
         return Timeline(self.clip, self.effects, len(self.cameras.names), self.picture_px[1], self.seed)
 
     def resolved(self, folder: Path) -> SceneSpec:
-        """This spec with the path of its .blend absolute; a relative one counts from the folder of the spec's file."""
-        return self._with_blend_file((folder / self.blend_file.path).resolve()) if self.blend_file else self
+        """This spec with the paths of its files absolute; relative ones count from the folder of the spec's file."""
+        return self._with_paths(lambda path: (folder / path).resolve())
 
     def relative_to(self, folder: Path) -> SceneSpec:
-        """This spec with the path of its .blend relative if it lies in the folder: both can be moved together."""
-        if self.blend_file and (path := Path(self.blend_file.path)).is_relative_to(folder.resolve()):
-            return self._with_blend_file(path.relative_to(folder.resolve()))
-        return self
+        """This spec with the paths of its files relative where they lie in the folder: all can be moved together."""
+        root = folder.resolve()
+        return self._with_paths(lambda path: path.relative_to(root) if path.is_relative_to(root) else path)
 
-    def _with_blend_file(self, path: Path) -> SceneSpec:
-        return dataclasses.replace(self, blend_file=dataclasses.replace(self.blend_file, path=path.as_posix()))
+    def _with_paths(self, moved: Callable[[Path], Path]) -> SceneSpec:
+        """This spec with the path of every file that it names, where it names one, mapped."""
+        changes: dict[str, Any] = {}
+        if self.blend_file:
+            changes["blend_file"] = dataclasses.replace(
+                self.blend_file, path=moved(Path(self.blend_file.path)).as_posix()
+            )
+        if isinstance(self.fire, GridFire):
+            changes["fire"] = dataclasses.replace(self.fire, grids=moved(Path(self.fire.grids)).as_posix())
+        return dataclasses.replace(self, **changes) if changes else self
 
     def to_dict(self) -> dict:
         """The JSON form; ``from_dict(to_dict())`` gives an equal spec."""
@@ -301,16 +265,21 @@ class SceneSpec:
         return sorted(name for name in mine if mine[name] != theirs[name])
 
     def with_preset(self, preset: str) -> SceneSpec:
-        """This spec with the cost-related fields of a preset in PRESETS. Raises SpecError for an unknown name."""
+        """This spec with the cost-related fields of a preset in PRESETS; a fire of grids keeps its cells.
+
+        Raises SpecError for an unknown name.
+        """
         require(preset in PRESETS, "preset", f"one of {sorted(PRESETS)}", preset)
         sections = {
-            name: dataclasses.replace(getattr(self, name), **values) for name, values in PRESETS[preset].items()
+            name: dataclasses.replace(getattr(self, name), **values)
+            for name, values in PRESETS[preset].items()
+            if getattr(self, name) is not None
         }
         return dataclasses.replace(self, **sections)
 
 
 def load(path: str | os.PathLike) -> SceneSpec:
-    """Read a spec from a JSON file; the path of its .blend becomes absolute. Raises SpecError that names the file."""
+    """Read a spec from a JSON file; paths of files in it become absolute. Raises SpecError that names the file."""
     path = Path(path)
     try:
         return SceneSpec.from_dict(json.loads(path.read_text(encoding="utf-8"))).resolved(path.parent)
@@ -319,7 +288,7 @@ def load(path: str | os.PathLike) -> SceneSpec:
 
 
 def save(spec: SceneSpec, path: str | os.PathLike) -> None:
-    """Write a spec as JSON, atomically; the path of a .blend beside it becomes relative."""
+    """Write a spec as JSON, atomically; paths of files beside it become relative."""
     write_json(Path(path), spec.relative_to(Path(path).parent).to_dict(), indent=2)
 
 

@@ -65,6 +65,15 @@ class Timeline:
         """Earliest Blender frame that a picture looks at; 1 is the first that is simulated."""
         return self.first_frame + min((first for first, _ in self._extents), default=0)
 
+    @property
+    def steps_needed(self) -> range:
+        """Blender frames that pictures and truth look at."""
+        return range(min(self.earliest_seen, self.first_frame), self.last_frame + 1)
+
+    def simulated_s(self, blender_frame: int) -> float:
+        """Simulated seconds from dataset frame 0 to a Blender frame."""
+        return (blender_frame - self.first_frame) * self.solver_step_s
+
     @cached_property
     def last_frame(self) -> int:
         """Last Blender frame that is simulated: that of the last dataset frame, or what its shutter still sees."""

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from ..pure.spec import SceneSpec
-from . import backgrounds, fire, mantaflow, render, rig
-from .fire_objects import FireObjects
+from . import backgrounds, mantaflow, render, rig
+from .flame_source import flame_source
 
 
-def scene(spec: SceneSpec) -> FireObjects:
-    """Replace the open scene by the spec's; nothing is simulated or rendered yet."""
+def scene(spec: SceneSpec) -> Any:
+    """Replace the open scene by the spec's; nothing is simulated or rendered yet. Returns what its flame's source adds.
+
+    Raises SpecError where files that the spec names are wrong.
+    """
     bpy.ops.wm.read_factory_settings(use_empty=True)
     mantaflow.enable()
     current = bpy.context.scene
@@ -20,8 +25,7 @@ def scene(spec: SceneSpec) -> FireObjects:
     current.render.fps, current.render.fps_base = whole, whole / spec.timeline.steps_per_second
     backgrounds.build(spec, _collection("Background"))
     rig.build(spec, _collection("Cameras"))
-    objects = fire.build(spec, _collection("Fire"))
-    fire.keep_for_dataset(objects.domain_settings)
+    objects = flame_source(spec).build(_collection("Fire"))
     render.configure(spec)
     return objects
 

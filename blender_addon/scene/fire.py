@@ -9,9 +9,7 @@ import numpy as np
 
 from ..pure.spec import SceneSpec
 from . import effects, material, meshes
-from .fire_objects import FireObjects
-
-DOMAIN_NAME = "Fire Domain"
+from .fire_objects import FLAME_NAME, FireObjects
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> FireObjects:
@@ -30,14 +28,6 @@ def keep_for_dataset(settings: bpy.types.FluidDomainSettings) -> None:
     """Bake all at once, into the dataset's own cache folder."""
     settings.cache_type = "ALL"
     settings.cache_directory = "//.cache/bake"  # of Layout.bake
-
-
-def find_domain() -> bpy.types.Object:
-    """The domain object of the open scene. Raises LookupError if it has none."""
-    domain = bpy.data.objects.get(DOMAIN_NAME)
-    if domain is None:
-        raise LookupError(f"the scene {bpy.data.filepath or '(unsaved)'} has no object named {DOMAIN_NAME!r}")
-    return domain
 
 
 def bake(domain: bpy.types.Object) -> None:
@@ -66,7 +56,7 @@ def velocity_file(settings: bpy.types.FluidDomainSettings, frame: int) -> Path:
 
 def _domain(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Object:
     centre = [low + side / 2 for low, side in zip(spec.domain.min, spec.domain.size, strict=True)]
-    domain = meshes.box(DOMAIN_NAME, spec.domain.size, collection, location=centre)
+    domain = meshes.box(FLAME_NAME, spec.domain.size, collection, location=centre)
     domain.display_type = "WIRE"
     modifier = domain.modifiers.new("Fluid", "FLUID")
     modifier.fluid_type = "DOMAIN"

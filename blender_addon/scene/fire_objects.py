@@ -1,10 +1,13 @@
-"""The fire in a Blender scene, as what builds it hands it to the effects."""
+"""The fire in a Blender scene: the object that shines, and what builds it hands over."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import bpy
+
+FLAME_NAME = "Fire Domain"
+"""Name of the object that shines, whatever made it: our solver's domain, or a volume of grids."""
 
 
 @dataclass
@@ -18,3 +21,11 @@ class FireObjects:
     @property
     def domain_settings(self) -> bpy.types.FluidDomainSettings:
         return self.domain.modifiers["Fluid"].domain_settings
+
+
+def find_flame() -> bpy.types.Object:
+    """The object of the open scene that shines. Raises LookupError if there is none."""
+    flame = bpy.data.objects.get(FLAME_NAME)
+    if flame is None:
+        raise LookupError(f"the scene {bpy.data.filepath or '(unsaved)'} has no object named {FLAME_NAME!r}")
+    return flame

@@ -10,6 +10,7 @@ import bpy
 from ..pure.fuels import Fuel
 
 Colour = tuple[float, float, float]
+FLAME_EXPONENT = 1.3  # dense flame radiates more than in proportion, which leaves the fringe translucent
 
 
 def flame(fuel: Fuel) -> bpy.types.Material:
@@ -27,10 +28,9 @@ def flame(fuel: Fuel) -> bpy.types.Material:
     tint = add("ShaderNodeVectorMath")
     tint.operation = "MULTIPLY"
     tint.inputs[1].default_value = fuel.tint
-    # Dense flame radiates more than in proportion, which leaves the fringe translucent.
     density = add("ShaderNodeMath")
     density.operation = "POWER"
-    density.inputs[1].default_value = 1.3
+    density.inputs[1].default_value = FLAME_EXPONENT
     strength = add("ShaderNodeMath")
     strength.operation = "MULTIPLY"
     strength.inputs[1].default_value = fuel.radiance
@@ -42,6 +42,18 @@ def flame(fuel: Fuel) -> bpy.types.Material:
     link(colour.outputs["Color"], tint.inputs[0])
     link(tint.outputs[0], emission.inputs["Color"])
     link(strength.outputs[0], emission.inputs["Strength"])
+    link(emission.outputs[0], output.inputs["Volume"])
+    return material
+
+
+def emission_grid(attribute: str, radiance: float) -> bpy.types.Material:
+    """Volume emission that a grid of linear RGB states, per metre, times a factor."""
+    material, add, link, output = _new("Flame")
+    grid = add("ShaderNodeAttribute")
+    grid.attribute_name = attribute
+    emission = add("ShaderNodeEmission")
+    emission.inputs["Strength"].default_value = radiance
+    link(grid.outputs["Color"], emission.inputs["Color"])
     link(emission.outputs[0], output.inputs["Volume"])
     return material
 

@@ -21,7 +21,7 @@ from ..pure.io.files import atomic_path, temporary
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from . import effects, images, rig
-from .fire import find_domain
+from .fire_objects import find_flame
 
 FLAME_VISIBLE = 0.02
 """Linear radiance from which a flame counts as visible: just above black on a display."""
@@ -84,7 +84,7 @@ def plates(spec: SceneSpec, layout: Layout) -> None:
     masks of a sync board, if the spec has one."""
     if any(map(shows_board, spec.effects)):
         _write_board_masks(spec, layout)
-    scene, domain = bpy.context.scene, find_domain()
+    scene, flame = bpy.context.scene, find_flame()
     missing = [
         (index, camera)
         for index, camera in enumerate(rig.find(spec))
@@ -92,7 +92,7 @@ def plates(spec: SceneSpec, layout: Layout) -> None:
     ]
     if not missing:
         return
-    domain.hide_render = True
+    flame.hide_render = True
     # With persistent data Cycles would keep the plate's number of samples for the frames that follow.
     scene.render.use_persistent_data = False
     scene.cycles.samples = spec.render.plate_samples
@@ -102,7 +102,7 @@ def plates(spec: SceneSpec, layout: Layout) -> None:
         _write_png(layout.static(camera.name), seen(beauty[..., :3], spec, index, -1))
         # The fire is alone in the flame pass: lamps and screens of a user's scene are not part of it.
         images.write_exr(layout.static_exr(camera.name), beauty, passes["Depth.Z"], np.zeros_like(beauty[..., :3]))
-    domain.hide_render = False
+    flame.hide_render = False
     scene.cycles.samples = spec.render.samples
     scene.render.use_persistent_data = True
 
@@ -216,7 +216,7 @@ def _leave_only_the_fire() -> None:
     for thing in scene.objects:
         if thing.type == "LIGHT":
             thing.hide_render = True
-    fire = find_domain().active_material
+    fire = find_flame().active_material
     for item in bpy.data.materials:
         if item != fire and item.node_tree:
             _switch_emission_off(item.node_tree)

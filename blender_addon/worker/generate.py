@@ -4,7 +4,7 @@
 
 Stages, in order; each resumes, what is finished is not made again:
 
-    bake          scene.blend, and the simulated fire
+    bake          scene.blend, and the fire of every step: simulated, or from grids
     render        plates and frames; ``serve`` likewise, but only what it is asked for, and during the bake
     video         pictures through a codec, if the spec says so
     ground-truth  velocity, and what else the spec lists
@@ -40,29 +40,26 @@ from ..pure.effects import encodes, shows_board
 from ..pure.io.files import write_json
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
-from .reporter import Reporter, Watch, leave, peak_mb
+from .reporter import Reporter, leave, peak_mb
 
 GENERATOR_VERSION = "0.1.0"
 
 
 def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
-    """Build scene.blend and simulate the fire; an unfinished simulation starts over."""
-    total = spec.timeline.last_frame
+    """Build scene.blend and make the flame of every step; an unfinished bake starts over."""
+    total = spec.fire.bake_steps(spec)
     if layout.bake_marker.is_file():
         progress(total, total)
         return
     import bpy
 
-    from ..scene import build, fire
-
-    def simulated() -> int:
-        return sum(layout.cached_velocity(frame).is_file() for frame in range(1, total + 1))
+    from ..scene import build
+    from ..scene.flame_source import flame_source
 
     shutil.rmtree(layout.bake, ignore_errors=True)
-    scene_objects = build.scene(spec)
+    build.scene(spec)
     _save_blend(layout)  # the cache folder is relative to the file
-    with Watch(simulated, total, progress):
-        fire.bake(scene_objects.domain)
+    flame_source(spec).bake(layout, progress)
     bpy.context.scene.frame_set(spec.timeline.first_frame)
     _save_blend(layout)
     # Only its presence is read; what it says is for people.
@@ -109,15 +106,15 @@ def video(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
 def ground_truth(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     """Export the velocity of every frame, and the grids and VDB files that the spec lists."""
     _open_blend(layout)
-    from ..scene import extra_truth, fire, velocity
+    from ..scene import extra_truth
+    from ..scene.flame_source import flame_source
 
-    frames = [spec.timeline.blender_frame(frame) for frame in range(spec.clip.frames)]
-    per_second, scale = spec.timeline.steps_per_second, spec.clip.time_scale
-    velocity.export_velocity(fire.find_domain(), frames, per_second, scale, layout.velocity, progress)
+    source = flame_source(spec)
+    source.export_velocity(layout.velocity, progress)
     if "grids" in spec.ground_truth:
-        extra_truth.grids(spec, layout)
+        extra_truth.grids(spec, layout, source)
     if "vdb" in spec.ground_truth:
-        extra_truth.vdb(spec, layout)
+        extra_truth.vdb(spec, layout, source)
 
 
 def flow(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
@@ -125,8 +122,9 @@ def flow(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     if "flow" in spec.ground_truth:
         _open_blend(layout)
         from ..scene import extra_truth
+        from ..scene.flame_source import flame_source
 
-        extra_truth.flow(spec, layout, progress)
+        extra_truth.flow(spec, layout, flame_source(spec), progress)
 
 
 def finish(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
@@ -160,6 +158,7 @@ def _describe(spec: SceneSpec, layout: Layout) -> DatasetDescription:
     import bpy
 
     from ..scene import rig
+    from ..scene.flame_source import flame_source
 
     with_flow, with_board = "flow" in spec.ground_truth, any(map(shows_board, spec.effects))
     return DatasetDescription(
@@ -172,7 +171,8 @@ def _describe(spec: SceneSpec, layout: Layout) -> DatasetDescription:
         velocity=layout.velocity.name,
         spec=spec.relative_to(layout.root).to_dict(),
         effects=tuple(spec.effect_names),
-        provenance={"blender": bpy.app.version_string, "generator": GENERATOR_VERSION},
+        provenance={"blender": bpy.app.version_string, "generator": GENERATOR_VERSION}
+        | flame_source(spec).provenance(),
     )
 
 

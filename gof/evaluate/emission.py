@@ -25,7 +25,7 @@ from gof.gaussians import MovingGaussians
 from gof.rotations import rotation_matrices
 
 POINTS = 1024  # places per frame; the pooled L2 of 36 frames scatters by less than 1 % (tested against closed forms)
-EXPONENT = 1.3  # emission over flame reaction, as in the generated fires' material
+EXPONENT = 1.3  # light over flame reaction, as in the material of the fires that we simulate
 REACH = 3.0  # standard deviations a Gaussian answers for
 COVERED = 1e-3  # sum of alpha g below which no Gaussian is there, and the answer is zero velocity
 FAINT = 1e-6  # opacity below which a Gaussian answers for nothing
@@ -42,7 +42,9 @@ class EmissionScore:
 
 
 class FlameGrid:
-    """The flame's reaction over time, `grids/flame.zarr` of a dataset (schema gof-grid version 1).
+    """The flame over time, `grids/flame.zarr` of a dataset (schema gof-grid version 1).
+
+    Its light is the value to the power of the attribute `light_exponent`; without one the value is a reaction.
 
     Raises:
         DataFormatError: absent, not a flame grid, or attributes are missing.
@@ -62,10 +64,13 @@ class FlameGrid:
         try:
             self.path, self.times_s = path, np.asarray(attributes["time_s"], np.float64)
             self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
+            self.light_exponent = float(attributes.get("light_exponent", EXPONENT))
         except (KeyError, TypeError, ValueError) as e:
             raise DataFormatError(
-                f"{path}: time_s or index_to_world of zarr.json are missing or do not hold numbers ({e})"
+                f"{path}: time_s, index_to_world or light_exponent of zarr.json are missing or not numbers ({e})"
             ) from e
+        if not 0 < self.light_exponent < 10:
+            raise DataFormatError(f"{path}: light_exponent {self.light_exponent:g} of zarr.json must lie in (0, 10)")
         fits = self.times_s.shape == self._array.shape[:1] and self.index_to_world.shape == (4, 4)
         if not fits or not np.isfinite(self.index_to_world).all():
             raise DataFormatError(
@@ -77,7 +82,7 @@ class FlameGrid:
         """(count, 3) world m, drawn evenly from the emission of the stored frame at `time_s`; (0, 3) without flame.
 
         Raises:
-            DataFormatError: no frame is stored for that time, or it holds NaN or negative reaction.
+            DataFormatError: no frame is stored for that time, or it holds NaN or negative values.
         """
         frame = int(np.abs(self.times_s - time_s).argmin())
         if abs(self.times_s[frame] - time_s) > 1e-6:
@@ -91,7 +96,7 @@ class FlameGrid:
                 raise DataFormatError(f"{self.path}: frame {frame} holds NaN, Inf or negative values; make it again")
             burning = np.argwhere(flame)
             cells.append(burning + np.array([x, 0, 0]))
-            shine.append(flame[tuple(burning.T)].astype(np.float64) ** EXPONENT)
+            shine.append(flame[tuple(burning.T)].astype(np.float64) ** self.light_exponent)
         total = np.cumsum(np.concatenate(shine))
         if len(total) == 0:
             return np.zeros((0, 3))

@@ -222,13 +222,13 @@ def test_noise_and_motion_reach_the_bake_and_nothing_else_does(gas_run, camera_r
     found = in_blender(
         """
         import numpy as np
-        from gof_blender.scene import fire
+        from gof_blender.scene.fire_objects import find_flame
         mantaflow.enable()
         bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
         for frame in (1, 6):
             bpy.context.scene.frame_set(frame)
             result[str(frame)] = list(bpy.data.objects["Fire Emitter"].matrix_world.translation)
-        result["noise"] = fire.find_domain().modifiers["Fluid"].domain_settings.use_noise
+        result["noise"] = find_flame().modifiers["Fluid"].domain_settings.use_noise
     """,
         gas_run.blend,
     )

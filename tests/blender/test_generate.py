@@ -139,7 +139,7 @@ def test_plate_plus_fire_is_the_full_render(toy):
         bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
         scene, spec, beside = bpy.context.scene, scene_spec.load(sys.argv[2]), pathlib.Path(sys.argv[3])
         scene.frame_set(spec.timeline.first_frame + 2)
-        scene.cycles.samples, camera, domain = 64, rig.find(spec)[1], render.find_domain()
+        scene.cycles.samples, camera, domain = 64, rig.find(spec)[1], render.find_flame()
         def shot():
             return render._beauty(render._render(camera, beside))[..., :3]
         full = shot()

@@ -132,7 +132,7 @@ def test_presets_change_cost_not_content():
         spec.with_preset("huge")
 
 
-PURE_HOOKS = {"ABSORBS_LIGHT", "steps_per_frame", "timing", "expose", "SHOWS_BOARD", "ENCODES"}
+PURE_HOOKS = {"ABSORBS_LIGHT", "CHANGES_BAKE", "steps_per_frame", "timing", "expose", "SHOWS_BOARD", "ENCODES"}
 SCENE_HOOKS = {"apply", "overlay", "board_mask"}
 
 
@@ -146,6 +146,7 @@ def test_every_effect_keeps_the_contract():
         assert effects.name_of(module.Settings()) == name
         assert PURE_HOOKS & set(vars(module)) or name in scene, "an effect changes something"
         assert bool(getattr(module, "SHOWS_BOARD", False)) == ("board_mask" in scene.get(name, set()))
+        assert bool(getattr(module, "CHANGES_BAKE", False)) == ("apply" in scene.get(name, set()))
 
 
 def _defined(path: Path) -> set[str]:

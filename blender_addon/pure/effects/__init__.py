@@ -7,6 +7,8 @@ specs, and may have some of these:
 ``ABSORBS_LIGHT = True``
     says that the effect dims what is behind it, so that frames cannot be rendered as the fire-free plate plus the
     fire's light.
+``CHANGES_BAKE = True``
+    says that it asks something of our own solver, so that a fire that comes as grids cannot have it.
 ``steps_per_frame(settings) -> int``
     solver steps it needs from one frame to the next.
 ``timing(settings, picture) -> Timing``
@@ -58,6 +60,11 @@ def name_of(settings: Any) -> str:
 def absorbs_light(settings: Any) -> bool:
     """Whether the effect dims what is behind it."""
     return bool(_hook(settings, "ABSORBS_LIGHT"))
+
+
+def changes_bake(settings: Any) -> bool:
+    """Whether the effect asks something of the solver."""
+    return bool(_hook(settings, "CHANGES_BAKE"))
 
 
 def encodes(settings: Any) -> bool:

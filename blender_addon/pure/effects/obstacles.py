@@ -7,6 +7,8 @@ from typing import Literal
 
 from ..checked_json import require
 
+CHANGES_BAKE = True
+
 
 @dataclass(frozen=True)
 class Obstacle:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 ABSORBS_LIGHT = True
+CHANGES_BAKE = True
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+CHANGES_BAKE = True
+
 
 @dataclass(frozen=True)
 class Settings:

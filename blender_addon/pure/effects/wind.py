@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from ..checked_json import require
 
+CHANGES_BAKE = True
+
 
 @dataclass(frozen=True)
 class Settings:

@@ -10,6 +10,7 @@ import itertools
 import bpy
 import numpy as np
 
+from ...pure.fires import Burner
 from ...pure.spec import SceneSpec
 from .. import material, meshes
 from .lighting import light, sky
@@ -75,7 +76,8 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
         )
     for x, y in ((-0.85, 1.3), (0.9, 1.25), (-2.0, 0.7), (2.1, 0.65)):
         _desk(rng, collection, x, y, oak, steel)
-    _bench(spec, rng, collection, oak, steel)
+    if spec.fire.burner:
+        _bench(spec.fire.burner, spec.box.min[2], rng, collection, oak, steel)
     light(collection, (-2.6, -1.2, 3.0), 115.0, 1.4, (0.86, 0.92, 1.0))
     light(collection, (1.6, -1.8, 3.4), 52.0, 1.0, (1.0, 0.88, 0.7))
     sky((0.032, 0.035, 0.042), 1.0)
@@ -228,9 +230,9 @@ def _desk(rng, collection, x: float, y: float, oak, steel) -> None:
     meshes.lathe("Jar", jar, collection, 24, location=(x, y + 0.14, 0.695), material=glass, smooth=True)
 
 
-def _bench(spec, rng, collection, oak, steel) -> None:
+def _bench(fire: Burner, top: float, rng, collection, oak, steel) -> None:
     """The demonstration bench under the domain, with the burner and apparatus out of the flame's reach."""
-    top, (x, y, z) = spec.domain.min[2], spec.fire.position
+    x, y, z = fire.position
     tiles = material.tiles(
         "Bench Tiles",
         ((0.30, 0.30, 0.28), (0.13, 0.16, 0.17)),
@@ -262,8 +264,8 @@ def _bench(spec, rng, collection, oak, steel) -> None:
                 location=(x + offset, y - 0.385, top - 0.18),
                 material=steel,
             )
-    radius = spec.fire.radius
-    nozzle = z + spec.fire.half_size[2]
+    radius = fire.radius
+    nozzle = z + fire.half_height
     burner = [
         (0.0, top),
         (0.09, top),

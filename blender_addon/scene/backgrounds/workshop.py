@@ -7,6 +7,7 @@ import math
 import bpy
 import numpy as np
 
+from ...pure.fires import Burner
 from ...pure.spec import SceneSpec
 from .. import material, meshes
 from .lighting import light, sky
@@ -34,7 +35,8 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     _shelf(rng, collection, (1.0, 1.6), wood, paints)
     _posters(rng, collection, 1.79)
     _crates(rng, collection, wood, paints)
-    _fire_bowl(spec, rng, collection, steel, stone)
+    if spec.fire.burner:
+        _fire_bowl(spec.fire.burner, rng, collection, steel, stone)
     for x, radius in ((-0.12, 0.035), (0.1, 0.025)):
         meshes.lathe(
             "Pipe", [(radius, 0.0), (radius, 4.0)], collection, 12, location=(x, 1.74, 0), material=steel, smooth=True
@@ -184,10 +186,10 @@ def _crates(rng, collection, wood, paints) -> None:
         )
 
 
-def _fire_bowl(spec, rng, collection, steel, stone) -> None:
-    """A steel bowl under the emitter inside a ring of stones."""
-    x, y, z = spec.fire.position
-    radius, top = 1.35 * spec.fire.radius, z
+def _fire_bowl(burner: Burner, rng, collection, steel, stone) -> None:
+    """A steel bowl under the emitter, unless that lies in the floor, inside a ring of stones."""
+    x, y, top = burner.position
+    radius = 1.35 * burner.radius
     profile = [
         (0.5 * radius, 0.0),
         (0.45 * radius, 0.3 * top),
@@ -197,7 +199,8 @@ def _fire_bowl(spec, rng, collection, steel, stone) -> None:
         (0.7 * radius, 0.66 * top),
         (0.0, 0.6 * top),
     ]
-    meshes.lathe("Fire Bowl", profile, collection, 40, location=(x, y, 0), material=steel, smooth=True)
+    if top > 0:
+        meshes.lathe("Fire Bowl", profile, collection, 40, location=(x, y, 0), material=steel, smooth=True)
     count = 11
     for index in range(count):
         angle = 2 * math.pi * (index + rng.uniform(-0.15, 0.15)) / count

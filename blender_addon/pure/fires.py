@@ -1,0 +1,187 @@
+"""What burns in a scene, and in which box: a fire that we simulate, or the grids of any other solver.
+
+`SceneSpec` asks both kinds the same: ``check(spec)``, ``box(spec)``, ``bake_steps(spec)``, ``burner``,
+``title``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from . import effects as effect_modules
+from .checked_json import SpecError, require
+from .fuels import FUELS
+from .io import FileFormatError
+from .io.fire_store import FireStore
+from .timeline import Timeline
+
+if TYPE_CHECKING:
+    from .spec import SceneSpec
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Domain:
+    """The simulated box. Its cells are cubes with sides of (longest side) / resolution."""
+
+    min: Vector = (-0.4, -0.4, 0.0)
+    """Lowest corner, world metres."""
+    size: Vector = (0.8, 0.8, 1.6)
+    """Side lengths, metres."""
+    resolution: int = 64
+    """Cells along the longest side."""
+
+    def __post_init__(self):
+        require(all(side > 0 for side in self.size), "domain.size", "positive on every side", self.size)
+        require(8 <= self.resolution <= 2048, "domain.resolution", "between 8 and 2048", self.resolution)
+
+    @property
+    def max(self) -> Vector:
+        return tuple(low + side for low, side in zip(self.min, self.size, strict=True))
+
+
+@dataclass(frozen=True)
+class Burner:
+    """What surroundings draw under a flame."""
+
+    position: Vector
+    """Centre of the emitter, world metres."""
+    radius: float
+    """Metres."""
+    half_height: float
+    """From the centre to where the flame begins, metres."""
+
+
+@dataclass(frozen=True)
+class Fire:
+    """The emitter of fuel and what it burns: a fire that we simulate."""
+
+    fuel: str = "propane_high"
+    """Name of a preset in FUELS."""
+    shape: Literal["disc", "sphere", "logs"] = "disc"
+    """disc: a flat round burner of 1/3 radius height; sphere: a ball; logs: three crossed logs."""
+    position: Vector = (0.0, 0.0, 0.12)
+    """Centre of the emitter, world metres."""
+    radius: float = 0.13
+    """Metres."""
+    jet_speed: float = 0.0
+    """Upward speed at which the fuel leaves the burner, m/s."""
+
+    def __post_init__(self):
+        require(self.fuel in FUELS, "fire.fuel", f"one of {sorted(FUELS)}", self.fuel)
+        require(self.radius > 0, "fire.radius", "positive", self.radius)
+
+    @property
+    def half_size(self) -> Vector:
+        """Half extents of the emitter's bounding box, metres."""
+        thickness = {"disc": self.radius / 6, "sphere": self.radius, "logs": self.radius / 2}
+        return (self.radius, self.radius, thickness[self.shape])
+
+    def check(self, spec: SceneSpec) -> None:
+        """Raise SpecError if the rest of the spec does not fit this fire."""
+        sides = zip("xyz", self.position, self.half_size, spec.domain.min, spec.domain.max, strict=True)
+        for axis, centre, half, low, high in sides:
+            inside = low <= centre - half and centre + half <= high
+            rule = f"such that the emitter lies inside the domain along {axis}"
+            require(inside, "fire.position", rule, self.position)
+
+    def box(self, spec: SceneSpec) -> Domain:
+        """The box that the flame's cells fill."""
+        return spec.domain
+
+    @property
+    def burner(self) -> Burner:
+        """What surroundings draw under the flame."""
+        return Burner(self.position, self.radius, self.half_size[2])
+
+    def bake_steps(self, spec: SceneSpec) -> int:
+        """Steps that the bake makes, from the first that is simulated."""
+        return spec.timeline.last_frame
+
+    @property
+    def title(self) -> str:
+        """What burns, for people."""
+        return self.fuel.replace("_", " ")
+
+
+@dataclass(frozen=True)
+class GridFire:
+    """A fire of any other solver, as grids on a clock (`pure.io.fire_store`); nothing is simulated.
+
+    The spec's `clip` says which part of it is seen: dataset frame 0 is `start_s` on the grids' clock, `time_scale`
+    below 1 is slow motion, and nothing warms up.
+    """
+
+    grids: str
+    """Folder of the fire; relative to the folder of the spec, or absolute."""
+    start_s: float = 0.0
+    """Time of dataset frame 0 on the grids' clock, seconds."""
+    position: Vector = (0.0, 0.0, 0.0)
+    """Where the origin of the grids' axes stands, world metres."""
+    radiance: float = 1.0
+    """Linear scene radiance per unit of emission: solvers know light up to one factor."""
+
+    def __post_init__(self):
+        require(self.radiance > 0, "fire.radiance", "positive", self.radiance)
+
+    @cached_property
+    def store(self) -> FireStore:
+        """The fire's folder, opened. Raises SpecError if it is not whole."""
+        try:
+            return FireStore(Path(self.grids))
+        except FileFormatError as error:
+            raise SpecError(f"fire.grids: {error}") from error
+
+    def check(self, spec: SceneSpec) -> None:
+        """Raise SpecError if the rest of the spec does not fit this fire. Its folder is not opened."""
+        require(spec.domain is None, "domain", "left out: a fire of grids has its own box", spec.domain)
+        changing = [
+            name for name, e in zip(spec.effect_names, spec.effects, strict=True) if effect_modules.changes_bake(e)
+        ]
+        require(not changing, "effects", "those of cameras and pictures: a fire of grids is not simulated", changing)
+
+    def check_clock(self, timeline: Timeline) -> None:
+        """Raise SpecError if the grids' clock does not cover what pictures and truth look at."""
+        steps, time_s = timeline.steps_needed, self.store.velocity.time_s
+        first, last = (self.start_s + timeline.simulated_s(step) for step in (steps[0], steps[-1]))
+        rule = (
+            f"such that the clip, {first:g}..{last:g} s with what its shutters see, lies in the clock of {self.grids}, "
+            f"{time_s[0]:g}..{time_s[-1]:g} s"
+        )
+        require(self.store.covers(first, last), "fire.start_s", rule, self.start_s)
+
+    def box(self, spec: SceneSpec) -> Domain:
+        """The box that the flame's cells fill. Raises SpecError: see `store`, `check_clock`."""
+        self.check_clock(spec.timeline)
+        low = np.add(self.store.index_to_world[:3, 3], self.position)
+        size = np.multiply(self.store.grid, self.store.cell_m)
+        return Domain(tuple(low.tolist()), tuple(size.tolist()), max(self.store.grid))
+
+    @property
+    def burner(self) -> Burner | None:
+        """What surroundings draw under the flame: a round one that reaches around all that the solver tells of.
+
+        Raises SpecError: see `store`.
+        """
+        hearths = self.store.description.hearths
+        if not hearths:
+            return None
+        places = np.add([hearth.position_m for hearth in hearths], self.position)
+        centre = (places.min(0) + places.max(0)) / 2
+        reach = np.linalg.norm(places - centre, axis=1) + [hearth.diameter_m / 2 for hearth in hearths]
+        return Burner(tuple(centre.tolist()), float(reach.max()), 0.0)
+
+    def bake_steps(self, spec: SceneSpec) -> int:
+        """Steps that the bake makes: those that are looked at."""
+        return len(spec.timeline.steps_needed)
+
+    @property
+    def title(self) -> str:
+        """What burns, for people."""
+        return f"grids of {self.grids}"

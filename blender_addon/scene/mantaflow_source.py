@@ -1,0 +1,87 @@
+"""A flame that we simulate: Mantaflow's domain is the flame, its cache what the steps need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..pure.io.velocity_store import scalar
+from ..pure.layout import Layout
+from ..pure.spec import SceneSpec
+from ..pure.watch import Watch
+from . import fire, material, velocity
+from .fire_objects import FireObjects, find_flame
+
+QUANTITIES = {"flame": "flame_grid", "heat": "heat_grid", "density": "density_grid"}
+"""Names of scalar grids and their attributes in Blender. flame is the reaction, 0 to 1; heat and density are in the
+solver's units."""
+
+
+class MantaflowSource:
+    """See `flame_source.FlameSource`; scalars are on the coarse grid also where fine noise adds detail."""
+
+    contents = {name: scalar(name) for name in QUANTITIES}
+    dtype = "float16"
+
+    def __init__(self, spec: SceneSpec):
+        self._spec = spec
+
+    def build(self, collection: bpy.types.Collection) -> FireObjects:
+        objects = fire.build(self._spec, collection)
+        fire.keep_for_dataset(objects.domain_settings)
+        return objects
+
+    def bake(self, layout: Layout, progress: Callable[[int, int], None]) -> None:
+        total = self._spec.timeline.last_frame
+
+        def simulated() -> int:
+            return sum(layout.cached_velocity(frame).is_file() for frame in range(1, total + 1))
+
+        with Watch(simulated, total, progress):
+            fire.bake(find_flame())
+
+    @cached_property
+    def index_to_world(self) -> np.ndarray:
+        bpy.context.scene.frame_set(self._spec.timeline.first_frame)
+        return velocity.index_to_world(find_flame())
+
+    def export_velocity(self, path: Path, progress: Callable[[int, int], None]) -> None:
+        spec = self._spec
+        frames = [spec.timeline.blender_frame(frame) for frame in range(spec.clip.frames)]
+        per_second, scale = spec.timeline.steps_per_second, spec.clip.time_scale
+        velocity.export_velocity(find_flame(), frames, per_second, scale, path, progress)
+
+    def velocity(self, blender_frame: int) -> np.ndarray:
+        bpy.context.scene.frame_set(blender_frame)
+        domain = find_flame()
+        to_world = velocity.SOLVER_UNITS_PER_SECOND * self._spec.clip.time_scale * velocity.index_to_world(domain)
+        return (velocity.cell_centred(velocity.read_staggered(domain)) @ to_world[:3, :3].T).astype(np.float32)
+
+    def scalars(self, blender_frame: int) -> dict[str, np.ndarray]:
+        bpy.context.scene.frame_set(blender_frame)
+        return dict(self._read_scalars())
+
+    def light(self, blender_frame: int) -> np.ndarray:
+        return self.scalars(blender_frame)["flame"] ** material.FLAME_EXPONENT
+
+    def provenance(self) -> dict[str, Any]:
+        return {}
+
+    def _read_scalars(self) -> Iterator[tuple[str, np.ndarray]]:
+        settings = velocity.evaluated(find_flame())
+        coarse = int(np.prod(settings.domain_resolution))
+        for name, attribute in QUANTITIES.items():
+            values = getattr(settings, attribute)
+            if len(values):
+                refine = round((len(values) / coarse) ** (1 / 3))
+                fine = np.empty(len(values), np.float32)
+                values.foreach_get(fine)
+                x, y, z = settings.domain_resolution
+                # Blender runs x fastest; blocks of fine noise are averaged.
+                blocks = fine.reshape(z, refine, y, refine, x, refine).mean(axis=(1, 3, 5))
+                yield name, blocks.transpose(2, 1, 0)
