@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 from gof.costs import StageCost
 from gof.errors import GofError
@@ -31,7 +32,9 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
         GofError: the child failed; the message holds its exit status and last lines.
         KeyboardInterrupt: Ctrl-C; the child has been stopped.
     """
-    start, tail, figures = time.perf_counter(), [], {}
+    start = time.perf_counter()
+    tail: list[str] = []
+    figures: dict[str, Any] = {}
     log_file = open(log, "a") if log else None
     child = subprocess.Popen(
         argv,
@@ -47,11 +50,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
     try:
         with progress_bar(title, ticking=True) as update:
             for line in child.stdout:
-                try:
-                    message = json.loads(line)["progress"] if line.startswith('{"progress"') else None
-                except (ValueError, KeyError):
-                    message = None
-                if message:
+                if message := _progress_of(line):
                     figures = message
                     update(**message)
                     continue
@@ -74,6 +73,16 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
     return StageCost(title, time.perf_counter() - start, peak.mb, figures)
 
 
+def _progress_of(line: str) -> dict[str, Any] | None:
+    """What a progress line says; None for any other line."""
+    if not line.startswith('{"progress"'):
+        return None
+    try:
+        return json.loads(line)["progress"]
+    except (ValueError, KeyError):
+        return None
+
+
 def die_with_parent() -> None:
     """In a child: be killed when the parent is, so that a killed run leaves nobody writing into its folder."""
     PR_SET_PDEATHSIG = 1
@@ -84,7 +93,9 @@ class _PeakMemory:
     """Peak resident memory of a process tree, read from the kernel's own high-water marks twice a second."""
 
     def __init__(self, pid: int):
-        self.mb, self._pid, self._stop = 0.0, pid, threading.Event()
+        self.mb = 0.0
+        self._pid = pid
+        self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
 

@@ -96,7 +96,8 @@ def main(argv: list[str]) -> int:
 
 def run_stages(config: DemoConfig) -> None:
     """Run what is not finished, and whatever comes after it."""
-    log, changed = StageLog(config.out / "costs.json"), False
+    log = StageLog(config.out / "costs.json")
+    changed = False
     for stage in stages_of(config):
         if not changed and all(path.exists() for path in stage.outputs):
             print(f"{stage.name}: finished before")

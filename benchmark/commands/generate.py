@@ -43,7 +43,8 @@ class GenerateConfig:
 def main(argv: list[str]) -> int:
     """`gof generate SPEC_OR_SCENE --out DIR`; see --help."""
     config = tyro.cli(GenerateConfig, prog="gof generate", args=argv)
-    spec, layout = load_scene(config.scene, config.preset), Layout(config.out)
+    spec = load_scene(config.scene, config.preset)
+    layout = Layout(config.out)
     if config.estimate:
         _print_estimate(spec, config.json)
         return 0

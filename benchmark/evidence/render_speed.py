@@ -89,7 +89,8 @@ class Training:
     def splats(self):
         from gof.render import Splats
 
-        p, dr = self.optimizer, self.dr
+        p = self.optimizer
+        dr = self.dr
         return Splats(
             p["position"], p["rotation"], dr.exp(p["scale"]), 1 / (1 + dr.exp(-p["opacity"])), list(p["color"])
         )

@@ -169,7 +169,8 @@ def measure(folder: Path) -> Figures:
     sequence = VelocitySequence.open(folder / "velocity.zarr")
     info = json.loads((folder / "bake.json").read_text())
     density = np.load(folder / "density.npy")
-    to_world, step_s = sequence.index_to_world, 1 / info["fps"]
+    to_world = sequence.index_to_world
+    step_s = 1 / info["fps"]
     pairs = range(FIRST, len(sequence) - 1)
     moves = {k: displacement_in_cells(sequence.frame(k).velocity, to_world, step_s) for k in pairs}
 
@@ -229,7 +230,8 @@ def bake(name: str, case_folder: str) -> None:
 
     from gof_blender.scene import mantaflow, velocity
 
-    case, folder = CASES[name], Path(case_folder)
+    case = CASES[name]
+    folder = Path(case_folder)
     mantaflow.enable()
     domain, emitter = build_puff(case, folder / "cache")
     with bpy.context.temp_override(object=domain, active_object=domain, selected_objects=[domain]):

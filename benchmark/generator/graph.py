@@ -63,7 +63,10 @@ class Generation:
     """One dataset on its way through the graph."""
 
     def __init__(self, spec: SceneSpec, layout: Layout, client, log: StageLog):
-        self._spec, self._layout, self._client, self._log = spec, layout, client, log
+        self._spec = spec
+        self._layout = layout
+        self._client = client
+        self._log = log
         self._root = layout.root.resolve()
         self._running: dict = {}  # future -> stage
         self._rendered = 0  # pictures, in this run
@@ -90,7 +93,8 @@ class Generation:
             self._client.run(Renderer.close, self._root)
 
     def _simulate_and_render(self, fresh_bake: bool) -> None:
-        spec, baked = self._spec, self._layout.bake_marker.is_file()
+        spec = self._spec
+        baked = self._layout.bake_marker.is_file()
         if not baked:
             self._submit("bake", run_stage, "bake")
         waiting = [(frame, camera) for frame in range(spec.clip.frames) for camera in range(len(spec.cameras.names))]
@@ -115,7 +119,8 @@ class Generation:
 
     def _is_ready(self, frame: int) -> bool:
         """Whether the solver has passed every step that a picture of this frame sees."""
-        timeline, last = self._spec.timeline, 0
+        timeline = self._spec.timeline
+        last = 0
         for camera in range(timeline.cameras):
             first, weights = timeline.weights(camera, frame)
             last = max(last, first + len(weights) - 1)

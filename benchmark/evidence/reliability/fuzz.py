@@ -88,7 +88,8 @@ def work(format_name: str, seed: int, numbers: range, connection) -> None:
 
 def examine(format_name: str, seed: int, numbers: range) -> Tally:
     """All inputs of a format; a process that dies or does not answer is a failure, and another takes over."""
-    tally, context = Tally(format_name), multiprocessing.get_context("spawn")
+    tally = Tally(format_name)
+    context = multiprocessing.get_context("spawn")
     while numbers:
         ours, theirs = context.Pipe(duplex=False)
         process = context.Process(target=work, args=(format_name, seed, numbers, theirs), daemon=True)

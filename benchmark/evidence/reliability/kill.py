@@ -105,7 +105,8 @@ def digest(path: Path) -> str:
 
 def campaign(command: ResumableCommand, kills: int, seed: int, folder: Path) -> Outcome:
     """Kill the command `kills` times, at moments spread over the length of an uninterrupted run."""
-    rng, outcome = random.Random(seed), Outcome(command.name)
+    rng = random.Random(seed)
+    outcome = Outcome(command.name)
     whole = folder / command.name / "whole"
     outcome.length_s = _run_uninterrupted(command, whole)
     truth = command.files(whole)
