@@ -26,6 +26,7 @@ class MantaflowSource:
     """See `flame_source.FlameSource`; scalars are on the coarse grid also where fine noise adds detail."""
 
     contents = {name: scalar(name) for name in QUANTITIES}
+    contents["flame"]["light_exponent"] = material.FLAME_EXPONENT
     dtype = "float16"
 
     def __init__(self, spec: SceneSpec):

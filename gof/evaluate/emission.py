@@ -25,7 +25,7 @@ from gof.gaussians import MovingGaussians
 from gof.rotations import rotation_matrices
 
 POINTS = 1024  # places per frame; the pooled L2 of 36 frames scatters by less than 1 % (tested against closed forms)
-EXPONENT = 1.3  # light over flame reaction, as in the material of the fires that we simulate
+EXPONENT = 1.3  # light over flame reaction in grids of before they said it themselves (`light_exponent`)
 REACH = 3.0  # standard deviations a Gaussian answers for
 COVERED = 1e-3  # sum of alpha g below which no Gaussian is there, and the answer is zero velocity
 FAINT = 1e-6  # opacity below which a Gaussian answers for nothing

@@ -69,6 +69,7 @@ def gas_run(tmp_path_factory) -> Layout:
 def test_grids_flow_and_vdb_are_written_when_listed(gas_run, camera_run):
     zarr = pytest.importorskip("zarr")
     flame = zarr.open_array(str(gas_run.grid("flame")), mode="r")
+    assert flame.attrs["light_exponent"] == 1.3  # as the fire's material has it (docs/formats.md)
     field = Dataset.open(gas_run.root).velocity.at(0.04)
     assert flame.shape == (3, *field.velocity.shape[:3]) and 0.2 < flame[2].max() <= 1.01
     z = (flame[2].sum((0, 1)) * np.arange(flame.shape[3])).sum() / flame[2].sum() * field.index_to_world[2, 2]

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .trilinear import trilinear
+
 
 def flow(
     K: np.ndarray,
@@ -52,7 +54,7 @@ def flow(
     for k in range(int(steps.max(initial=0))):
         active = np.nonzero(k < steps)[0]
         depth = near[active] + (k + 0.5) * (far[active] - near[active]) / steps[active]
-        sample = _trilinear(glowing, start + depth[:, None] * along[active])
+        sample = trilinear(glowing, start + depth[:, None] * along[active] - 0.5)
         length = (far[active] - near[active]) / steps[active] * np.linalg.norm(rays[active], axis=1)
         sample *= length[:, None]
         motion = sample[:, :3] @ rotation.T  # camera axes
@@ -77,17 +79,3 @@ def _inside(start: np.ndarray, along: np.ndarray, size: np.ndarray) -> tuple[np.
     near, far = np.fmin(a, b), np.fmax(a, b)
     near, far = np.where(np.isnan(near), -np.inf, near), np.where(np.isnan(far), np.inf, far)
     return np.maximum(near.max(axis=1), 1e-6), far.min(axis=1)
-
-
-def _trilinear(grid: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Values (N, C) of cell-centred grid (X, Y, Z, C) at continuous cell indices (N, 3), the border value outside."""
-    last = np.array(grid.shape[:3]) - 1
-    at = np.clip(index - 0.5, 0, last)
-    low = np.minimum(at.astype(int), np.maximum(last - 1, 0))
-    part = at - low
-    value = np.zeros((len(index), grid.shape[3]))
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.prod(np.where(corner, part, 1 - part), axis=1)
-        x, y, z = np.minimum(low + corner, last).T
-        value += weight[:, None] * grid[x, y, z]
-    return value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from ..description import DatasetDescription
 from . import FileFormatError
 from .grid_reader import StoredGrid
+from .trilinear import trilinear
 
 
 def of_dataset(dataset: Path) -> TrueVelocity:
@@ -51,19 +51,13 @@ class TrueVelocity:
             for rows, share in ((before == number, 1 - later), (before + 1 == number, later)):
                 rows = np.flatnonzero(rows & inside & (share > 0))
                 if len(rows):
-                    out[rows] += share[rows, None].astype(np.float32) * self._trilinear(number, index[rows] - 0.5)
+                    out[rows] += share[rows, None] * self._sample(number, index[rows] - 0.5)
         return out, inside
 
-    def _trilinear(self, number: int, coordinate: np.ndarray) -> np.ndarray:
+    def _sample(self, number: int, coordinate: np.ndarray) -> np.ndarray:
+        """Values (N, 3) of a frame at coordinates counted from the first cell's centre; reads only the cells around."""
         size = np.array(self._stored.grid)
         coordinate = np.clip(coordinate, 0, size - 1)
         low = np.minimum(coordinate.astype(int), np.maximum(size - 2, 0))
         start, stop = low.min(0), np.minimum(low.max(0) + 2, size)
-        cells = self._stored.cells(number, start, stop)
-        fraction = (coordinate - low).astype(np.float32)
-        out = np.zeros((len(low), 3), np.float32)
-        for corner in product((0, 1), repeat=3):
-            weight = np.prod(np.where(corner, fraction, 1 - fraction), axis=1)
-            place = np.minimum(low + corner, size - 1) - start  # a one-cell axis has no neighbour to blend with
-            out += weight[:, None] * cells[tuple(place.T)]
-        return out
+        return trilinear(self._stored.cells(number, start, stop), coordinate - start)
