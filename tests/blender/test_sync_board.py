@@ -130,6 +130,7 @@ def pair(tmp_path_factory) -> tuple[Layout, Layout]:
     )
 
 
+@pytest.mark.slow  # a minute of rendering
 @pytest.mark.blender
 def test_times_read_from_the_pictures_are_the_true_ones(pair):
     layout, _ = pair
@@ -150,6 +151,7 @@ def test_times_read_from_the_pictures_are_the_true_ones(pair):
     assert abs(np.diff(offsets)) > 1e-4, "the clocks differ"
 
 
+@pytest.mark.slow  # a minute of rendering
 @pytest.mark.blender
 def test_mask_covers_the_board_and_scores_skip_it(pair):
     layout, plain = pair
