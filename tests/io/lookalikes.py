@@ -80,6 +80,84 @@ def authors(folder: Path, n=30, iteration=7000, seed=0):
     }
 
 
+def released_scene(n=30, seed=0):
+    """A flame before a still background, as plain numbers in m, s, m/s and 0..1: what `released_*` files hold."""
+    rng = np.random.default_rng(seed)
+    dynamic = rng.random(n) < 0.8
+    dynamic[:2] = True, False
+    rotation = rng.normal(size=(n, 4))
+    return {
+        "position": rng.normal(size=(n, 3)),
+        "velocity": rng.normal(size=(n, 3)),
+        "t_mu": rng.uniform(0.01, 0.08, n),
+        "t_sigma": rng.uniform(0.005, 0.03, n),
+        "scale": rng.uniform(0.002, 0.028, (n, 3)),
+        "rotation": rotation / np.linalg.norm(rotation, axis=1, keepdims=True),
+        "opacity": rng.uniform(0.05, 0.95, n),
+        "color": rng.normal(size=(n, 1, 3)),
+        "dynamic": dynamic,
+    }
+
+
+RELEASED_BOUNDS = (0.001, 0.03)  # m
+
+
+def released_raw(scene):
+    """The scene in the raw values of the authors' release: ms, logits, a sigmoid between the bounds, logarithms."""
+    low, high = RELEASED_BOUNDS
+    share = (scene["scale"] - low) / (high - low)
+    dynamic = scene["dynamic"][:, None]
+    return {
+        "xyz": scene["position"],
+        "velocity": np.where(dynamic, scene["velocity"] / 1000, 7.0),  # a still row's velocity means nothing
+        "f_dc": scene["color"],
+        "f_rest": np.zeros((len(dynamic), 0, 3)),
+        "scaling": np.where(dynamic, np.log(share / (1 - share)), np.log(scene["scale"])),
+        "rotation": 3 * scene["rotation"],  # it does not normalise what it saves
+        "opacity": np.log(scene["opacity"] / (1 - scene["opacity"]))[:, None],
+        "t_mu": 1000 * scene["t_mu"][:, None],
+        "t_sigma": 1000 * scene["t_sigma"][:, None],
+    }
+
+
+def released_ply(folder: Path, scene, iteration=30000):
+    """`point_cloud.ply` of the authors' release, all properties f4 in its order, and the bounds in a file beside it."""
+    raw = released_raw(scene)
+    path = folder / "point_cloud" / f"iteration_{iteration}" / "point_cloud.ply"
+    splat_ply(
+        path,
+        raw,
+        {"t_mu": raw["t_mu"][:, 0], "t_sigma": raw["t_sigma"][:, 0], "is_dynamic": scene["dynamic"].astype("f4")}
+        | {f"velocity_{i}": raw["velocity"][:, i] for i in range(3)},
+    )
+    low, high = RELEASED_BOUNDS
+    (path.parent / "point_cloud_scale_bounds.json").write_text(
+        json.dumps({"dynamic_scale_min": low, "dynamic_scale_max": high})
+    )
+    return path
+
+
+def released_checkpoint(folder: Path, scene, iteration=30000, bounds=RELEASED_BOUNDS):
+    """`chkpnt{it}.pth` of the authors' release: the 16 entries of its ECCV demo, then both bounds as plain floats."""
+    p = {k: torch.nn.Parameter(torch.tensor(v, dtype=torch.float32)) for k, v in released_raw(scene).items()}
+    n = len(scene["dynamic"])
+    state = (
+        0,
+        *(p[k] for k in ("xyz", "velocity", "f_dc", "f_rest", "scaling", "rotation", "opacity", "t_mu", "t_sigma")),
+        torch.tensor(scene["dynamic"]),
+        torch.zeros(n),
+        torch.zeros(n, 1),
+        torch.zeros(n, 1),
+        optimizer_state({k: torch.nn.Parameter(v.detach().clone()) for k, v in p.items() if v.numel()}),
+        np.float64(4.2) * 1.1,
+        *bounds,
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"chkpnt{iteration}.pth"
+    torch.save((state, iteration), path)
+    return path
+
+
 def yang(path: Path, n=30, seed=0, rot_4d=True):
     rng = np.random.default_rng(seed)
     p = capture(rng, n, sh_rest=47)

@@ -55,7 +55,8 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     """Read a result of any known method, in metres, seconds and m/s on the dataset clock.
 
     Args:
-        path: a file, or a folder: of numbered PLYs, or a training's output, whose newest checkpoint is taken.
+        path: a file, or a folder: of numbered PLYs, or a training's output, whose newest checkpoint is taken (the
+            paper's code: without one, its newest PLY).
         options: what the file does not say.
     Raises:
         DataFormatError: unknown, damaged, another version, or it has no velocities (says what to do).
@@ -77,4 +78,13 @@ def _newest_checkpoint(folder: Path) -> Path:
         for p in folder.glob(pattern)
         if (m := re.search(r"(\d+)\.pth?$", p.name))
     ]
-    return max(found)[1] if found else folder
+    return max(found)[1] if found else _newest_ply(folder)
+
+
+def _newest_ply(folder: Path) -> Path:
+    """The newest PLY of a training whose PLYs are whole results (the paper's code); else the folder itself."""
+    plys = sorted(
+        folder.glob("point_cloud/iteration_*/point_cloud.ply"),
+        key=lambda p: int(re.sub(r"\D", "", p.parent.name) or 0),
+    )
+    return plys[-1] if plys and Source(plys[-1]).ply.has(*authors.VELOCITY) else folder

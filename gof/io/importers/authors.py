@@ -1,7 +1,12 @@
-"""The paper's own code: `chkpnt{it}.pth` with `scale_bounds.json` of the same iteration."""
+"""The paper's own code, both of its releases (docs/importers.md).
+
+ECCV demo: `chkpnt{it}.pth` with `scale_bounds.json` of the same iteration. Release after it: `chkpnt{it}.pth` that holds
+the bounds itself, and a PLY with `velocity_0..2`, whose bounds lie beside it.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +35,49 @@ LAYOUT = (
     "optimizer_state",
     "spatial_lr_scale",
 )
+WITH_BOUNDS = (*LAYOUT, "dynamic_scale_min", "dynamic_scale_max")
+VELOCITY = ("velocity_0", "velocity_1", "velocity_2")
 MILLISECOND = 1e-3  # its transforms hold microseconds times 1e-3
+
+
+@dataclass(frozen=True)
+class ScaleBounds:
+    """Sizes of dynamic Gaussians lie between them, in the method's length; `source` names where they are from."""
+
+    low: float
+    high: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Splats:
+    """What its files hold, in its units: its length, per ms, ms.
+
+    Attributes:
+        position, velocity, scaling: (N, 3).   rotation: (N, 4) wxyz.   opacity: (N,) 0..1.   color: (N, K, 3).
+        t_mu, t_sigma: (N,).   dynamic: (N,) bool.
+        scaling: raw: a sigmoid between the bounds where dynamic, a logarithm elsewhere.
+        bounds: None where the method has none; then all sizes are logarithms.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    scaling: np.ndarray
+    rotation: np.ndarray
+    opacity: np.ndarray
+    color: np.ndarray
+    t_mu: np.ndarray
+    t_sigma: np.ndarray
+    dynamic: np.ndarray
+    bounds: ScaleBounds | None
+
+    @property
+    def scale(self) -> np.ndarray:
+        """(N, 3) standard deviations, in its length."""
+        if self.bounds is None:
+            return exp(self.scaling)
+        span = self.bounds.high - self.bounds.low
+        return np.where(self.dynamic[:, None], self.bounds.low + span * sigmoid(self.scaling), exp(self.scaling))
 
 
 def matches(source: Source) -> bool:
@@ -38,7 +85,7 @@ def matches(source: Source) -> bool:
         return source.ply.has("t_mu", "t_sigma", "is_dynamic") and not source.ply.has("vx")
     return (
         source.is_checkpoint
-        and is_capture(source.checkpoint, len(LAYOUT))
+        and (is_capture(source.checkpoint, len(LAYOUT)) or is_capture(source.checkpoint, len(WITH_BOUNDS)))
         and getattr(source.checkpoint[0][10], "ndim", 0) == 1
     )
 
@@ -55,65 +102,93 @@ def is_capture(value, length: int) -> bool:
 
 def read(source: Source, options: ImportOptions) -> Imported:
     """Velocities and times are in milliseconds there (or `time_unit_s`); velocities of static rows mean nothing."""
-    if source.path.suffix == ".ply":
-        raise DataFormatError(
-            f"{source.path}: this PLY of the paper's code holds no velocities; give the chkpnt*.pth of the same "
-            "iteration (two folders up)"
-        )
+    splats = _from_ply(source) if source.path.suffix == ".ply" else _from_checkpoint(source)
+    unit = options.time_unit_s or MILLISECOND
+    t_sigma = np.abs(splats.t_sigma.astype(np.float64)) * unit  # only its square is used
+    dead = splats.dynamic & (t_sigma == 0)
+    gaussians = TransientGaussians(
+        position=splats.position,
+        velocity=splats.velocity.astype(np.float64) / unit,
+        t_mu=splats.t_mu.astype(np.float64) * unit + options.time_zero_s,
+        t_sigma=np.maximum(t_sigma, 1e-9),
+        scale=splats.scale,
+        rotation=splats.rotation,
+        opacity=np.where(dead, 0, splats.opacity),
+        color=splats.color,
+        dynamic=splats.dynamic,
+    )
+    bounds = f"scale bounds from {splats.bounds.source}" if splats.bounds else "no scale bounds: all sizes logarithms"
+    return Imported(gaussians, "authors", source.path, [f"one unit of its time taken as {unit:g} s; {bounds}"])
+
+
+def _from_checkpoint(source: Source) -> Splats:
     (state, iteration), path = source.checkpoint, source.path
     xyz = array(state[1], "xyz", (None, 3), path)
     n = len(xyz)
-    velocity = array(state[2], "velocity", (n, 3), path)
-    color = np.concatenate([array(state[3], "f_dc", (n, 1, 3), path), array(state[4], "f_rest", (n, None, 3), path)], 1)
-    raw = array(state[5], "scaling", (n, 3), path)
     dynamic = array(state[10], "is_dynamic", (n,), path).astype(bool)
-    bounds = _scale_bounds(path, int(iteration))
-    low, high = _read_bounds(bounds)
-    scale = np.where(dynamic[:, None], low + (high - low) * sigmoid(raw), exp(raw))
-    unit = options.time_unit_s or MILLISECOND
-    t_sigma = (
-        np.abs(array(state[9], "t_sigma", (n, 1), path)[:, 0].astype(np.float64)) * unit
-    )  # only its square is used
-    dead = dynamic & (t_sigma == 0)
-    gaussians = TransientGaussians(
+    if len(state) == len(WITH_BOUNDS):
+        bounds = None if state[16] is None else _bounds(state[16], state[17], path)
+    else:
+        bounds = _read_bounds(path, [Path(), Path("point_cloud") / f"iteration_{iteration}"], "scale_bounds.json")
+    return Splats(
         position=xyz,
-        velocity=velocity.astype(np.float64) / unit,
-        t_mu=array(state[8], "t_mu", (n, 1), path)[:, 0].astype(np.float64) * unit + options.time_zero_s,
-        t_sigma=np.maximum(t_sigma, 1e-9),
-        scale=scale,
+        velocity=array(state[2], "velocity", (n, 3), path),
+        scaling=array(state[5], "scaling", (n, 3), path),
         rotation=quaternions(array(state[6], "rotation", (n, 4), path), path),
-        opacity=np.where(dead, 0, sigmoid(array(state[7], "opacity", (n, 1), path)[:, 0])),
-        color=color,
+        opacity=sigmoid(array(state[7], "opacity", (n, 1), path)[:, 0]),
+        color=np.concatenate(
+            [array(state[3], "f_dc", (n, 1, 3), path), array(state[4], "f_rest", (n, None, 3), path)], 1
+        ),
+        t_mu=array(state[8], "t_mu", (n, 1), path)[:, 0],
+        t_sigma=array(state[9], "t_sigma", (n, 1), path)[:, 0],
         dynamic=dynamic,
-    )
-    return Imported(
-        gaussians,
-        "authors",
-        path,
-        [f"iteration {iteration}; one unit of its time taken as {unit:g} s; scale bounds from {bounds}"],
+        bounds=bounds,
     )
 
 
-def _scale_bounds(path: Path, iteration: int) -> Path:
-    candidates = [
-        path.parent / "scale_bounds.json",
-        path.parent / "point_cloud" / f"iteration_{iteration}" / "scale_bounds.json",
-    ]
-    for candidate in candidates:
-        if candidate.is_file():
-            return candidate
-    raise DataFormatError(
-        f"{path}: scale_bounds.json is missing; without it the sizes of dynamic Gaussians are unknown. Copy it from "
-        f"point_cloud/iteration_{iteration}/ beside the checkpoint"
+def _from_ply(source: Source) -> Splats:
+    ply, path = source.ply, source.path
+    if not ply.has(*VELOCITY):
+        raise DataFormatError(
+            f"{path}: this PLY of the paper's code (its ECCV demo) holds no velocities; give the chkpnt*.pth of the "
+            "same iteration (two folders up)"
+        )
+    shared = ply.splats()
+    times = ply.columns("t_mu", "t_sigma", "is_dynamic")
+    return Splats(
+        position=shared["position"],
+        velocity=ply.columns(*VELOCITY),
+        scaling=ply.columns("scale_0", "scale_1", "scale_2"),
+        rotation=shared["rotation"],
+        opacity=shared["opacity"],
+        color=shared["color"],
+        t_mu=times[:, 0],
+        t_sigma=times[:, 1],
+        dynamic=times[:, 2] > 0.5,
+        bounds=_read_bounds(path, [Path()], f"{path.stem}_scale_bounds.json"),
     )
 
 
-def _read_bounds(path: Path) -> tuple[float, float]:
+def _read_bounds(result: Path, folders: list[Path], name: str) -> ScaleBounds:
+    """The bounds' file of a result, in one of `folders` beside it."""
+    path = next((p for folder in folders if (p := result.parent / folder / name).is_file()), None)
+    if path is None:
+        raise DataFormatError(
+            f"{result}: {name} is missing; without it the sizes of dynamic Gaussians are unknown. Copy it from "
+            f"{folders[-1] if len(folders) > 1 else 'the folder of the training'} beside the result"
+        )
     values = read_json(path)
     try:
-        low, high = float(values["dynamic_scale_min"]), float(values["dynamic_scale_max"])
-    except (KeyError, TypeError, ValueError) as e:
+        return _bounds(values["dynamic_scale_min"], values["dynamic_scale_max"], path)
+    except (KeyError, TypeError) as e:
+        raise DataFormatError(f"{path}: needs numbers 'dynamic_scale_min' and 'dynamic_scale_max'") from e
+
+
+def _bounds(low, high, path: Path) -> ScaleBounds:
+    try:
+        low, high = float(low), float(high)
+    except (TypeError, ValueError) as e:
         raise DataFormatError(f"{path}: needs numbers 'dynamic_scale_min' and 'dynamic_scale_max'") from e
     if not 0 < low < high < np.inf:
         raise DataFormatError(f"{path}: bounds {low}..{high} are not 0 < min < max")
-    return low, high
+    return ScaleBounds(low, high, str(path))
