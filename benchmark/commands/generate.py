@@ -73,12 +73,9 @@ def _print_estimate(spec: SceneSpec, json: Path | None) -> None:
 def _make(spec: SceneSpec, layout: Layout, log: StageLog, config: GenerateConfig) -> None:
     """Whatever is missing of the dataset, then its views."""
     if not layout.description.exists():
-        from gof_benchmark.generator import graph, machine
+        from gof_benchmark.generator import dataset  # dask is slow to import
 
-        if not layout.bake_marker.exists():
-            machine.refuse_if_too_large(spec, layout.root)
-        with graph.cluster(config.scheduler, config.workers) as client:
-            graph.Generation(spec, layout, client, log).run()
+        dataset.make(spec, layout, log, config.scheduler, config.workers)
     if config.views:
         from gof_benchmark import views
 

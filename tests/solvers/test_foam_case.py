@@ -10,7 +10,7 @@ import pytest
 from gof.errors import DataFormatError, MissingDependencyError
 from gof.records import from_json, to_json
 from gof_benchmark.solvers.openfoam import installation
-from gof_benchmark.solvers.openfoam.__main__ import FIRES, find_fire, main
+from gof_benchmark.solvers.openfoam.__main__ import main
 from gof_benchmark.solvers.openfoam.case import (
     Burner,
     FoamFire,
@@ -23,6 +23,7 @@ from gof_benchmark.solvers.openfoam.case import (
     write_fields,
 )
 from gof_benchmark.solvers.openfoam.dictionary import named, render, write_dictionary
+from gof_benchmark.solvers.openfoam.shipped import FIRES, find_fire
 from tests.solvers.conftest import toy_fire
 
 pytestmark = pytest.mark.long

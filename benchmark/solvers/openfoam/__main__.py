@@ -8,12 +8,9 @@ from pathlib import Path
 
 import tyro
 
-from gof.errors import DataFormatError, GofError
-from gof.records import read_record
-from gof_benchmark.solvers.openfoam.case import FoamFire
+from gof.errors import GofError
 from gof_benchmark.solvers.openfoam.run import bake
-
-FIRES = Path(__file__).parent / "fires"
+from gof_benchmark.solvers.openfoam.shipped import find_fire
 
 
 @dataclass
@@ -23,7 +20,7 @@ class Bake:
     The flame first develops on a coarse mesh, is mapped to the fine one, settles there and is then written frame by
     frame. A fire takes one core 15 to 30 minutes; stopped at any time (also by kill), the same command goes on where it
     was. Needs OpenFOAM (`apt-get install openfoam`).
-    Then `python -m gof_benchmark.solvers.how_real OUT/*/grids` says how close to real fires they are.
+    Then `python -m gof_benchmark.fires.how_real OUT/*/grids` says how close to real fires they are.
 
     Fires that come with the benchmark: pool_methane (0.2 m square), pool_propane (0.3 m round), jet, two_burners,
     pool_wind. A description of your own: copy one of their files in gof_benchmark/solvers/openfoam/fires and change it;
@@ -36,20 +33,6 @@ class Bake:
     """Each fire gets the folder OUT/<its name>; what it hands over is OUT/<its name>/grids."""
     keep_raw: bool = False
     """Keep OpenFOAM's own fields of the clip, about 2 GB a fire."""
-
-
-def find_fire(name: str) -> FoamFire:
-    """The description of a file, or of a fire that comes with the benchmark.
-
-    Raises:
-        DataFormatError: neither; names those that there are.
-    """
-    path = Path(name) if name.endswith(".json") else FIRES / f"{name}.json"
-    if not path.exists():
-        raise DataFormatError(
-            f"{path}: no such file; fires by name: {', '.join(sorted(p.stem for p in FIRES.glob('*.json')))}"
-        )
-    return read_record(FoamFire, path)
 
 
 def main(argv: list[str] | None = None) -> int:

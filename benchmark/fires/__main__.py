@@ -1,0 +1,138 @@
+"""Make the benchmark's fires: `python -m gof_benchmark.fires WORK`; what there is: `--list`."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from gof.costs import StageLog
+from gof.errors import DataFormatError, GofError, MissingDependencyError
+from gof.files import only_run_in
+from gof_benchmark.fires import SPLITS, BenchmarkFire, fires
+from gof_benchmark.fires.twins import simulated, traits, traits_by_name, twins_table
+from gof_benchmark.scenes import built_in_scenes, claim, load_scene
+from gof_benchmark.solvers.openfoam.run import bake
+from gof_blender.pure.cost_model import REFERENCE, duration, known_machine, predict
+from gof_blender.pure.layout import Layout
+
+SOLVE_S = 1800.0  # OpenFOAM, a fire: 15 to 30 minutes of one core
+
+
+@dataclass
+class Make:
+    """Make the fires that methods are developed on (dev) and scored on (test): datasets as `gof generate` makes them.
+
+    Each becomes WORK/dev/NAME or WORK/test/NAME. Those of OpenFOAM are first solved into WORK/openfoam/FIRE/grids;
+    where OpenFOAM is not installed they are left out, and named. Stopped at any time, the same command goes on where it
+    was. On two free cores everything takes about four hours.
+    """
+
+    work: tyro.conf.Positional[Path | None] = None
+    """Folder of all fires; made if it is not there."""
+    split: Literal["dev", "test", "all"] = "all"
+    """Which part."""
+    list: bool = False
+    """Only print what there is, and how far each test fire is from all that a method may be developed on."""
+
+
+def inventory(listed: list[BenchmarkFire]) -> str:
+    """Markdown: one line a fire, what burns and how it is seen."""
+    lines = [
+        "| fire | solver | fuel | burner | radius, m | jet, m/s | wind | eddies | cameras | frames | room |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for fire in listed:
+        what, rig, clip = traits(fire), fire.spec.cameras, fire.spec.clip
+        cells = (
+            fire.name,
+            what.solver,
+            what.fuel,
+            what.shape,
+            f"{what.radius:.3f}",
+            f"{what.jet:.2g}",
+            f"{what.wind:g}",
+            f"{what.eddies:g}, {what.flame_eddies:g}" if fire.foam is None else "its own",
+            f"{rig.count} over {rig.arc_deg:g} deg, {'portrait' if rig.portrait else 'landscape'}",
+            f"{clip.frames} at {clip.fps:g} Hz",
+            fire.spec.background,
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def seen_before(listed: list[BenchmarkFire]) -> dict:
+    """Traits of all that a method may be developed on: the dev fires, and the built-in scenes."""
+    scenes = {f"scenes/{name}": simulated(load_scene(name)) for name in built_in_scenes()}
+    return traits_by_name([fire for fire in listed if fire.split == "dev"]) | scenes
+
+
+def make(fire: BenchmarkFire, work: Path) -> None:
+    """One fire: its grids where it burns any, then its dataset. Does nothing where all is there.
+
+    Raises:
+        MissingDependencyError: its grids are not there, and OpenFOAM is not installed.
+        GofError: a folder holds another fire, or a stage failed; what was finished is kept.
+    """
+    layout = Layout(work / fire.name)
+    if fire.foam and not _solved(fire, work):
+        bake(fire.foam, work / "openfoam" / fire.foam.name)
+    spec = fire.spec.resolved(work.resolve())
+    claim(layout, spec)
+    if not layout.description.exists():
+        from gof_benchmark.generator import dataset  # dask is slow to import
+
+        with only_run_in(layout.hidden):
+            dataset.make(spec, layout, StageLog(layout.costs))
+
+
+def predicted_s(fire: BenchmarkFire, work: Path) -> float:
+    """Seconds that are left of a fire, roughly; of one that is not solved yet, what its solver takes."""
+    if Layout(work / fire.name).description.exists():
+        return 0.0
+    if fire.foam and not _solved(fire, work):
+        return SOLVE_S
+    return predict(fire.spec.resolved(work.resolve()), known_machine() or REFERENCE).total_s
+
+
+def _solved(fire: BenchmarkFire, work: Path) -> bool:
+    return (work / fire.spec.fire.grids / "fire.json").exists()
+
+
+def main(argv: list[str] | None = None) -> int:
+    config = tyro.cli(Make, prog="python -m gof_benchmark.fires", args=argv)
+    try:
+        everything = [fire for split in SPLITS for fire in fires(split)]
+        chosen = [fire for fire in everything if config.split in (fire.split, "all")]
+        if config.list:
+            tests = traits_by_name([fire for fire in everything if fire.split == "test"])
+            print(inventory(chosen), twins_table(tests, seen_before(everything)), sep="\n\n")
+            return 0
+        if config.work is None:
+            raise DataFormatError("name the folder of the fires: python -m gof_benchmark.fires WORK")
+        return _make_all(chosen, config.work)
+    except GofError as e:
+        print(f"fires: {e}", file=sys.stderr)
+        return 1
+
+
+def _make_all(chosen: list[BenchmarkFire], work: Path) -> int:
+    print(f"{len(chosen)} fires, about {duration(sum(predicted_s(fire, work) for fire in chosen))} left", flush=True)
+    left_out = []
+    for number, fire in enumerate(chosen, 1):
+        print(f"[{number}/{len(chosen)}] {fire.name}", flush=True)
+        try:
+            make(fire, work)
+        except MissingDependencyError as e:
+            left_out.append(fire.name)
+            print(f"left out: {e}", flush=True)
+    if left_out:
+        print(f"not made, because OpenFOAM is not installed: {', '.join(left_out)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
