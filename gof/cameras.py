@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gof.errors import DataFormatError, NonFiniteError
+from gof.files import is_name
 
 READOUT_DIRECTIONS = ("down", "up", "right", "left")
 
@@ -17,7 +18,7 @@ class Camera:
     """One calibrated camera.
 
     Args:
-        name: unique name inside its dataset.
+        name: unique name inside its dataset; files are named after it (`gof.files.is_name`).
         width, height: image size in pixels.
         K: (3, 3) float64 intrinsics in pixels; last row 0 0 1.
         world_to_camera: (4, 4) float64 rigid transform, world (Z up, metres) to OpenCV camera axes.
@@ -26,7 +27,8 @@ class Camera:
             reads its rows along portrait columns, so "right" or "left".
 
     Raises:
-        DataFormatError: a matrix has the wrong shape, the rotation is not orthonormal, or a size is not positive.
+        DataFormatError: the name cannot be that of a file, a matrix has the wrong shape, the rotation is not
+            orthonormal, or a size is not positive.
         NonFiniteError: a matrix holds NaN or Inf.
     """
 
@@ -39,6 +41,8 @@ class Camera:
     readout: str = "down"
 
     def __post_init__(self):
+        if not is_name(self.name):
+            raise DataFormatError(f"camera {self.name[:80]!r}: files are named after cameras; give it a plain name")
         object.__setattr__(self, "K", np.asarray(self.K, np.float64))
         object.__setattr__(self, "world_to_camera", np.asarray(self.world_to_camera, np.float64))
         for field, shape in (("K", (3, 3)), ("world_to_camera", (4, 4))):

@@ -1,26 +1,92 @@
-"""Writing files so that a crash never leaves half of one."""
+"""Files that a crash never leaves half of, and names from files that nobody vouches for."""
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import json
 import os
+import re
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from gof.errors import DataFormatError, GofError
+
+try:
+    import fcntl
+except ModuleNotFoundError:  # Windows
+    fcntl = None
+
+LONGEST_NAME, LONGEST_PATH = 200, 1000  # bytes; room is left for what is put around a name, and for the folder
+HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")  # in JSON; alone it can be neither printed nor written
+# Windows opens these as devices, in any case, with any ending.
+DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])(\..*)?", re.I)
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EROFS, errno.EACCES)
+
+
+# ---------------------------------------------------------------- names
+# `gof_blender.pure.io.files` decides the same without this package; tests/test_names.py holds both to one list.
+
+
+def is_name(name: str) -> bool:
+    """Whether a text may be one part of a path, on every system: a plain, printable name and nothing that acts.
+
+    Refused are separators, "." and "..", drives and streams, wildcards, devices, what shells and options begin with,
+    braces (Python's formats), control characters, line ends, text that is not UTF-8, and names of more than 200 bytes.
+    """
+    return (
+        name.isprintable()
+        and 0 < len(name.encode("utf-8")) <= LONGEST_NAME
+        and not set(name) & set('/\\:*?"<>|{}')
+        and not name.startswith(("-", "~"))
+        and not name.endswith((".", " "))
+        and not DEVICE.fullmatch(name)
+    )
+
+
+def is_relative_path(path: str) -> bool:
+    """Whether a text is names joined by "/", of at most 1000 bytes."""
+    return all(map(is_name, path.split("/"))) and len(path.encode("utf-8")) <= LONGEST_PATH
+
+
+def path_in(folder: Path, path: str) -> Path:
+    """The file that a name out of a file means: in `folder`, also after links are followed. It need not exist.
+
+    Raises:
+        DataFormatError: not names joined by "/", or it leads out of the folder.
+    """
+    if not is_relative_path(path):
+        raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there")
+    try:
+        inside = (folder / path).resolve().is_relative_to(folder.resolve())
+        (folder / path).exists()  # asks the file system whether there can be such a name
+    except (OSError, RuntimeError) as e:  # too long, links in a circle
+        raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there ({e})") from e
+    if not inside:
+        raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} points outside that folder; is it a link?")
+    return folder / path
+
+
+# ---------------------------------------------------------------- writing
 
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path` (same suffix); rename it to `path` only if the block succeeds."""
+    """Yield a temporary name beside `path` (same suffix); rename it to `path` only if the block succeeds.
+
+    The content is on the disk before it has its name: a power cut leaves the old file or the new one.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    temporary.unlink(missing_ok=True)  # a link of that name would be written through
     try:
         yield temporary
+        _sync(temporary)
         os.replace(temporary, path)
+        _sync(path.parent)
     except OSError as e:
         e.filename = e.filename or str(path)  # a full disk does not say whose
         raise
@@ -28,27 +94,65 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def _sync(path: Path) -> None:
+    """Wait until a file, or a folder's list of names, is on the disk, where the system can say so."""
+    if path.is_dir() and os.name != "posix":
+        return
+    try:
+        number = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
+    except OSError as e:
+        if e.errno not in NO_SYNC:
+            raise
+
+
 @contextmanager
 def only_run_in(folder: Path) -> Iterator[None]:
     """Hold a folder for one process; the system lets go of it when the process ends, however it ends.
 
+    Where the file system has no locks this says so and goes on.
+
     Raises:
-        GofError: another process works there.
+        GofError: another process works there, or the lock is a link to somewhere else.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / ".lock", "a+") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as e:
-            lock.seek(0)
-            raise GofError(
-                f"{folder}: another run is at work there (process {lock.read().strip() or 'unknown'}); wait for it, or "
-                "choose another --out"
-            ) from e
+    with _opened_lock(folder / ".lock") as lock:
+        _lock(lock, folder)
         lock.truncate(0)
         lock.write(str(os.getpid()))
         lock.flush()
         yield
+
+
+def _opened_lock(path: Path) -> IO[str]:
+    """The lock's file, made if absent; never what a link of its name leads to, as it is written."""
+    try:
+        number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    except OSError as e:
+        if e.errno == errno.ELOOP:
+            raise GofError(f"{path}: is a link; remove it") from e
+        raise
+    return os.fdopen(number, "a+")
+
+
+def _lock(lock: IO[str], folder: Path) -> None:
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as e:
+        lock.seek(0)
+        raise GofError(
+            f"{folder}: another run is at work there (process {lock.read().strip() or 'unknown'}); wait for it, or "
+            "choose another --out"
+        ) from e
+    except OSError as e:
+        if e.errno not in NO_LOCKS:
+            raise
+        print(f"{folder}: this file system has no locks; see to it that no other run works there", file=sys.stderr)
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -64,7 +168,11 @@ def read_json(path: Path) -> Any:
         DataFormatError: the file is absent or is not JSON (names it).
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        value = json.loads(text)
+        if HALF_CHARACTER.search(text):
+            json.dumps(value, ensure_ascii=False).encode("utf-8")  # fails where its other half is missing
+        return value
     except FileNotFoundError as e:
         raise DataFormatError(f"{path}: no such file") from e
     except OSError as e:

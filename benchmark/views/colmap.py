@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.files import atomic_path
+from gof.files import atomic_path, path_in
 from gof.rotations import quaternions_wxyz
 
 from .source import ViewSource
@@ -31,7 +31,7 @@ def write(source: ViewSource) -> None:
         for point in np.nonzero(_is_seen(pixels, depth, depths[index]))[0]:
             tracks[point].append((index + 1, len(seen[index])))
             seen[index].append((*pixels[point], int(point) + 1))
-    folder = source.dataset.path / "sparse" / "0"
+    folder = path_in(source.dataset.path, "sparse/0")
     _write_lines(folder / "cameras.txt", _camera_lines(source))
     _write_lines(folder / "images.txt", _image_lines(source, seen))
     _write_lines(folder / "points3D.txt", _point_lines(position, colour, tracks))

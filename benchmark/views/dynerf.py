@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.files import atomic_path
+from gof.files import atomic_path, path_in
 
 from .source import ViewSource
 
@@ -23,11 +23,21 @@ def write(source: ViewSource) -> None:
     rows = []
     for number, camera in enumerate(order):
         rows.append(_poses_bounds(source, camera))
-        for frame in range(len(dataset.times_s)):
-            target = dataset.path / "dynerf" / f"cam{number:02d}" / "images" / f"{frame:04d}.png"
-            _link(dataset.file(camera, "rgb", frame), target)
-    with atomic_path(dataset.path / "dynerf" / "poses_bounds.npy") as path:
+        link_pictures(source, camera, number)
+    with atomic_path(path_in(dataset.path, "dynerf/poses_bounds.npy")) as path:
         np.save(path, np.array(rows))
+
+
+def link_pictures(source: ViewSource, camera: int, number: int) -> None:
+    """Give a camera's pictures the names of camera `number` in this layout.
+
+    Raises:
+        DataFormatError: a picture or a name leads out of the dataset.
+    """
+    dataset = source.dataset
+    for frame in range(len(dataset.times_s)):
+        target = path_in(dataset.path, f"dynerf/cam{number:02d}/images/{frame:04d}.png")
+        _link(dataset.file(camera, "rgb", frame), target)
 
 
 def _poses_bounds(source: ViewSource, camera: int) -> np.ndarray:

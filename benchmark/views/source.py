@@ -10,6 +10,7 @@ import numpy as np
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
+from gof.files import path_in
 
 FAR = 1e6  # metres; Blender writes 1e10 where nothing is
 
@@ -54,7 +55,8 @@ class ViewSource:
         """(H, W) float32 camera depth of the fire-free view, metres; inf where nothing is."""
         import OpenEXR
 
-        path = self.dataset.file(camera, "static").with_suffix(".exr")
+        plate = Path(self.dataset.name(camera, "static"))
+        path = path_in(self.dataset.path, plate.with_suffix(".exr").as_posix())
         try:
             with OpenEXR.File(str(path), separate_channels=True) as file:
                 depth = np.array(file.channels()["Z"].pixels, np.float32)

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from .checked_json import require
 from .io import FileFormatError
+from .io.files import is_name, is_pattern, is_relative_path
 from .io.records import read_record, write_record
 
 FILE = "dataset.json"
@@ -61,6 +63,13 @@ class CameraEntry:
     board_mask: str | None = None
     time_s: tuple[float, ...] | None = None
 
+    def __post_init__(self):
+        require(is_name(self.name), "cameras.name", "the plain name of a file", self.name)
+        for kind in ("rgb", "static", "mask", "exr", "flow", "board_mask"):
+            pattern = getattr(self, kind)
+            rule = "the name of a file in the dataset"
+            require(pattern is None or is_pattern(pattern), f"cameras.{kind}", rule, pattern)
+
 
 @dataclass(frozen=True)
 class DatasetDescription:
@@ -88,6 +97,10 @@ class DatasetDescription:
     spec: dict[str, Any] | None = None
     effects: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        inside = self.velocity is None or is_relative_path(self.velocity)
+        require(inside, "velocity", "the name of a file in the dataset", self.velocity)
 
     @classmethod
     def read(cls, folder: Path) -> DatasetDescription:

@@ -20,7 +20,8 @@ from .checked_json import SpecError, from_dict, require
 from .clip import Clip
 from .fires import Domain, Fire, GridFire, Vector
 from .fuels import FUELS, Fuel
-from .io.files import write_json
+from .io import FileFormatError
+from .io.files import is_name, path_in, read_json, write_json
 from .presets import PRESETS
 from .timeline import Timeline
 
@@ -165,7 +166,7 @@ class SceneSpec:
     def __post_init__(self):
         if self.domain is None and isinstance(self.fire, Fire):
             object.__setattr__(self, "domain", Domain())
-        require(bool(self.name) and not set(self.name) & set('/\\:*?"<>|'), "name", "a plain file name", self.name)
+        require(is_name(self.name), "name", "a plain file name", self.name)
         require(0 <= self.seed < 2**31, "seed", "in [0, 2^31)", self.seed)
         with_file = self.background == "blend_file"
         rule = 'given exactly when background is "blend_file"'
@@ -219,6 +220,10 @@ class SceneSpec:
     def resolved(self, folder: Path) -> SceneSpec:
         """This spec with the paths of its files absolute; relative ones count from the folder of the spec's file."""
         return self._with_paths(lambda path: (folder / path).resolve())
+
+    def resolved_in(self, folder: Path) -> SceneSpec:
+        """As `resolved`, for a spec that came with the folder: raises FileFormatError when a file lies outside it."""
+        return self._with_paths(lambda path: path_in(folder.resolve(), path.as_posix()))
 
     def relative_to(self, folder: Path) -> SceneSpec:
         """This spec with the paths of its files relative where they lie in the folder: all can be moved together."""
@@ -282,8 +287,10 @@ def load(path: str | os.PathLike) -> SceneSpec:
     """Read a spec from a JSON file; paths of files in it become absolute. Raises SpecError that names the file."""
     path = Path(path)
     try:
-        return SceneSpec.from_dict(json.loads(path.read_text(encoding="utf-8"))).resolved(path.parent)
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, SpecError) as error:
+        return SceneSpec.from_dict(read_json(path)).resolved(path.parent)
+    except FileFormatError as error:
+        raise SpecError(str(error)) from error
+    except SpecError as error:
         raise SpecError(f"{path}: {error}") from error
 
 

@@ -31,7 +31,8 @@ def read_spec(dataset: Path) -> SceneSpec:
     """The scene spec of a generated dataset.
 
     Raises:
-        FileFormatError: no dataset there, one without a scene spec, such as a capture, or a broken spec.
+        FileFormatError: no dataset there, one without a scene spec, such as a capture, a broken spec, or one whose
+            scene is a file outside the dataset.
     """
     description = DatasetDescription.read(dataset)
     if description.spec is None:
@@ -39,8 +40,8 @@ def read_spec(dataset: Path) -> SceneSpec:
             f"{dataset / FILE}: holds no scene spec, so there is no scene to build; use a generated dataset"
         )
     try:
-        return SceneSpec.from_dict(description.spec)
-    except SpecError as error:
+        return SceneSpec.from_dict(description.spec).resolved_in(dataset)
+    except (SpecError, FileFormatError) as error:
         raise FileFormatError(f"{dataset / FILE}: spec: {error}") from None
 
 

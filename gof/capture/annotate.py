@@ -14,7 +14,7 @@ from gof.capture.mask import board_mask
 from gof.capture.template import BoardTemplate
 from gof.dataset import CameraEntry, Dataset
 from gof.errors import DataFormatError, GofError
-from gof.files import atomic_path
+from gof.files import atomic_path, path_in
 from gof.footage import stored_frames
 from gof.lens import ROLL_DEG, Lens, Turn, prepare, read_cameras
 
@@ -55,7 +55,7 @@ def annotate(
             notes[camera.name] = f"no board mask: {e}" + ("" if footage else " Small pictures? Give the --footage")
             continue
         name = f"cameras/{camera.name}/board_mask.png"
-        share = _write_mask(mask, (camera.width, camera.height), dataset.path / name)
+        share = _write_mask(mask, (camera.width, camera.height), path_in(dataset.path, name))
         entries[camera.name] = replace(entry, board_mask=name)
         notes[camera.name] = f"board mask, {share:.1%} of the picture"
     replace(dataset.description, cameras=tuple(entries.values())).write(dataset.path)

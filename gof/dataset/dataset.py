@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,11 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from gof.cameras import Camera
-from gof.dataset.description import FILE, CameraEntry, DatasetDescription
+from gof.dataset.description import FILE, FRAME, CameraEntry, DatasetDescription
 from gof.errors import DataFormatError
 from gof.fields import VelocitySequence
-
-FRAME = re.compile(r"\{frame(?::0?([1-9])d)?\}")  # all of Python's format language that file names may use
+from gof.files import path_in
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class Dataset:
 
     def file(self, camera: int, kind: str, frame: int = 0) -> Path:
         """Path of a file; see `name`. Raises DataFormatError: no such kind, or a path that leaves the dataset."""
-        return self._inside(self.name(camera, kind, frame))
+        return path_in(self.path, self.name(camera, kind, frame))
 
     def image(self, camera: int, frame: int) -> np.ndarray:
         """(H, W, 3) float32 display sRGB in [0, 1]."""
@@ -128,18 +126,7 @@ class Dataset:
         """
         if self.description.velocity is None:
             raise DataFormatError(f"{self.path}: has no ground-truth velocity (a real capture?)")
-        return VelocitySequence.open(self._inside(self.description.velocity))
-
-    def _inside(self, name: str) -> Path:
-        """A path in the dataset, by its name in dataset.json, which may come from anybody."""
-        try:
-            path = (self.path / name).resolve()
-            path.exists()  # asks the file system whether there can be such a name
-        except (OSError, ValueError) as e:  # too long, a zero byte
-            raise DataFormatError(f"{self.path}/{FILE}: {name[:80]!r} cannot be a file name") from e
-        if not path.is_relative_to(self.path.resolve()):
-            raise DataFormatError(f"{self.path}/{FILE}: '{name[:80]}' points outside the dataset")
-        return path
+        return VelocitySequence.open(path_in(self.path, self.description.velocity))
 
     def _entry(self, camera: int) -> CameraEntry:
         name = self.cameras[camera].name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -10,9 +11,12 @@ import numpy as np
 
 from gof.cameras import Camera
 from gof.errors import DataFormatError
+from gof.files import is_relative_path
 from gof.records import read_record, write_record
 
 FILE = "dataset.json"
+FRAME = re.compile(r"\{frame(?::0?([1-9])d)?\}")  # all of Python's format language that file names may use
+PICTURES = ("rgb", "static", "mask", "exr", "flow", "board_mask")  # fields of a camera that name files
 Row3, Row4 = tuple[float, float, float], tuple[float, float, float, float]
 TEST_EVERY, TEST_FIRST = 8, 4  # every 8th frame is held out (paper, "Results"), from the fifth on
 
@@ -89,7 +93,8 @@ class DatasetDescription:
 
     Raises:
         DataFormatError, NonFiniteError: times do not increase, a camera's own times have another length, a split names
-            a frame there is not, two cameras share a name, no camera is for training, or a matrix is not a camera's.
+            a frame there is not, two cameras share a name (in any case), no camera is for training, a matrix is not a
+            camera's, or a name of a file leads out of the dataset.
     """
 
     SCHEMA: ClassVar[str] = "gof-dataset"
@@ -110,17 +115,21 @@ class DatasetDescription:
             raise DataFormatError("time_s must be a non-empty, strictly increasing list of seconds")
         if not any(entry.role == "train" for entry in self.cameras):
             raise DataFormatError("no camera with role 'train'")
-        if len({entry.name for entry in self.cameras}) < len(self.cameras):
+        if len({entry.name.casefold() for entry in self.cameras}) < len(self.cameras):
             raise DataFormatError("two cameras have the same name")
         for name, frames in (("train", self.splits.train), ("test", self.splits.test)):
             if not all(0 <= k < count for k in frames):
                 raise DataFormatError(f"splits.{name} must list frame numbers below {count}")
         for entry in self.cameras:
             entry.camera()  # or it says what is wrong
+            for kind in PICTURES:
+                _require_inside(f"camera '{entry.name}': {kind}", getattr(entry, kind))
             if entry.time_s is not None and not (len(entry.time_s) == count and _increasing(entry.time_s)):
                 raise DataFormatError(
                     f"camera '{entry.name}': time_s must hold {count} strictly increasing seconds, one per frame"
                 )
+
+        _require_inside("velocity", self.velocity)
 
     @classmethod
     def read(cls, folder: Path) -> DatasetDescription:
@@ -140,6 +149,12 @@ class DatasetDescription:
     def write(self, folder: Path) -> None:
         """Write `folder/dataset.json`. Written last, it says that the dataset is complete."""
         write_record(folder / FILE, self)
+
+
+def _require_inside(field_name: str, path: str | None) -> None:
+    """A name of a file in the dataset, or a pattern of such names."""
+    if path is not None and not is_relative_path(FRAME.sub("0", path)):
+        raise DataFormatError(f"{field_name}: {path[:80]!r} cannot be the name of a file in the dataset")
 
 
 def _increasing(values: tuple[float, ...]) -> bool:

@@ -9,20 +9,27 @@ import numpy as np
 
 from gof.dataset.dataset import Dataset
 from gof.errors import DataFormatError
-from gof.files import atomic_path
+from gof.files import atomic_path, path_in
 
 LEVELS = 65535  # 16 bits: plates are optimised and lit in steps finer than 1/255
 
 
 def save_plates(folder: Path, names: list[str], plates: list[np.ndarray]) -> None:
-    """Write folder/plates/NAME.png, 16 bits, from (H, W, 3) display sRGB in [0, 1]."""
-    (folder / "plates").mkdir(parents=True, exist_ok=True)
+    """Write folder/plates/NAME.png, 16 bits, from (H, W, 3) display sRGB in [0, 1].
+
+    Raises:
+        DataFormatError: a name leads out of the folder.
+    """
     for name, plate in zip(names, plates, strict=True):
         ok, data = cv2.imencode(".png", np.rint(np.clip(plate[..., ::-1], 0, 1) * LEVELS).astype(np.uint16))
         if not ok:
             raise DataFormatError(f"{folder}/plates/{name}.png: OpenCV cannot encode a plate of shape {plate.shape}")
-        with atomic_path(folder / "plates" / f"{name}.png") as temporary:
+        with atomic_path(_plate(folder, name)) as temporary:
             temporary.write_bytes(data.tobytes())
+
+
+def _plate(folder: Path, name: str) -> Path:
+    return path_in(folder, f"plates/{name}.png")
 
 
 def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray:
@@ -37,7 +44,7 @@ def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray
     static = dataset.static(camera)
     if result is None:
         return static
-    path = (result if result.is_dir() else result.parent) / "plates" / f"{dataset.cameras[camera].name}.png"
+    path = _plate(result if result.is_dir() else result.parent, dataset.cameras[camera].name)
     if not path.is_file():
         return static
     stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)

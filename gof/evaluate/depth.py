@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gof.errors import DataFormatError, GofError, require_finite
+from gof.files import path_in
 
 
 class DepthScore(NamedTuple):
@@ -57,7 +58,7 @@ def read_depth(folder: Path, camera: str, frame: int) -> np.ndarray:
     Raises:
         DataFormatError: absent, pickled, or not two-dimensional.
     """
-    path = folder / camera / f"{frame:06d}.npy"
+    path = path_in(folder, f"{camera}/{frame:06d}.npy")
     try:
         value = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as e:

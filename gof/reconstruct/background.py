@@ -15,6 +15,7 @@ from gof.costs import StageLog
 from gof.dataset import Dataset
 from gof.dataset.poses import Poses
 from gof.errors import DataFormatError, GofError
+from gof.files import path_in
 from gof.gaussians import TransientGaussians
 from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
@@ -99,7 +100,7 @@ def plate_depths(dataset: Dataset, plates: list[np.ndarray], weights: Path | Non
         DataFormatError: a map of the dataset is not one of positive depths.
         GofError: no map, and a single camera or nothing to match; see `depth.whole_depth`.
     """
-    files = [dataset.path / "depth" / f"{camera.name}.npy" for camera in dataset.cameras]
+    files = [path_in(dataset.path, f"depth/{camera.name}.npy") for camera in dataset.cameras]
     if all(file.is_file() for file in files):
         return [_stored_depth(file, plate.shape[1::-1]) for file, plate in zip(files, plates, strict=True)]
     if len(plates) < 2:

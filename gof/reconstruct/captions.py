@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from gof.errors import DataFormatError
+from gof.files import is_name
 from gof.records import read_record, write_record
 
 FILE = "captions.json"
@@ -13,10 +15,14 @@ FILE = "captions.json"
 
 @dataclass(frozen=True)
 class Caption:
-    """The text under a picture; `file` is its name in the folder."""
+    """The text under a picture; `file` is its name in the folder. Raises DataFormatError: that is a path."""
 
     file: str
     text: str
+
+    def __post_init__(self):
+        if not is_name(self.file):
+            raise DataFormatError(f"file: {self.file[:80]!r} cannot be the name of a picture in this folder")
 
 
 @dataclass(frozen=True)

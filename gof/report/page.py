@@ -13,7 +13,7 @@ from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.errors import DataFormatError
 from gof.evaluate.scores import Scores
-from gof.files import atomic_path
+from gof.files import atomic_path, path_in
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.captions import Captions
 from gof.report import animation as pictures
@@ -111,7 +111,7 @@ def _facts(dataset: Dataset, gaussians: TransientGaussians) -> dict[str, str]:
 def _preview(preview: Preview | None, folder: Path, dataset: Dataset) -> dict[str, Any] | None:
     if preview is None:
         return None
-    image = folder / preview.image
+    image = path_in(folder, preview.image)
     if not image.is_file():
         raise DataFormatError(f"{image}: no such picture; render the Blender preview first")
     truth = pictures.to_bytes(dataset.image(preview.camera, preview.frame))
@@ -126,7 +126,8 @@ def _preview(preview: Preview | None, folder: Path, dataset: Dataset) -> dict[st
 def _stage_pictures(folder: Path) -> list[tuple[str, str]]:
     """[(caption, data URI)] in the order of the captions; empty when there are none."""
     captions = Captions.read(folder).images
-    return [(c.text, pictures.data_uri(folder / c.file)) for c in captions if (folder / c.file).is_file()]
+    files = [(c.text, path_in(folder, c.file)) for c in captions]
+    return [(text, pictures.data_uri(file)) for text, file in files if file.is_file()]
 
 
 def _provenance(dataset: Dataset) -> dict[str, str]:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from gof.errors import DataFormatError
+from gof.files import is_name
 from gof.records import read_record, write_record
 
 
@@ -16,6 +18,9 @@ class Preview:
     Attributes:
         image: name of the picture, in the folder of preview.json.
         camera: number of the dataset's camera.   frame: of the dataset.
+
+    Raises:
+        DataFormatError: `image` is a path.
     """
 
     SCHEMA: ClassVar[str] = "gof-preview"
@@ -24,6 +29,10 @@ class Preview:
     image: str
     camera: int
     frame: int
+
+    def __post_init__(self):
+        if not is_name(self.image):
+            raise DataFormatError(f"image: {self.image[:80]!r} cannot be the name of a picture in this folder")
 
     @classmethod
     def read(cls, path: Path) -> Preview:

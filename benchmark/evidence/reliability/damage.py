@@ -9,7 +9,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -48,15 +48,83 @@ STRINGS = (
     "ü",
 )
 VALUES = (*NUMBERS, *STRINGS, None, True, [], {}, [[]], [1, "a", None], {"name": 3})
+# Parts of names that lead somewhere, or act somewhere: on disks, in shells, terminals, tables and pages.
+NAME_PARTS = (
+    "..",
+    ".",
+    "",
+    "~",
+    "link",
+    "secret.png",
+    "outside",
+    "dataset",
+    "cameras",
+    "cam_0",
+    "tmp",
+    "dev",
+    "zero",
+    "etc",
+    "passwd",
+    "gof-escaped",
+    "CON",
+    "nul.png",
+    "COM1",
+    "C:",
+    "a\\b",
+    "..\\..\\x",
+    "a\0b",
+    "a\nb",
+    "\r",
+    "\x1b]0;owned\x07",
+    "\x9b2J",
+    "\u202egnp",
+    "\ud800",
+    "\udcff",
+    "-rf",
+    "--overwrite",
+    "=HYPERLINK(1)",
+    "+1",
+    "@SUM(A1)",
+    "\t=1",
+    "[/b]",
+    "[link=file:///etc/passwd]",
+    "<script>alert(1)</script>",
+    "{frame:0999999999d}",
+    "{frame:06d}",
+    "{0.__class__}",
+    "%s",
+    "*",
+    "|",
+    "x" * 300,
+    "trailing. ",
+)
+NAMES = (
+    "/dev/zero",
+    "/dev/stdin",
+    "/proc/self/environ",
+    "/etc/passwd",
+    "/tmp/gof-escaped",
+    "../outside/secret.png",
+    "../../outside/secret.png",
+    "link/secret.png",
+    "../gof-escaped",
+    "secret.png",
+    "a/" * 3000,
+)
 TYPES = ("<f2", "<f8", ">f4", "<i8", "|u1", "|b1", "<c8", "<U4", "|S3", "<M8[s]", "|V7", "|O")
 SHAPES = ((), (0,), (1,), (10**18, 3), (2**28, 3), (2**63, 2**63), (3, 0, 2**62), (2,) * 40)
 
 
-def damaged(name: str, data: bytes, rng: np.random.Generator) -> bytes:
-    """A copy of a file's content with one to three injuries.
+Injury = Callable[[bytes, np.random.Generator], bytes]
+
+
+def damaged(name: str, data: bytes, rng: np.random.Generator, injury: Injury | None = None) -> bytes:
+    """A copy of a file's content with one to three injuries, or with one of a kind that is asked for.
 
     Those that keep the format's checksums right come as often as others.
     """
+    if injury:
+        return injury(data, rng)
     kind = next((f for suffix, f in WITHIN.items() if name.endswith(suffix)), None)
     for _ in range(rng.integers(1, 4)):
         try:
@@ -108,6 +176,26 @@ def text(data: bytes, rng: np.random.Generator) -> bytes:
         words[rng.integers(len(words))][0] if rng.random() < 0.5 else str(NUMBERS[rng.integers(len(NUMBERS))]).encode()
     )
     return data[: word.start()] + other + data[word.end() :]
+
+
+def renamed(data: bytes, rng: np.random.Generator) -> bytes:
+    """A text somewhere inside JSON becomes a name that leads or acts somewhere."""
+    root = [json.loads(data)]
+    places = [place for place in _places(root) if isinstance(place[0][place[1]], str)]
+    for at in rng.choice(len(places), rng.integers(1, 3)):
+        node, key = places[at]
+        parts = [NAME_PARTS[i] for i in rng.integers(len(NAME_PARTS), size=rng.integers(1, 5))]
+        name = NAMES[rng.integers(len(NAMES))] if rng.random() < 0.3 else "/".join(parts)
+        node[key] = name + ("", "", ".png", "{frame:06d}.png")[rng.integers(4)]
+    return json.dumps(root[0]).encode()
+
+
+def _places(node: list | dict) -> Iterator[tuple[list | dict, int | str]]:
+    """Every (container, key) inside."""
+    for key in list(node) if isinstance(node, dict) else range(len(node)):
+        yield node, key
+        if isinstance(node[key], (list, dict)):
+            yield from _places(node[key])
 
 
 def _json(data: bytes, rng: np.random.Generator) -> bytes:
@@ -232,7 +320,7 @@ def _frames(data: bytes, rng: np.random.Generator) -> bytes:
     return b"\0".join(frames) + b"\0"
 
 
-WITHIN: dict[str, Callable[[bytes, np.random.Generator], bytes]] = {
+WITHIN: dict[str, Injury] = {
     ".json": _json,
     ".npz": _npz,
     ".png": _png,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gof.errors import GofError
+from gof_benchmark.evidence.reliability.damage import Injury, renamed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Format:
         refusals: what the reader may raise.
         named: whether every refusal must name the file; not where two sources are compared, or there is no file.
         share: relative number of inputs; the fast ones get more.
+        injury: the only kind of damage to do; None: any.
     """
 
     write: Callable[[Path], Any]
@@ -32,6 +34,7 @@ class Format:
     refusals: tuple[type[Exception], ...] = (GofError,)
     named: bool = True
     share: float = 1.0
+    injury: Injury | None = None
 
 
 def finite(value: Any, name: str = "") -> bool:
@@ -241,6 +244,110 @@ def _frames(folder: Path) -> None:
     )
 
 
+# ---------------------------------------------------------------- names
+
+ESCAPED = Path("/tmp/gof-escaped")
+
+
+def _beside_secrets(folder: Path) -> Path:
+    """The empty folder/dataset, with links in it, beside what nothing in it may reach: folder/outside."""
+    import cv2
+
+    dataset, outside = folder / "dataset", folder / "outside"
+    for path in (dataset, outside):
+        path.mkdir()
+    cv2.imwrite(str(outside / "secret.png"), np.full((64, 30, 3), 123, np.uint8))
+    (dataset / "link").symlink_to(outside)
+    (dataset / "secret.png").symlink_to(outside / "secret.png")
+    return dataset
+
+
+def _names(folder: Path) -> None:
+    from gof_blender.pure.spec import BlendFile, SceneSpec
+
+    dataset = _beside_secrets(folder)
+    _dataset(dataset)
+    file = dataset / "dataset.json"
+    (dataset / "background.blend").write_bytes(b"")
+    spec = SceneSpec("sample", background="blend_file", blend_file=BlendFile("background.blend"))
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"spec": spec.to_dict()}))
+
+
+def _captions(folder: Path) -> None:
+    import cv2
+
+    from gof.reconstruct.captions import Caption, Captions
+    from gof.report.preview import Preview
+
+    dataset = _beside_secrets(folder)
+    for name in ("1.png", "preview.png"):
+        cv2.imwrite(str(dataset / name), np.zeros((8, 8, 3), np.uint8))
+    Captions((Caption("1.png", "what it shows"), Caption("1.png", "again"))).write(dataset)
+    Preview("preview.png", 0, 0).write(dataset / "preview.json")
+
+
+def _use_names(folder: Path):
+    """Everything that reads and writes files by the names in a dataset.json."""
+    from gof.dataset import Dataset
+    from gof.dataset.plates import background, save_plates
+    from gof.files import path_in
+    from gof_benchmark.views import dnerf, dynerf, nerfstudio
+    from gof_benchmark.views.source import ViewSource
+    from gof_blender.pure.description import DatasetDescription
+    from gof_blender.pure.io import FileFormatError, velocity_reader
+    from gof_blender.worker.import_result import read_spec
+
+    dataset = folder / "dataset"
+    try:
+        found = _read_dataset(dataset)
+        d = Dataset.open(dataset)
+        save_plates(dataset / "out", [camera.name for camera in d.cameras], [d.static(c) for c in range(2)])
+        plates = [background(d, c, dataset / "out") for c in range(2)]
+        for camera in d.cameras:
+            path_in(dataset, f"cameras/{camera.name}/board_mask.png").parent.mkdir(parents=True, exist_ok=True)
+        source = ViewSource.open(dataset)
+        nerfstudio.write(source)
+        dnerf.write(source)
+        for number in range(2):
+            dynerf.link_pictures(source, number, number)
+        for what in ("transforms.json", "transforms_train.json"):
+            for frame in json.loads((dataset / what).read_text())["frames"]:
+                path_in(dataset, frame["file_path"].removeprefix("./"))
+        files = [read_spec(dataset).blend_file.path, velocity_reader.of_dataset(dataset).time_s]
+        files += [camera.name for camera in DatasetDescription.read(dataset).cameras]
+    except FileFormatError as e:
+        raise GofError(str(e)) from e
+    finally:
+        _require_apart(folder)
+    return found, plates, files
+
+
+def _use_captions(folder: Path):
+    """The pictures that a report takes from files beside it."""
+    from gof.dataset import Dataset
+    from gof.report.page import _preview, _stage_pictures
+    from gof.report.preview import Preview
+
+    dataset = folder / "dataset"
+    if not (dataset / "dataset.json").exists():
+        _dataset(dataset)
+    pages = _stage_pictures(dataset), _preview(Preview.read(dataset / "preview.json"), dataset, Dataset.open(dataset))
+    _require_apart(folder)
+    return pages
+
+
+def _require_apart(folder: Path) -> None:
+    """What lies outside the dataset is as it was, and nothing has come there."""
+    import cv2
+
+    secret = folder / "outside" / "secret.png"
+    assert {p.name for p in folder.iterdir()} == {"dataset", "outside"}, "something was written outside"
+    assert [p.name for p in secret.parent.iterdir()] == ["secret.png"], "something was written through a link"
+    assert secret.stat().st_nlink == 1, "a file outside was linked"
+    assert (cv2.imread(str(secret)) == 123).all(), "a file outside was changed"
+    assert not list(ESCAPED.parent.glob(ESCAPED.name + "*")), "something was written at an absolute path"
+
+
 # ---------------------------------------------------------------- readers
 
 
@@ -383,6 +490,8 @@ def formats() -> dict[str, Format]:
         "flame.zarr": Format(_flame, _read_flame, "flame.zarr/**/*"),
         "cameras, COLMAP": Format(_colmap, _read_colmap, named=False, share=2),
         "cameras .json": Format(_poses, _read_poses, named=False, share=2),
+        "names in dataset.json": Format(_names, _use_names, "dataset/dataset.json", injury=renamed),
+        "names of pictures": Format(_captions, _use_captions, "dataset/[cp]*.json", injury=renamed),
         "scene spec": Format(_spec, _read_spec, refusals=(SpecError,), share=4),
         "serial frames": Format(_frames, _read_frames, named=False, share=16),
     }

@@ -57,9 +57,10 @@ def verdict(format_name: str, folder: Path) -> tuple[str, str]:
 def injury(format_name: str, folder: Path, seed: int, number: int) -> tuple[Path, bytes]:
     """The file of a good sample that input `number` damages, and its content then."""
     rng = np.random.default_rng([seed, crc32(format_name.encode()), number])
-    files = sorted(p for p in folder.glob(formats()[format_name].damage) if p.is_file())
+    form = formats()[format_name]
+    files = sorted(p for p in folder.glob(form.damage) if p.is_file())
     file = files[rng.integers(len(files))]
-    return file, damaged(str(file), file.read_bytes(), rng)
+    return file, damaged(str(file), file.read_bytes(), rng, form.injury)
 
 
 def work(format_name: str, seed: int, numbers: range, connection) -> None:

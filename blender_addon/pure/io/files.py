@@ -1,15 +1,70 @@
-"""Writing files so that a crash never leaves half of one: under a temporary name beside it, renamed when complete."""
+"""Files that a crash never leaves half of, and names from files that nobody vouches for.
+
+`gof.files` decides the same about names; this module needs nothing but the standard library.
+"""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from . import FileFormatError
+
+LONGEST_NAME, LONGEST_PATH = 200, 1000  # bytes; room is left for what is put around a name, and for the folder
+HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")  # in JSON; alone it can be neither printed nor written
+# Windows opens these as devices, in any case, with any ending.
+DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])(\..*)?", re.I)
+FRAME = re.compile(r"\{frame(?::0?[1-9]d)?\}")  # what a pattern may hold where the frame's number goes
+
+
+def is_name(name: str) -> bool:
+    """Whether a text may be one part of a path, on every system: a plain, printable name and nothing that acts.
+
+    Refused are separators, "." and "..", drives and streams, wildcards, devices, what shells and options begin with,
+    braces (Python's formats), control characters, line ends, text that is not UTF-8, and names of more than 200 bytes.
+    """
+    return (
+        name.isprintable()
+        and 0 < len(name.encode("utf-8")) <= LONGEST_NAME
+        and not set(name) & set('/\\:*?"<>|{}')
+        and not name.startswith(("-", "~"))
+        and not name.endswith((".", " "))
+        and not DEVICE.fullmatch(name)
+    )
+
+
+def is_relative_path(path: str) -> bool:
+    """Whether a text is names joined by "/", of at most 1000 bytes."""
+    return all(map(is_name, path.split("/"))) and len(path.encode("utf-8")) <= LONGEST_PATH
+
+
+def is_pattern(path: str) -> bool:
+    """Whether a text is a relative path once its `{frame:06d}` is a number."""
+    return is_relative_path(FRAME.sub("0", path))
+
+
+def path_in(folder: Path, path: str) -> Path:
+    """The file that a name out of a file means: in `folder`, also after links are followed. It need not exist.
+
+    Raises:
+        FileFormatError: not names joined by "/", or it leads out of the folder.
+    """
+    if not is_relative_path(path):
+        raise FileFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there")
+    try:
+        inside = (folder / path).resolve().is_relative_to(folder.resolve())
+        (folder / path).exists()  # asks the file system whether there can be such a name
+    except (OSError, RuntimeError) as error:  # too long, links in a circle
+        raise FileFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there ({error})") from None
+    if not inside:
+        raise FileFormatError(f"{str(folder)!r}: {path[:80]!r} points outside that folder; is it a link?")
+    return folder / path
 
 
 def temporary(path: Path) -> Path:
@@ -19,14 +74,29 @@ def temporary(path: Path) -> Path:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path`; rename it to `path` only if the block succeeds. Makes the folder."""
+    """Yield a temporary name beside `path`; rename it to `path` only if the block succeeds. Makes the folder.
+
+    The content is on the disk before it has its name: a power cut leaves the old file or the new one.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = temporary(path)
+    draft.unlink(missing_ok=True)  # a link of that name would be written through
     try:
         yield draft
+        _sync(draft)
         os.replace(draft, path)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file is on the disk, where the system can say so."""
+    try:
+        with open(path, "rb+") as file:
+            os.fsync(file.fileno())
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
+            raise
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -49,7 +119,11 @@ def write_json(path: Path, data: Any, indent: int = 1) -> None:
 def read_json(path: Path) -> Any:
     """Read JSON. Raises FileFormatError: the file is absent, or is not JSON (names it)."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        value = json.loads(text)
+        if HALF_CHARACTER.search(text):
+            json.dumps(value, ensure_ascii=False).encode("utf-8")  # fails where its other half is missing
+        return value
     except FileNotFoundError:
         raise FileFormatError(f"{path}: no such file") from None
     except OSError as error:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..description import DatasetDescription
 from . import FileFormatError
+from .files import path_in
 from .grid_reader import StoredGrid
 from .trilinear import trilinear
 
@@ -17,7 +18,7 @@ def of_dataset(dataset: Path) -> TrueVelocity:
     name = DatasetDescription.read(dataset).velocity
     if not name:
         raise FileFormatError(f"{dataset}: the dataset has no true velocity (a real capture?); choose a generated one")
-    return TrueVelocity(dataset / name)
+    return TrueVelocity(path_in(dataset, name))
 
 
 class TrueVelocity:
