@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from gof.cameras import Camera
 from gof.costs import StageLog
-from gof.dataset import CameraEntry, DatasetDescription, held_out
+from gof.dataset import CameraEntry, DatasetDescription
+from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
 from gof.errors import GofError
-from gof.files import atomic_path
+from gof.files import atomic_path, path_in
 from gof.flame_mask import flame_mask
 from gof.ingest import plates
 from gof.ingest.depth import back_project, whole_depth, write_points
 from gof.ingest.footage import Footage
-from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
-from gof.ingest.place import Placed, PoseOptions, place_cameras
+from gof.ingest.frame_times import FrameTimes, Timing
+from gof.ingest.place import Placed, PoseOptions
 from gof.ingest.stereo import stereo_depth
 from gof.lens import ROLL_DEG
 
@@ -45,7 +46,7 @@ def make_dataset(
     depth: bool = False,
     depth_weights: Path | None = None,
 ) -> Ingested:
-    """Write a dataset.
+    """Write a dataset. Plates, poses and depth are made from training frames only, and the dataset says so.
 
     Args:
         out: folder of the dataset.
@@ -69,22 +70,22 @@ def make_dataset(
 
     # ---- frame times, footage ----------------------------------------------------------------------------------------
     with log.measure("read") as figures:
-        times = read_frame_times(timing, footage.counts()).turned(footage.turn)
+        times = footage.frame_times(timing)
         clips = footage.clips(times.frames)
+        splits = footage.splits(len(clips[0]))
+        known = [clip[list(splits.train)] for clip in clips]  # all that a method may learn from
         figures.update(cameras=len(clips), frames=len(clips[0]))
 
     # ---- plates ------------------------------------------------------------------------------------------------------
     with log.measure("plates") as figures:
         plate_source = "given" if plates_folder else plate
         figures["plate"] = plate_source
-        lowest = [plates.rank(clip, 0.0) for clip in clips]
-        without_fire = read_plates(plates_folder, footage) if plates_folder else make_plates(clips, lowest, plate)
+        lowest = [plates.rank(clip, 0.0) for clip in known]
+        without_fire = read_plates(plates_folder, footage) if plates_folder else make_plates(known, lowest, plate)
 
     # ---- poses -------------------------------------------------------------------------------------------------------
     with log.measure("poses") as figures:
-        placed = place_cameras(
-            clips, lowest, footage.upright_lenses, footage.names, footage.world_to_camera, pose_options
-        )
+        placed = footage.place(known, lowest, pose_options)
         figures.update(method=placed.report.method, points=len(placed.points))
     cameras = placed_cameras(footage, times, placed)
     stored = [stored_view(camera, picture, width) for camera, picture in zip(cameras, without_fire, strict=True)]
@@ -104,15 +105,37 @@ def make_dataset(
         "clock": times.source,
         "mask": "estimated from the plates",
         "scale": placed.report.scale,
+        **footage.provenance,
     }
+    boards = [footage.board_mask(c) for c in range(len(clips))]
+    made_from = derived_files(stored, placed, plates_folder is None, depth)
     with log.measure("write"):
-        for view, clip in zip(stored, clips, strict=True):
+        for view, clip, board in zip(stored, clips, boards, strict=True):
             write_pictures(out, view, clip)
+            if board is not None:
+                write_picture(out / view.board_mask, resized(board, view.camera)[..., None])
         if scene is not None:
             write_depth(out, stored, scene)
         poses.write(out)
-        describe(out.name, footage, times, stored, made_by).write(out)  # last: it says that the rest is there
+        footage.write_beside(out)
+        entries = camera_entries(footage, times, stored, boards)
+        DatasetDescription(
+            out.name,
+            entries[0].time_s,
+            entries,
+            splits,
+            provenance=made_by,
+            made_from=dict.fromkeys(made_from, splits.train),
+        ).write(out)  # last: it says that the rest is there
     return Ingested(out, poses)
+
+
+def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool, depth: bool) -> list[str]:
+    """Names of the dataset's files that are computed from the clip's training frames, masks of single frames aside."""
+    files = [view.static for view in stored] if plates_of_clip else []
+    files += [POSES] if placed.report.method in ("features", "points") else []
+    files += [view.depth for view in stored] + ["points.ply"] if depth and plates_of_clip else []
+    return files
 
 
 # ---- plates ----------------------------------------------------------------------------------------------------------
@@ -128,8 +151,8 @@ def make_plates(clips: list[np.ndarray], lowest: list[np.ndarray], kind: PlateKi
 def read_plates(folder: Path, footage: Footage) -> list[np.ndarray]:
     """(H, W, 3) uint8 per camera, filmed without fire."""
     return [
-        plates.read_plate(folder, name, lens, footage.turn)
-        for name, lens in zip(footage.names, footage.lenses, strict=True)
+        footage.prepared(c, plates.read_plate(folder, name, lens))
+        for c, (name, lens) in enumerate(zip(footage.names, footage.lenses, strict=True))
     ]
 
 
@@ -172,6 +195,16 @@ class StoredView:
     def static(self) -> str:
         """Name of its plate."""
         return f"static/{self.camera.name}.png"
+
+    @property
+    def depth(self) -> str:
+        """Name of the plate's depth map."""
+        return f"depth/{self.camera.name}.npy"
+
+    @property
+    def board_mask(self) -> str:
+        """Name of the LED board's mask."""
+        return f"cameras/{self.camera.name}/board_mask.png"
 
 
 def stored_view(camera: Camera, plate: np.ndarray, width: int | None) -> StoredView:
@@ -240,20 +273,20 @@ def scene_depth(
 def write_depth(out: Path, stored: list[StoredView], scene: SceneDepth) -> None:
     """depth/CAMERA.npy and points.ply."""
     for view, depth in zip(stored, scene.maps, strict=True):
-        with atomic_path(out / "depth" / f"{view.camera.name}.npy") as temporary:
+        with atomic_path(path_in(out, view.depth)) as temporary:
             np.save(temporary, depth)
     write_points(out / "points.ply", scene.points, scene.colors)
 
 
 def write_pictures(out: Path, view: StoredView, clip: np.ndarray) -> None:
     """A camera's plate, its clip (T, H, W, 3) uint8, and where fire is in it: an estimate, as no truth exists."""
-    write_picture(out / view.static, view.plate)
+    write_picture(path_in(out, view.static), view.plate)
     plate = view.plate.astype(np.float32) / 255
     for k, frame in enumerate(clip):
         picture = resized(frame, view.camera)
-        write_picture(out / view.rgb.format(frame=k), picture)
+        write_picture(path_in(out, view.rgb.format(frame=k)), picture)
         flame = flame_mask(picture.astype(np.float32) / 255, plate)
-        write_picture(out / view.mask.format(frame=k), flame[..., None].astype(np.uint8) * 255)
+        write_picture(path_in(out, view.mask.format(frame=k)), flame[..., None].astype(np.uint8) * 255)
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
@@ -265,11 +298,11 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
             raise GofError(f"{path}: cannot be written; is the disk full?")
 
 
-def describe(
-    name: str, footage: Footage, times: FrameTimes, stored: list[StoredView], provenance: dict[str, Any]
-) -> DatasetDescription:
-    """What dataset.json says."""
-    entries = [
+def camera_entries(
+    footage: Footage, times: FrameTimes, stored: list[StoredView], boards: list[np.ndarray | None]
+) -> tuple[CameraEntry, ...]:
+    """What dataset.json says of the cameras."""
+    return tuple(
         CameraEntry.of(
             view.camera,
             role="train",
@@ -277,9 +310,8 @@ def describe(
             rgb=view.rgb,
             mask=view.mask,
             static=view.static,
+            board_mask=None if board is None else view.board_mask,
             time_s=tuple(time_s.tolist()),
         )
-        for view, time_s in zip(stored, times.time_s, strict=True)
-    ]
-    clock = times.time_s[0]
-    return DatasetDescription(name, tuple(clock.tolist()), tuple(entries), held_out(len(clock)), provenance=provenance)
+        for view, time_s, board in zip(stored, times.time_s, boards, strict=True)
+    )
