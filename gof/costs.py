@@ -78,12 +78,15 @@ class StageLog:
         return cost
 
     @contextmanager
-    def measure(self, name: str, **settings) -> Iterator[dict[str, Any]]:
+    def measure(self, name: str, before_s: float = 0.0, **settings) -> Iterator[dict[str, Any]]:
         """Time a block of this process and record it if it succeeds; the yielded dict adds settings.
 
         The peak is that of the whole process so far, so it can only overstate a later stage.
+
+        Args:
+            before_s: seconds that earlier runs spent on what this one goes on with.
         """
-        start = time.perf_counter()
+        start = time.perf_counter() - before_s
         yield settings
         peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         self.record(name, time.perf_counter() - start, peak_mb, settings)

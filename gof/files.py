@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -68,6 +69,21 @@ def path_in(folder: Path, path: str) -> Path:
     if not inside:
         raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} points outside that folder; is it a link?")
     return folder / path
+
+
+def stamp(folder: Path, paths: Iterable[str]) -> str:
+    """Sixteen hex digits that change with the names, sizes or times of change of files in a folder; absent ones count.
+
+    Their content is not read: that would take minutes for a clip.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(paths):
+        try:
+            status = (folder / path).stat()
+            digest.update(f"{path!r} {status.st_size} {status.st_mtime_ns}\n".encode())
+        except OSError:
+            digest.update(f"{path!r} absent\n".encode())
+    return digest.hexdigest()[:16]
 
 
 # ---------------------------------------------------------------- writing

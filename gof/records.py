@@ -57,3 +57,28 @@ def read_record(kind: type[R], path: Path) -> R:
 def write_record(path: Path, record: Record) -> None:
     """Write a record's file atomically; NaN and Inf are refused (None says "undefined")."""
     write_json(path, to_json(record))
+
+
+def claim(path: Path, record: Record, made: Path) -> None:
+    """Write what something is made with beside it, or make sure that it is made with the same.
+
+    Args:
+        path: of the record.   made: the file that tells that it is finished.
+    Raises:
+        GofError: it was made with other settings (named), or by an older version that did not write them down.
+    """
+    if not path.exists() and not made.exists():
+        write_record(path, record)
+        return
+    try:
+        before = asdict(read_record(type(record), path))
+    except DataFormatError as e:
+        raise GofError(
+            f"{e}; what is in {path.parent} was made by an older version: choose another --out or remove the folder"
+        ) from e
+    changed = sorted(name for name, value in asdict(record).items() if value != before[name])
+    if changed:
+        raise GofError(
+            f"{path.parent}: {made.name} there is made with other settings ({', '.join(changed)} differ); "
+            "choose another --out or remove the folder"
+        )

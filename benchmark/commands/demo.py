@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import sys
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import tyro
 
 from gof.costs import StageCost, StageLog
 from gof.evaluate.scores import Scores
 from gof.files import write_json
-from gof.records import to_json
+from gof.records import claim, to_json
 from gof.worker import run_worker
+from gof_benchmark.scenes import load_scene
 
 
 @dataclass
@@ -38,19 +42,47 @@ class DemoConfig:
 
 
 @dataclass(frozen=True)
+class DemoSettings:
+    """demo.json: what a demo's folder is made with. `scene`: name and digits of its spec."""
+
+    SCHEMA: ClassVar[str] = "gof-demo"
+    VERSION: ClassVar[int] = 1
+
+    scene: str
+    gaussians: int | None
+    iterations: int | None
+
+    @classmethod
+    def of(cls, config: DemoConfig) -> DemoSettings:
+        """Raises GofError: there is no such scene."""
+        spec = load_scene(config.scene, config.preset)
+        digits = hashlib.sha256(json.dumps(spec.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
+        return cls(f"{spec.name} {digits}", config.gaussians, config.iterations)
+
+
+@dataclass(frozen=True)
 class Stage:
-    """A step of the demo: finished when all `outputs` exist and no earlier stage has run since."""
+    """A step of the demo, made from `inputs`; `costs`: a costs.json with its own sub-stages, when it keeps one."""
 
     name: str
     command: list
+    inputs: list[Path]
     outputs: list[Path]
-    costs: Path | None = None  # costs.json with its own sub-stages, when it keeps one
+    costs: Path | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether all outputs are there, and none is older than what it was made from."""
+        if not all(path.exists() for path in self.outputs):
+            return False
+        oldest = min(path.stat().st_mtime_ns for path in self.outputs)
+        return all(path.stat().st_mtime_ns <= oldest for path in self.inputs)
 
 
 def stages_of(config: DemoConfig) -> list[Stage]:
     """The steps in order, each a `gof` command."""
     out, dataset = config.out, config.out / "dataset"
-    result, preview = out / "reconstruct" / "result.npz", out / "preview.png"
+    made, result, preview = dataset / "dataset.json", out / "reconstruct" / "result.npz", out / "preview.png"
     preset = ["--preset", config.preset] if config.preset else []
     effort = [x for name in ("gaussians", "iterations") if (n := getattr(config, name)) for x in (f"--{name}", n)]
     into_blender = ["--dataset", dataset, "--blend", out / "result.blend", "--preview", preview, "--samples", 8]
@@ -58,18 +90,25 @@ def stages_of(config: DemoConfig) -> list[Stage]:
         Stage(
             "generate",
             ["generate", config.scene, *preset, "--out", dataset],
-            [dataset / "dataset.json"],
+            [],
+            [made],
             dataset / "costs.json",
         ),
         Stage(
             "reconstruct",
             ["reconstruct", dataset, *effort, "--out", result.parent],
+            [made],
             [result],
             result.parent / "costs.json",
         ),
-        Stage("evaluate", ["evaluate", result, "--truth", dataset, "--json", evaluation(config)], [evaluation(config)]),
-        Stage("import", ["import", result, *into_blender], [out / "result.blend", preview]),
-        Stage("report", ["report", out, "--dataset", dataset], [out / "report.html"]),
+        Stage(
+            "evaluate",
+            ["evaluate", result, "--truth", dataset, "--json", evaluation(config)],
+            [made, result],
+            [evaluation(config)],
+        ),
+        Stage("import", ["import", result, *into_blender], [made, result], [out / "result.blend", preview]),
+        Stage("report", ["report", out, "--dataset", dataset], [evaluation(config), preview], [out / "report.html"]),
     ]
 
 
@@ -81,7 +120,7 @@ def evaluation(config: DemoConfig) -> Path:
 def main(argv: list[str]) -> int:
     """`gof demo [--out DIR]`; see --help."""
     config = tyro.cli(DemoConfig, prog="gof demo", args=argv)
-    config.out.mkdir(parents=True, exist_ok=True)
+    claim(config.out / "demo.json", DemoSettings.of(config), config.out / "dataset" / "spec.json")
     start = time.perf_counter()
     run_stages(config)
     scores = Scores.read(evaluation(config))
@@ -95,14 +134,12 @@ def main(argv: list[str]) -> int:
 
 
 def run_stages(config: DemoConfig) -> None:
-    """Run what is not finished, and whatever comes after it."""
+    """Run what is not finished, or older than what it is made from."""
     log = StageLog(config.out / "costs.json")
-    changed = False
     for stage in stages_of(config):
-        if not changed and all(path.exists() for path in stage.outputs):
+        if stage.finished:
             print(f"{stage.name}: finished before")
             continue
-        changed = True
         if stage.name in ("evaluate", "import", "report"):  # made from what has changed; the others resume
             for path in stage.outputs:
                 path.unlink(missing_ok=True)

@@ -187,8 +187,10 @@ def study_samples(spec: SceneSpec, config: GeneratorStudy) -> list[SamplesRow]:
     rows = []
     for n, denoise in [(most, False)] + [(n, denoise) for denoise in (True, False) for n in fewer]:
         layout = Layout((config.out / "runs" / f"s{n}{'d' if denoise else ''}").resolve())
-        if not _cost_file(layout).exists():
-            with_samples = replace(spec, render=replace(spec.render, samples=n, denoise=denoise))
+        with_samples = replace(spec, render=replace(spec.render, samples=n, denoise=denoise))
+        if _cost_file(layout).exists():
+            claim(layout, with_samples)  # or it says that the picture is of another scene
+        else:
             write_json(_cost_file(layout), asdict(_picture(with_samples, baked, layout, frame, camera)))
         files = layout.frame(f"cam_{camera}", frame)
         picture = _read(files.rgb)

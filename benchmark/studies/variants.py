@@ -55,10 +55,10 @@ class VariantStudy:
 
 
 def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, int | str]) -> Row:
-    """One reconstruction in OUT/NAME and its scores; kept when it is there already."""
+    """One reconstruction in OUT/NAME and its scores; one of the same dataset and settings is kept."""
     folder = study.out / name
-    row_file = folder / "study.json"
-    if not row_file.exists():
+    known = _known_row(study, dataset, name, settings)
+    if known is None:
         options = [word for key, value in settings.items() for word in (f"--{key.replace('_', '-')}", str(value))]
         study.out.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, "-m", "gof", "reconstruct", str(study.dataset), "--out", str(folder), *options]
@@ -67,8 +67,22 @@ def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str
         seconds = sum(stage.seconds for stage in StageLog(folder / "costs.json").stages())
         row = {"name": name, **settings, "seconds": round(seconds, 1)}
         row |= {"l2": velocity.l2, "cos_sim": velocity.cos_sim}
-        write_json(row_file, row | asdict(Curve.read(folder).points[-1].scores))
-    return read_json(row_file)
+        known = row | asdict(Curve.read(folder).points[-1].scores)
+        write_row(study, dataset, name, settings, known)
+    return known
+
+
+def write_row(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, int | str], row: Row) -> None:
+    """Keep a row in OUT/NAME/study.json, with what it was made from."""
+    made_from = {"dataset": dataset.identity(), "settings": settings}
+    write_json(study.out / name / "study.json", {"made_from": made_from, "row": row})
+
+
+def _known_row(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, int | str]) -> Row | None:
+    path = study.out / name / "study.json"
+    kept = read_json(path) if path.exists() else {}
+    made_from = {"dataset": dataset.identity(), "settings": settings}
+    return kept["row"] if kept.get("made_from") == made_from else None
 
 
 def table(header: list[str], labels: list[str], rows: list[Row], keys: list[str]) -> str:

@@ -77,6 +77,7 @@ def main(argv: list[str]) -> int:
         config.effort(),
         method=config.method,
         flow=config.flow,
+        flow_weights=config.flow_weights,
         flow_prior=config.flow_prior,
         ablation=config.ablation,
         seed=config.seed,

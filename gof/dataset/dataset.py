@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -9,10 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from gof.cameras import Camera
-from gof.dataset.description import FILE, FRAME, CameraEntry, DatasetDescription
+from gof.dataset.description import FILE, CameraEntry, DatasetDescription
 from gof.errors import DataFormatError
 from gof.fields import VelocitySequence
-from gof.files import path_in
+from gof.files import path_in, stamp
+from gof.records import to_json
+
+SEEN = ("rgb", "static", "mask", "board_mask")  # kinds of files that are made something from
 
 
 @dataclass(frozen=True)
@@ -80,14 +85,31 @@ class Dataset:
             DataFormatError: the camera has no such files.
         """
         entry = self._entry(camera)
-        pattern = getattr(entry, kind)
-        if pattern is None:
+        name = entry.file_name(kind, frame)
+        if name is None:
             raise DataFormatError(f"{self.path}/{FILE}: camera '{entry.name}' has no '{kind}' files")
-        return FRAME.sub(lambda m: f"{frame:0{m[1] or 1}d}", pattern)
+        return name
 
     def file(self, camera: int, kind: str, frame: int = 0) -> Path:
         """Path of a file; see `name`. Raises DataFormatError: no such kind, or a path that leaves the dataset."""
         return path_in(self.path, self.name(camera, kind, frame))
+
+    def identity(self, *others: str) -> str:
+        """The dataset's name, and digits that change with its description and its pictures' sizes and times of change.
+
+        What is made from a dataset is kept with this: two datasets in folders of one name are two, and one that was
+        moved is the same.
+
+        Args:
+            others: names of more files in it that matter.
+        """
+        frames = range(len(self.times_s))
+        names = {
+            entry.file_name(kind, frame) for entry in self.description.cameras for kind in SEEN for frame in frames
+        }
+        files = stamp(self.path, names - {None} | set(others))
+        said = json.dumps(to_json(self.description), sort_keys=True)
+        return f"{self.description.name} {hashlib.sha256((said + files).encode()).hexdigest()[:16]}"
 
     def image(self, camera: int, frame: int) -> np.ndarray:
         """(H, W, 3) float32 display sRGB in [0, 1]."""

@@ -72,6 +72,11 @@ class CameraEntry:
         """The entry of a camera; `fields` are those that a `Camera` does not have."""
         return cls(**camera.to_dict(), **fields)
 
+    def file_name(self, kind: str, frame: int = 0) -> str | None:
+        """Name of a file, relative to the dataset; `kind` is one of PICTURES. None when there are no such files."""
+        pattern = getattr(self, kind)
+        return None if pattern is None else FRAME.sub(lambda m: f"{frame:0{m[1] or 1}d}", pattern)
+
     def camera(self) -> Camera:
         """Raises DataFormatError or NonFiniteError: the matrices are not a camera's."""
         return Camera(self.name, self.width, self.height, self.K, self.world_to_camera, self.row_time_s, self.readout)

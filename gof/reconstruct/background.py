@@ -5,22 +5,25 @@ For views that no camera took; from the cameras themselves a plate is exact. See
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from gof.cameras import Camera
 from gof.costs import StageLog
 from gof.dataset import Dataset
+from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
 from gof.errors import DataFormatError, GofError
-from gof.files import path_in
+from gof.files import path_in, stamp
 from gof.gaussians import TransientGaussians
 from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
 from gof.progress import progress_bar
 from gof.reconstruct.shrink import shrink
+from gof.records import claim
 
 
 @dataclass(frozen=True)
@@ -43,21 +46,60 @@ class BackgroundOptions:
     depth_weights: Path | None = None
     seed: int = 0
 
+    def __post_init__(self):
+        for name, least in (("steps", 1), ("gaussians", 2), ("longest_side", 16), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise GofError(f"--{name.replace('_', '-')} {getattr(self, name)}: must be {least} or more")
+
+
+@dataclass(frozen=True)
+class BackgroundSettings:
+    """background.json: what a background is made with.
+
+    Attributes:
+        dataset: which one, see `gof.dataset.Dataset.identity`.
+        depth_weights: which checkpoint, as `gof.files.stamp` of its folder.
+        steps, gaussians, longest_side, depth_term, seed: see `BackgroundOptions`.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-background-settings"
+    VERSION: ClassVar[int] = 1
+
+    dataset: str
+    steps: int
+    gaussians: int
+    longest_side: int
+    depth_term: bool
+    depth_weights: str | None
+    seed: int
+
+    @classmethod
+    def of(cls, dataset: Dataset, options: BackgroundOptions) -> BackgroundSettings:
+        depths = [f"depth/{camera.name}.npy" for camera in dataset.cameras]
+        weights = options.depth_weights and stamp(options.depth_weights, ("config.json", "model.safetensors"))
+        given = asdict(options) | {"depth_weights": weights}
+        return cls(dataset.identity(POSES, *depths), **given)
+
+    def claim(self, out: Path) -> None:
+        """Raises GofError: `out` holds a background made with others."""
+        claim(out / "background.json", self, out / "background.npz")
+
 
 def make_background(folder: Path, out: Path, options: BackgroundOptions) -> TransientGaussians:
     """Reconstruct the still scene of a dataset: out/background.npz and .ply; a finished one there is kept.
 
     Raises:
-        GofError: no depth can be had; see `plate_depths`.
+        GofError: `out` holds one made with other settings; no depth can be had, see `plate_depths`.
     """
     result = out / "background.npz"
+    full = Dataset.open(folder)
+    BackgroundSettings.of(full, options).claim(out)
     if result.exists():
         return TransientGaussians.load(result)
     from gof.reconstruct.splatting import optimize_background
 
     log = StageLog(out / "costs.json")
     rng = np.random.default_rng(options.seed)
-    full = Dataset.open(folder)
     dataset = shrink(full, options.longest_side)
     plates = [dataset.static(c) for c in range(len(dataset.cameras))]
 

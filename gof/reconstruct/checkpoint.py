@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import drjit as dr
 import numpy as np
 from drjit.opt import Adam
 
+from gof.errors import DataFormatError
 from gof.files import atomic_path
+from gof.npz import read_npz
+
+REMEDY = "remove it, and the optimisation begins anew"
 
 
-def save_checkpoint(path: Path, optimizer: Adam, step: int) -> None:
-    """Write values, Adam moments and the number of steps done; a disk too full for it is reported, not raised."""
-    arrays = {"step": np.array(step)}
+@dataclass(frozen=True)
+class Spent:
+    """Seconds that a checkpoint has cost, in all runs: of the whole stage, and of its fitting alone, without scores."""
+
+    stage_s: float = 0.0
+    fitting_s: float = 0.0
+
+
+def save_checkpoint(path: Path, optimizer: Adam, step: int, spent: Spent) -> None:
+    """Write values, Adam moments, the number of steps done and their cost; a disk too full is reported, not raised."""
+    arrays = {"step": np.array(step), "spent": np.array([spent.stage_s, spent.fitting_s])}
     for name in optimizer.keys():
         _, _, _, (t, m, v, _) = optimizer.state[name]
         arrays[f"{name}.value"] = np.array(dr.detach(optimizer[name]))
@@ -36,13 +49,44 @@ def save_checkpoint(path: Path, optimizer: Adam, step: int) -> None:
 
 
 def load_checkpoint(path: Path, optimizer: Adam) -> int:
-    """Put a checkpoint's values and Adam moments into the optimiser; returns the number of steps done (0 = none)."""
+    """Put a checkpoint's values and Adam moments into the optimiser; returns the number of steps done (0 = none).
+
+    Raises:
+        DataFormatError: it is damaged, or of another optimisation.
+    """
     if not path.exists():
         return 0
-    with np.load(path, allow_pickle=False) as data:
+    data = _read(path)
+    try:
         for name in list(optimizer.keys()):
-            optimizer[name] = type(dr.detach(optimizer[name]))(data[f"{name}.value"])
+            optimizer[name] = _like(dr.detach(optimizer[name]), data[f"{name}.value"])
             value, promoted, rate, (t, m, v, extra) = optimizer.state[name]
-            moments = type(t)(data[f"{name}.t"]), type(m)(data[f"{name}.m"]), type(v)(data[f"{name}.v"]), extra
+            moments = _like(t, data[f"{name}.t"]), _like(m, data[f"{name}.m"]), _like(v, data[f"{name}.v"]), extra
             optimizer.state[name] = value, promoted, rate, moments
         return int(data["step"])
+    except (KeyError, ValueError, TypeError) as e:
+        raise DataFormatError(f"{path}: not a checkpoint of this optimisation ({e}); {REMEDY}") from e
+
+
+def read_spent(path: Path) -> Spent | None:
+    """What a checkpoint has cost; None where there is none. Raises DataFormatError: it is damaged."""
+    if not path.exists():
+        return None
+    try:
+        return Spent(*map(float, _read(path)["spent"]))
+    except (KeyError, TypeError, ValueError) as e:
+        raise DataFormatError(f"{path}: not a checkpoint of this version ({e}); {REMEDY}") from e
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    try:
+        return read_npz(path)
+    except DataFormatError as e:
+        raise DataFormatError(f"{e}; {REMEDY}") from e
+
+
+def _like(old, values: np.ndarray):
+    """Values of a file in an array of the type and shape of another."""
+    if values.shape != np.shape(old) or not np.isfinite(values).all():
+        raise ValueError(f"shape {values.shape} or values are not those of {np.shape(old)} finite numbers")
+    return type(old)(values)

@@ -60,12 +60,16 @@ class Curve:
 class CurveLog:
     """Keeps a folder's curve.json while the optimisation runs. Its clock stands still while scores are made."""
 
-    def __init__(self, folder: Path, resumed: bool):
-        """resumed: go on with the curve that is there; else begin a new one."""
+    def __init__(self, folder: Path, resumed_s: float | None):
+        """resumed_s: seconds of optimisation to go on after, with the curve that is there; None begins a new one."""
         self._path = folder / FILE
-        self.curve = Curve.read(folder) if resumed and self._path.exists() else Curve()
-        worked_s = self.curve.points[-1].seconds if self.curve.points else 0.0
-        self._start = time.perf_counter() - worked_s
+        self.curve = Curve.read(folder) if resumed_s is not None and self._path.exists() else Curve()
+        self._start = time.perf_counter() - (resumed_s or 0.0)
+
+    @property
+    def seconds(self) -> float:
+        """Of optimisation until now, in all runs."""
+        return time.perf_counter() - self._start
 
     def add(self, step: int, score: Callable[[], HeldOutScores]) -> CurvePoint:
         """Call `score`, write what it returns, and return it as a point."""

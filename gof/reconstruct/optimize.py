@@ -16,7 +16,7 @@ from drjit.opt import Adam
 
 from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.checkpoint import load_checkpoint, save_checkpoint
+from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.parameters import columns, from_raw, rows, splats, to_raw
 from gof.render import Target, l1_ssim, render_splats
@@ -84,6 +84,9 @@ class Monitor(Protocol):
     def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
         """At EVALUATE_AT and the last step; returns the held-out flame PSNR to show, dB, or None."""
 
+    def spent(self) -> Spent:
+        """What the steps done have cost, in all runs; kept in the checkpoint."""
+
 
 def optimize(
     seeds: TransientGaussians,
@@ -128,7 +131,7 @@ def optimize(
             mean_loss = value if mean_loss is None else 0.8 * mean_loss + 0.2 * value
             monitor.progress(done, schedule.iterations, note=_note(mean_loss, psnr))
         if done % CHECKPOINT_EVERY == 0:
-            save_checkpoint(checkpoint, flame.optimizer, done)
+            save_checkpoint(checkpoint, flame.optimizer, done, monitor.spent())
     return flame.state()
 
 

@@ -8,6 +8,7 @@ Every stage leaves pictures of what it did in OUT/stages and its cost in OUT/cos
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,6 +25,7 @@ from gof.gaussians import TransientGaussians
 from gof.progress import progress_bar
 from gof.reconstruct import ablations, stage_images
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
+from gof.reconstruct.checkpoint import Spent, read_spent
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.heldout import HeldOut
@@ -199,12 +201,14 @@ def _optimise(
     observation = replace(observation, camera_time_s=believed_s)
     units = Units(field.voxels.voxel_size, dt)
     checkpoint = _checkpoint(run)
-    curve = CurveLog(run.out, resumed=checkpoint.exists())
+    spent = read_spent(checkpoint)
+    curve = CurveLog(run.out, resumed_s=spent and spent.fitting_s)
+    before_s = spent.stage_s if spent else 0.0
     with (
-        run.log.measure("optimize", iterations=settings.iterations, gaussians=len(seeds)),
+        run.log.measure("optimize", before_s, iterations=settings.iterations, gaussians=len(seeds)),
         progress_bar("optimise") as progress,
     ):
-        monitor = _Monitor(_snapshot(run), held_out, curve, progress)
+        monitor = _Monitor(_snapshot(run), held_out, curve, progress, time.perf_counter() - before_s)
         gaussians, plates = optimize(seeds, observation, schedule, units, checkpoint, monitor)
     return gaussians, plates, curve.curve
 
@@ -228,6 +232,10 @@ class _Monitor:
 
 
 def _save(
+    start: float  # of the stage, by the clock
+
+    def spent(self) -> Spent:
+        return Spent(time.perf_counter() - self.start, self.curve.seconds)
     run: _Run, gaussians: TransientGaussians, plates: list[np.ndarray], curve: Curve, held_out: HeldOut
 ) -> Reconstruction:
     _show(run, held_out, "5_result", "the result", gaussians, plates)

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from gof.errors import GofError
+
 PresetName = Literal["preview", "draft", "standard", "paper"]
 MethodName = Literal["gof", "paper"]
+LEAST = {"iterations": 1, "gaussians": 1, "voxels": 4, "longest_side": 16}
 
 
 @dataclass(frozen=True)
@@ -16,12 +19,20 @@ class Effort:
     Attributes:
         iterations: optimisation steps.   gaussians: in all frames together.
         voxels: along the longest side of the flame's box.   longest_side: of the pictures, px; larger ones are shrunk.
+
+    Raises:
+        GofError: one of them is below its least.
     """
 
     iterations: int
     gaussians: int
     voxels: int
     longest_side: int
+
+    def __post_init__(self):
+        for name, least in LEAST.items():
+            if getattr(self, name) < least:
+                raise GofError(f"--{name.replace('_', '-')} {getattr(self, name)}: must be {least} or more")
 
 
 PRESETS: dict[PresetName, Effort] = {

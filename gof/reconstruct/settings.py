@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
+from gof.errors import GofError
+from gof.files import stamp
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.optical_flow import FlowName
 from gof.reconstruct.presets import Effort, MethodName
-from gof.records import read_record, write_record
+from gof.records import claim
 
 FILE = "settings.json"
 Until = Literal["motion", "flow-field", "seeds", "result"]  # the stages that a reconstruction can stop after
@@ -22,17 +23,21 @@ class ReconstructionSettings:
     """What identifies a reconstruction: with equal settings it may be resumed, with others it is another one.
 
     Attributes:
-        dataset: name of the dataset's folder.
+        dataset: which one, see `gof.dataset.Dataset.identity`.
         iterations, gaussians, voxels, longest_side: see `gof.reconstruct.presets.Effort`.
         method: see `gof.reconstruct.presets.METHODS`.
         flow: see `gof.reconstruct.optical_flow`.
         flow_prior: whether the fused flow is corrected (`gof.reconstruct.flow_prior`), where the method has it.
         ablation: the part that is left out, see `gof.reconstruct.ablations`.
+        flow_weights: which checkpoint the flow "memfof" has, as `gof.files.stamp` of its folder.
         seed: of the seeding and of the order of pictures.
+
+    Raises:
+        GofError: the seed is negative.
     """
 
     SCHEMA: ClassVar[str] = "gof-reconstruction-settings"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     dataset: str
     iterations: int
@@ -41,14 +46,22 @@ class ReconstructionSettings:
     longest_side: int
     method: MethodName = "gof"
     flow: FlowName = "dis"
+    flow_weights: str | None = None
     flow_prior: bool = True
     ablation: Ablation = "none"
     seed: int = 0
 
+    def __post_init__(self):
+        if self.seed < 0:
+            raise GofError(f"--seed {self.seed}: must be 0 or more")
+
     @classmethod
-    def of(cls, dataset: Dataset, effort: Effort, **choices: Any) -> ReconstructionSettings:
+    def of(
+        cls, dataset: Dataset, effort: Effort, flow_weights: Path | None = None, **choices: Any
+    ) -> ReconstructionSettings:
         """Settings for a dataset with the effort of a preset; `choices` are the fields that `Effort` does not have."""
-        return cls(dataset.path.resolve().name, **asdict(effort), **choices)
+        weights = flow_weights and stamp(flow_weights, ("config.json", "model.safetensors"))
+        return cls(dataset.identity(), **asdict(effort), flow_weights=weights, **choices)
 
     def claim(self, folder: Path) -> None:
         """Write them into a new reconstruction's folder, or make sure that the folder's are the same.
@@ -56,19 +69,4 @@ class ReconstructionSettings:
         Raises:
             GofError: it holds a reconstruction with other settings, or one of an older version.
         """
-        path = folder / FILE
-        if not path.exists():
-            write_record(path, self)
-            return
-        try:
-            before = asdict(read_record(ReconstructionSettings, path))
-        except DataFormatError as e:
-            raise GofError(
-                f"{e}; the reconstruction there was made by an older version: choose another --out or remove the folder"
-            ) from e
-        changed = sorted(name for name, value in asdict(self).items() if value != before[name])
-        if changed:
-            raise GofError(
-                f"{folder} holds a reconstruction with other settings ({', '.join(changed)} differ); "
-                "choose another --out or remove the folder"
-            )
+        claim(folder / FILE, self, folder / "result.npz")

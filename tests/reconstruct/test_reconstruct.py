@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from gof.commands.reconstruct import main
+from gof.costs import StageLog
 from gof.dataset import Dataset
-from gof.errors import GofError, NonFiniteError
+from gof.errors import DataFormatError, GofError, NonFiniteError
 from gof.evaluate import dve
 from gof.gaussians import TransientGaussians
 from gof.reconstruct import pipeline
@@ -139,6 +140,52 @@ def test_interrupted_optimisation_resumes_from_its_checkpoint(rising_flame, tmp_
     reconstruct(rising_flame, tmp_path, iterations=60)
     assert len(steps) == 50 + 20, "20 of 60 steps were left after the checkpoint at 40"
     assert steps[40:50] == steps[50:60], "and they draw the same pictures"
+
+
+def test_training_seconds_survive_a_kill(rising_flame, tmp_path, monkeypatch):
+    """A clock that is 1000 s later at every step: what the checkpoint had cost is counted, what was lost is not."""
+    from gof.reconstruct import curve, optimize
+
+    now, steps = [0.0], []
+    for module in (pipeline, curve):
+        monkeypatch.setattr(module.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(optimize, "CHECKPOINT_EVERY", 20)
+    monkeypatch.setattr(optimize, "EVALUATE_AT", ())
+    real = optimize.render_splats
+
+    def slow(*args, **kwargs):
+        now[0] += 1000
+        steps.append(now[0])
+        if len(steps) == 50:
+            raise KeyboardInterrupt
+        return real(*args, **kwargs)
+
+    monkeypatch.setattr(optimize, "render_splats", slow)
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(rising_flame, tmp_path, iterations=60)
+    reconstruct(rising_flame, tmp_path, iterations=60)
+    costs = {stage.name: stage.seconds for stage in StageLog(tmp_path / "costs.json").stages()}
+    assert costs["optimize"] == pytest.approx(60_000, abs=60), "40 steps of the first run, 20 of the second"
+    assert Curve.read(tmp_path).points[-1].seconds == pytest.approx(60_000, abs=60)
+
+
+def test_a_damaged_checkpoint_is_named(rising_flame, tmp_path, monkeypatch):
+    from gof.reconstruct import optimize
+
+    monkeypatch.setattr(optimize, "CHECKPOINT_EVERY", 5)
+    small = {"iterations": 5, "gaussians": 300}
+    done = reconstruct(rising_flame, tmp_path, **small)
+    for name in ("result.npz", "result.ply"):
+        (tmp_path / name).unlink()
+    checkpoint = tmp_path / "checkpoint.npz"
+    with np.load(done.parent / "seeds.npz") as seeds:
+        arrays = {"step": np.array(3), "spent": np.zeros(2), "x0.value": np.full((3, len(seeds["x0"])), np.nan)}
+    np.savez(checkpoint, **arrays)
+    whole = checkpoint.read_bytes()
+    for content in (b"", b"PK\3\4 not really", whole[: len(whole) // 2], whole):
+        checkpoint.write_bytes(content)
+        with pytest.raises(DataFormatError, match=r"checkpoint\.npz.*remove it, and the optimisation begins anew"):
+            reconstruct(rising_flame, tmp_path, **small)
 
 
 def test_nan_is_caught_and_named(rising_flame, tmp_path, monkeypatch):

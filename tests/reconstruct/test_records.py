@@ -27,29 +27,36 @@ def test_settings_of_an_older_version_are_refused_by_name(tmp_path):
         SETTINGS.claim(tmp_path)
 
 
+def test_a_result_without_settings_is_nobodys(tmp_path):
+    """What lies there was not made by these settings, whoever made it."""
+    (tmp_path / "result.npz").write_bytes(b"")
+    with pytest.raises(GofError, match=r"settings\.json: no such file.*choose another --out"):
+        SETTINGS.claim(tmp_path)
+
+
 def scores_of(psnr: float) -> HeldOutScores:
     return HeldOutScores(psnr=psnr, psnr_flame=psnr - 5)
 
 
 def test_the_curve_goes_on_after_an_interruption(tmp_path):
-    log = CurveLog(tmp_path, resumed=False)
+    log = CurveLog(tmp_path, resumed_s=None)
     for step in (250, 500, 1000):
         log.add(step, lambda: scores_of(30.0))
     before = Curve.read(tmp_path)
     assert before == log.curve
-    resumed = CurveLog(tmp_path, resumed=True)  # from a checkpoint at step 300, say
+    resumed = CurveLog(tmp_path, resumed_s=80.0)  # from a checkpoint after step 250, say
     resumed.add(500, lambda: scores_of(31.0))
     points = Curve.read(tmp_path).points
     assert [point.step for point in points] == [250, 500], "what came after the checkpoint is made again"
     assert points[0] == before.points[0] and points[1].scores == scores_of(31.0)
-    assert points[1].seconds >= before.points[2].seconds, "its seconds add to those before"
-    assert CurveLog(tmp_path, resumed=False).curve == Curve(), "a new optimisation begins a new curve"
+    assert 80 <= points[1].seconds < 90, "its seconds add to those that the checkpoint had cost"
+    assert CurveLog(tmp_path, resumed_s=None).curve == Curve(), "a new optimisation begins a new curve"
 
 
 def test_scoring_takes_no_time_of_the_curve(tmp_path, monkeypatch):
     now = [100.0]
     monkeypatch.setattr("gof.reconstruct.curve.time.perf_counter", lambda: now[0])
-    log = CurveLog(tmp_path, resumed=False)
+    log = CurveLog(tmp_path, resumed_s=None)
 
     def slow_score():
         now[0] += 1000
@@ -62,7 +69,7 @@ def test_scoring_takes_no_time_of_the_curve(tmp_path, monkeypatch):
 
 
 def test_undefined_scores_are_null_and_an_older_curve_is_refused(tmp_path):
-    CurveLog(tmp_path, resumed=False).add(1, HeldOutScores)
+    CurveLog(tmp_path, resumed_s=None).add(1, HeldOutScores)
     written = json.loads((tmp_path / "curve.json").read_text())
     assert written["points"][0]["scores"]["psnr_flame_novel"] is None
     assert Curve.read(tmp_path).points[0].scores == HeldOutScores()
