@@ -24,8 +24,8 @@ from gof.files import only_run_in
 from gof.gaussians import TransientGaussians
 from gof.progress import progress_bar
 from gof.reconstruct import ablations, stage_images
-from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.checkpoint import Spent, read_spent
+from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.heldout import HeldOut
@@ -221,6 +221,10 @@ class _Monitor:
     held_out: HeldOut
     curve: CurveLog
     progress: Callable[..., None]
+    start: float  # of the stage, by the clock
+
+    def spent(self) -> Spent:
+        return Spent(time.perf_counter() - self.start, self.curve.seconds)
 
     def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
         gaussians.save(self.snapshot, source=f"gof reconstruct, step {step}")
@@ -232,10 +236,6 @@ class _Monitor:
 
 
 def _save(
-    start: float  # of the stage, by the clock
-
-    def spent(self) -> Spent:
-        return Spent(time.perf_counter() - self.start, self.curve.seconds)
     run: _Run, gaussians: TransientGaussians, plates: list[np.ndarray], curve: Curve, held_out: HeldOut
 ) -> Reconstruction:
     _show(run, held_out, "5_result", "the result", gaussians, plates)
