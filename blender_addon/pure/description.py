@@ -84,6 +84,7 @@ class DatasetDescription:
         spec: the scene spec it was generated from, as JSON; None for a real capture.
         effects: names of the effects that were simulated.
         provenance: what made it, in words and numbers.
+        made_from: files computed from pictures of this clip -> the frames that went into them; rendered ones are not.
     """
 
     SCHEMA: ClassVar[str] = "gof-dataset"
@@ -97,6 +98,7 @@ class DatasetDescription:
     spec: dict[str, Any] | None = None
     effects: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
+    made_from: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
     def __post_init__(self):
         inside = self.velocity is None or is_relative_path(self.velocity)

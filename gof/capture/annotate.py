@@ -28,7 +28,8 @@ def annotate(
     """Write the masks, then dataset.json with their names.
 
     Args:
-        footage: one video per training camera, as given to `gof ingest`; None = look in the dataset's own pictures.
+        footage: one video per training camera, as given to `gof ingest`; None = look in the dataset's own pictures
+            for training.
         cameras: cameras.json of that footage; None = it is undistorted.
     Returns:
         what was added, or why not, in words, by camera.
@@ -42,6 +43,7 @@ def annotate(
     lenses = [camera.lens for camera in read_cameras(cameras, count)] if cameras else [None] * count
     entries = {entry.name: entry for entry in dataset.description.cameras}
     notes: dict[str, str] = {}
+    made_from = dict(dataset.description.made_from)
     for c, camera in enumerate(dataset.cameras):
         entry = entries[camera.name]
         turn = _turn(entry, dataset.path)
@@ -49,7 +51,7 @@ def annotate(
             if footage:
                 mask = mask_from_footage(footage[c], lenses[c], turn, template)
             else:
-                frames = range(len(dataset.times_s))
+                frames = dataset.train_frames[:LOOK_AT]
                 mask = find_mask((np.uint8(np.rint(255 * dataset.image(c, k))) for k in frames), template)
         except BoardNotFound as e:
             notes[camera.name] = f"no board mask: {e}" + ("" if footage else " Small pictures? Give the --footage")
@@ -57,8 +59,10 @@ def annotate(
         name = f"cameras/{camera.name}/board_mask.png"
         share = _write_mask(mask, (camera.width, camera.height), path_in(dataset.path, name))
         entries[camera.name] = replace(entry, board_mask=name)
+        if not footage:
+            made_from[name] = tuple(frames)
         notes[camera.name] = f"board mask, {share:.1%} of the picture"
-    replace(dataset.description, cameras=tuple(entries.values())).write(dataset.path)
+    replace(dataset.description, cameras=tuple(entries.values()), made_from=made_from).write(dataset.path)
     return notes
 
 

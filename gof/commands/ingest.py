@@ -9,12 +9,14 @@ import tyro
 
 from gof.capture.template import BoardTemplate
 from gof.costs import StageLog
+from gof.errors import GofError
 from gof.files import write_json
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
 from gof.ingest.pipeline import Ingested, PlateKind, make_dataset
 from gof.ingest.place import PoseOptions, Solver
+from gof.ingest.published import PublishedFootage, is_published
 from gof.lens import Turn
 
 
@@ -27,7 +29,8 @@ class IngestConfig:
     """
 
     videos: tyro.conf.Positional[list[Path]]
-    """One video or folder of pictures per camera, of one fire, at least two."""
+    """One video or folder of pictures per camera, of one fire, at least two; or one scenes/ID folder of the authors'
+    public data set (fire_actioncam), which brings its own cameras and times."""
     out: Path
     """Folder of the dataset to write."""
     cameras: Path | None = None
@@ -73,7 +76,7 @@ class IngestConfig:
 
 def ingest(config: IngestConfig) -> Ingested:
     """Make the dataset. Raises GofError as `make_dataset`."""
-    footage = Footage.open(config.videos, config.turn, config.cameras, config.fov)
+    footage = open_footage(config)
     pose_options = PoseOptions(
         solver=config.poses,
         by_hand=tuple(read_points(config.points, footage.names)) if config.points else (),
@@ -92,6 +95,15 @@ def ingest(config: IngestConfig) -> Ingested:
         depth=config.depth,
         depth_weights=config.depth_weights,
     )
+
+
+def open_footage(config: IngestConfig) -> Footage:
+    """The footage with what is known of its cameras. Raises GofError as `Footage.open`, `PublishedFootage.read`."""
+    if not is_published(config.videos):
+        return Footage.open(config.videos, config.turn, config.cameras, config.fov)
+    if config.cameras is not None or config.fov is not None:
+        raise GofError(f"{config.videos[0]}: the scene brings its cameras; leave out --cameras and --fov")
+    return PublishedFootage.read(config.videos[0], config.turn, config.baseline_m)
 
 
 def main(argv: list[str]) -> int:

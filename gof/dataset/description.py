@@ -29,9 +29,9 @@ class Splits:
     test: tuple[int, ...]
 
 
-def held_out(count: int) -> Splits:
-    """The splits of a clip of `count` frames by the paper's rule."""
-    test = tuple(range(TEST_FIRST, count, TEST_EVERY))
+def held_out(count: int, first: int = TEST_FIRST) -> Splits:
+    """The splits of a clip of `count` frames by the paper's rule; `first` is the first frame that is held out."""
+    test = tuple(range(first, count, TEST_EVERY))
     return Splits(tuple(k for k in range(count) if k not in test), test)
 
 
@@ -95,6 +95,8 @@ class DatasetDescription:
         spec: the scene spec it was generated from, as JSON; None for a real capture.
         effects: names of the effects that were simulated.
         provenance: what made it, in words and numbers.
+        made_from: files that were computed from pictures of this clip (plates, depth, poses), each with the numbers of
+            the frames that went into it; see `gof.dataset.leaks`. A mask of a frame, for scores only, is not listed.
 
     Raises:
         DataFormatError, NonFiniteError: times do not increase, a camera's own times have another length, a split names
@@ -113,6 +115,7 @@ class DatasetDescription:
     spec: dict[str, Any] | None = None
     effects: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
+    made_from: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
     def __post_init__(self):
         count = len(self.time_s)

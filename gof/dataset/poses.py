@@ -50,7 +50,8 @@ class PoseReport:
     """Where the poses are from, and the figures they were judged by.
 
     Attributes:
-        method: "features": structure from motion; "points": the board or points by hand; "--cameras": given.
+        method: "features": structure from motion; "points": the board or points by hand; "--cameras": given;
+            "published": they came with the footage.
         scale: how the unit of length is known.
         notes: what could not be used, for people.
         sfm: None when no features were looked for.
@@ -58,7 +59,7 @@ class PoseReport:
         check: None when no marked point is in two views.
     """
 
-    method: Literal["--cameras", "features", "points"]
+    method: Literal["--cameras", "features", "points", "published"]
     scale: str
     notes: tuple[str, ...] = ()
     sfm: FeatureFigures | None = None

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.dataset import Dataset
+from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import background
 from gof.errors import DataFormatError
 from gof.evaluate.controls import CONTROLS, skill
@@ -81,6 +82,7 @@ def evaluate(
         )
     else:
         scores = replace(scores, warnings=("the dataset has no true velocity field, so there is no DVE",))
+    scores = replace(scores, warnings=(*scores.warnings, *_leak_warnings(result, dataset)))
     if images:
         own = result if isinstance(result, Path) else None
         plates = [background(dataset, number, own) for number in range(len(dataset.cameras))]
@@ -112,6 +114,19 @@ def _load(
     )
     origin = replace(origin, notes=(*origin.notes, note), alignment=UsedAlignment.of(found))
     return gaussians.transformed(found.matrix), origin
+
+
+def _leak_warnings(result: Path | MovingGaussians, dataset: Dataset) -> list[str]:
+    """What a result of ours learned from that is held out here, in words."""
+    made_from = MadeFrom.read(_folder(result)) if isinstance(result, Path) else None
+    found = leaks(made_from.files if made_from else {}, dataset.test_frames).values()
+    frames = sorted({frame for frames in found for frame in frames})
+    said = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"
+    return [said] if frames else []
+
+
+def _folder(result: Path) -> Path:
+    return result if result.is_dir() else result.parent
 
 
 # ---------------------------------------------------------------- its velocities

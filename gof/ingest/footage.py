@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from gof.dataset import Splits, held_out
 from gof.errors import DataFormatError, GofError
 from gof.footage import count_frames, first_frame, stored_frames
+from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
+from gof.ingest.place import Placed, PoseOptions, place_cameras
 from gof.lens import CalibratedCamera, Lens, Turn, prepare, read_cameras
 
 
 @dataclass(frozen=True)
 class Footage:
-    """Videos or folders of pictures of one fire, one per fixed camera.
+    """Videos or folders of pictures of one fire, one per fixed camera, and how to find out what they do not say.
+
+    `gof.ingest.published` is footage that says more.
 
     Attributes:
         videos: in the cameras' order.
@@ -62,9 +68,37 @@ class Footage:
         """Of the prepared pictures."""
         return [lens.turned(self.turn) for lens in self.lenses]
 
+    def frame_times(self, timing: Timing) -> FrameTimes:
+        """Which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
+        return read_frame_times(timing, self.counts()).turned(self.turn)
+
+    def place(self, clips: list[np.ndarray], lowest: list[np.ndarray], options: PoseOptions) -> Placed:
+        """The cameras' poses, from the prepared pictures; see `place_cameras`."""
+        return place_cameras(clips, lowest, self.upright_lenses, self.names, self.world_to_camera, options)
+
+    def splits(self, count: int) -> Splits:
+        """Which of `count` frames are held out."""
+        return held_out(count)
+
+    def board_mask(self, camera: int) -> np.ndarray | None:
+        """(H, W) uint8, 255 on the LED board, of the prepared picture; None where nothing says so beforehand."""
+        return None
+
+    def write_beside(self, out: Path) -> None:
+        """Write into the dataset what only this kind of footage has: nothing."""
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """What else the dataset says of where it is from."""
+        return {}
+
     def counts(self) -> list[int]:
         """How many frames each video has; reads them all, as containers lie."""
         return [count_frames(video) for video in self.videos]
+
+    def prepared(self, camera: int, picture: np.ndarray) -> np.ndarray:
+        """A camera's stored picture (H, W[, 3]) uint8, undistorted and upright."""
+        return prepare(picture, self.lenses[camera], self.turn)
 
     def clips(self, frames: list[range]) -> list[np.ndarray]:
         """(T, H, W, 3) uint8 RGB per camera: the prepared pictures of these frame numbers."""

@@ -47,12 +47,9 @@ class Timing:
 
     Attributes:
         times: times.json of `gof capture sync`, or None.
-        fps: true capture rate of all videos, or None; exactly one of the two is given.
+        fps: true capture rate of all videos, or None.
         start: first frame of the first camera to use.
         limit: use at most so many frames; None for all.
-
-    Raises:
-        GofError: neither times nor fps, or both.
     """
 
     times: Path | None = None
@@ -60,17 +57,15 @@ class Timing:
     start: int = 0
     limit: int | None = None
 
-    def __post_init__(self):
-        if (self.times is None) == (self.fps is None):
-            raise GofError("give the frame times with either --times times.json (of 'gof capture sync') or --fps RATE")
-
 
 def read_frame_times(timing: Timing, counts: list[int]) -> FrameTimes:
     """The times by `gof capture sync`, or equal steps, for videos of `counts` frames.
 
     Raises:
-        DataFormatError, GofError: see `measured_times` and `equal_times`.
+        DataFormatError, GofError: neither or both are given; see `measured_times` and `equal_times`.
     """
+    if (timing.times is None) == (timing.fps is None):
+        raise GofError("give the frame times with either --times times.json (of 'gof capture sync') or --fps RATE")
     if timing.times is None:
         return equal_times(timing.fps, counts, timing.start, timing.limit)
     return measured_times(timing.times, counts, timing.start, timing.limit)
@@ -108,17 +103,31 @@ def measured_times(path: Path, counts: list[int], start: int, limit: int | None)
     videos = _read_sync(path, counts)
     cameras = [video.times for video in videos]
     middles = [np.array([frame.time_s for frame in camera.frames]) for camera in cameras]
-    first = _first_frames(path, middles, start)
-    length = _length([len(m) - k for m, k in zip(middles, first, strict=True)], limit)
-    frames = [range(k, k + length) for k in first]
+    frames = paired_frames(path, [video.name for video in videos], middles, start, limit)
     # Sync gives the middle of the picture; a dataset's frame starts when its first line is read.
     starts = [m - _readout_s(camera) / 2 for m, camera in zip(middles, cameras, strict=True)]
-    zero = starts[0][first[0]]
+    zero = starts[0][frames[0].start]
     time_s = [t[f.start : f.stop] - zero for t, f in zip(starts, frames, strict=True)]
-    for video, t in zip(videos, time_s, strict=True):
-        _require_steady(path, video.name, t)
     row_time_s = [camera.row_time_us * 1e-6 for camera in cameras]
     return FrameTimes(frames, time_s, row_time_s, [camera.readout for camera in cameras], "gof capture sync")
+
+
+def paired_frames(path: Path, names: list[str], time_s: list[np.ndarray], start: int, limit: int | None) -> list[range]:
+    """Frame numbers per camera, of one length: from each camera's frame nearest to the first camera's `start` on.
+
+    Args:
+        path: what to name in errors.   names: of the cameras.   time_s: of all frames of each, on one clock.
+        start, limit: see `Timing`.
+    Raises:
+        DataFormatError: a frame is repeated or missing inside the range.
+        GofError: the videos do not overlap; fewer than two frames are left.
+    """
+    first = _first_frames(path, time_s, start)
+    length = _length([len(t) - k for t, k in zip(time_s, first, strict=True)], limit)
+    frames = [range(k, k + length) for k in first]
+    for name, t, used in zip(names, time_s, frames, strict=True):
+        _require_steady(path, name, t[used.start : used.stop])
+    return frames
 
 
 def _read_sync(path: Path, counts: list[int]) -> list[SyncedVideo]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.lens import Lens, Turn, prepare
+from gof.lens import Lens
 
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
 WARM = 12  # display steps of 255 by which red outgrows blue where fire or its light passed
@@ -58,8 +58,8 @@ def steady(stack: np.ndarray, low: np.ndarray) -> np.ndarray:
     return np.rint(weight * low + (1 - weight) * median).astype(np.uint8)
 
 
-def read_plate(folder: Path, name: str, lens: Lens, turn: Turn) -> np.ndarray:
-    """(H, W, 3) uint8: a plate filmed without fire, folder/NAME.png or of another suffix, prepared as the frames are.
+def read_plate(folder: Path, name: str, lens: Lens) -> np.ndarray:
+    """(H, W, 3) uint8 RGB: a plate filmed without fire, folder/NAME.png or of another suffix, as stored.
 
     Raises:
         DataFormatError: there is none, or it has another size than the footage.
@@ -72,4 +72,4 @@ def read_plate(folder: Path, name: str, lens: Lens, turn: Turn) -> np.ndarray:
     picture = cv2.imread(str(files[0]), cv2.IMREAD_COLOR)
     if picture is None or picture.shape[:2] != (lens.height, lens.width):
         raise DataFormatError(f"{files[0]}: must be a picture of {lens.width}x{lens.height} pixels, as the footage")
-    return prepare(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), lens, turn)
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)

@@ -14,6 +14,7 @@ import numpy as np
 from gof.cameras import Camera
 from gof.costs import StageLog
 from gof.dataset import Dataset
+from gof.dataset.leaks import refuse_leaks
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
 from gof.errors import DataFormatError, GofError
@@ -90,6 +91,7 @@ def make_background(folder: Path, out: Path, options: BackgroundOptions) -> Tran
 
     Raises:
         GofError: `out` holds one made with other settings; no depth can be had, see `plate_depths`.
+        LeakError: the plates were made from a held-out frame.
     """
     result = out / "background.npz"
     full = Dataset.open(folder)
@@ -100,6 +102,7 @@ def make_background(folder: Path, out: Path, options: BackgroundOptions) -> Tran
 
     log = StageLog(out / "costs.json")
     rng = np.random.default_rng(options.seed)
+    refuse_leaks(full)
     dataset = shrink(full, options.longest_side)
     plates = [dataset.static(c) for c in range(len(dataset.cameras))]
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from gof.costs import StageCost, StageLog
 from gof.dataset import Dataset
+from gof.dataset.leaks import MadeFrom, refuse_leaked_work, refuse_leaks
 from gof.dataset.plates import save_plates
 from gof.errors import GofError
 from gof.files import only_run_in
@@ -82,8 +83,11 @@ def reconstruct(
     Raises:
         GofError: `out` holds a reconstruction made with other settings, another run is at work there, or the dataset
             has a single training frame; or see the stages.
+        LeakError: the dataset's plates, or what lies in `out`, were made from a frame that is held out.
     """
+    refuse_leaks(dataset)
     with only_run_in(out):
+        refuse_leaked_work(out, dataset)
         settings.claim(out)
         finished = Reconstruction.find(out)
         if finished is not None:
@@ -115,6 +119,7 @@ def _run_stages(run: _Run, until: Until) -> Reconstruction | None:
     _require_motion(run.dataset)
     _announce(run)
     observation = _observe(run)
+    _say_what_from(run, observation)
     if until == "motion":
         return None
     field = _flow_field(run, observation)
@@ -154,6 +159,12 @@ def _observe(run: _Run) -> Observation:
         stage_images.save_observation(run.out / "stages", observation)
         figures.update(frames=len(observation.frames), cameras=len(observation.cameras))
     return observation
+
+
+def _say_what_from(run: _Run, observation: Observation) -> None:
+    """Which frames everything that follows comes from."""
+    plates = [f"plates/{camera.name}.png" for camera in run.dataset.cameras]
+    MadeFrom.of(["seeds.npz", *plates, "result.npz", "result.ply"], observation.frames).write(run.out)
 
 
 # ---- Flow field: where the flame is in space, and how fast it moves there --------------------------------------------

@@ -138,7 +138,7 @@ def test_clock_errors_say_what_to_do(tmp_path):
     path = tmp_path / "times.json"
     record = times_file(path, [0, 100])
     with pytest.raises(GofError, match=r"--times.*--fps"):
-        Timing()
+        read_frame_times(Timing(), [20] * 3)
     with pytest.raises(DataFormatError, match="3 videos"):
         read_frame_times(Timing(path), [20] * 3)
     with pytest.raises(DataFormatError, match="20 frames, its video 19"):

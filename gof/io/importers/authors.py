@@ -1,7 +1,7 @@
 """The paper's own code, both of its releases (docs/importers.md).
 
-ECCV demo: `chkpnt{it}.pth` with `scale_bounds.json` of the same iteration. Release after it: `chkpnt{it}.pth` that holds
-the bounds itself, and a PLY with `velocity_0..2`, whose bounds lie beside it.
+ECCV demo: `chkpnt{it}.pth` with `scale_bounds.json` of the same iteration. Released after it: `chkpnt{it}.pth` that
+holds the bounds itself, and a PLY with `velocity_0..2`, whose bounds lie beside it.
 """
 
 from __future__ import annotations

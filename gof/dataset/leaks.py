@@ -1,0 +1,88 @@
+"""Held-out frames stay unseen: a file that was computed from one is refused before anything learns from it.
+
+Every file that is computed from a clip's pictures says which frames went into it: a dataset's plates, depth maps and
+poses in dataset.json (`made_from`), a reconstruction's seeds, plates and result in made_from.json. So a split that is
+changed afterwards, by hand or by mistake, is noticed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from gof.dataset.dataset import Dataset
+from gof.errors import DataFormatError
+from gof.records import read_record, write_record
+
+FILE = "made_from.json"
+PLATES_OF_A_CLIP = ("steady", "minimum")  # provenance.plate of datasets that were made from videos
+
+
+class LeakError(DataFormatError):
+    """Something to learn from was computed from a frame that is held out."""
+
+
+@dataclass(frozen=True)
+class MadeFrom:
+    """made_from.json of a reconstruction: its files, each with the numbers of the frames that went into it."""
+
+    SCHEMA: ClassVar[str] = "gof-made-from"
+    VERSION: ClassVar[int] = 1
+
+    files: dict[str, tuple[int, ...]]
+
+    @classmethod
+    def of(cls, names: Iterable[str], frames: Iterable[int]) -> MadeFrom:
+        """All files from the same frames."""
+        return cls(dict.fromkeys(names, tuple(int(k) for k in frames)))
+
+    @classmethod
+    def read(cls, folder: Path) -> MadeFrom | None:
+        """Read `folder/made_from.json`; None where there is none. Raises DataFormatError as `read_record`."""
+        return read_record(cls, folder / FILE) if (folder / FILE).is_file() else None
+
+    def write(self, folder: Path) -> None:
+        """Write `folder/made_from.json`."""
+        write_record(folder / FILE, self)
+
+
+def leaks(files: Mapping[str, Iterable[int]], held_out: Iterable[int]) -> dict[str, list[int]]:
+    """The files that were computed from held-out frames, with those frames."""
+    held = set(held_out)
+    return {name: sorted(held & set(frames)) for name, frames in files.items() if held & set(frames)}
+
+
+def refuse_leaks(dataset: Dataset) -> None:
+    """Make sure that a method may learn from a dataset's plates, depth and poses.
+
+    Raises:
+        LeakError: one was computed from a held-out frame, or does not say what it was computed from.
+    """
+    description = dataset.description
+    for name, frames in leaks(description.made_from, dataset.test_frames).items():
+        raise LeakError(
+            f"{dataset.path}/{name}: was computed from frames {frames}, which are held out (splits.test of "
+            "dataset.json); make the dataset again, or give it the splits it was made with"
+        )
+    kind = description.provenance.get("plate")
+    if dataset.test_frames and not description.made_from and kind in PLATES_OF_A_CLIP:
+        raise LeakError(
+            f"{dataset.path}: its {kind} plates do not say which frames they were made from; they are of a time when "
+            "held-out frames were among them. Make the dataset again with 'gof ingest'"
+        )
+
+
+def refuse_leaked_work(folder: Path, dataset: Dataset) -> None:
+    """Make sure that a reconstruction's folder was not begun with frames that the dataset holds out now.
+
+    Raises:
+        LeakError: it was.
+    """
+    begun = MadeFrom.read(folder)
+    for name, frames in leaks(begun.files if begun else {}, dataset.test_frames).items():
+        raise LeakError(
+            f"{folder}/{name}: was made from frames {frames}, which {dataset.path} holds out now; choose another --out "
+            "or remove the folder"
+        )

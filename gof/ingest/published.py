@@ -1,0 +1,238 @@
+"""A scene of the authors' public data set of fires (jna-358/fire_actioncam), which brings its own times and poses.
+
+Layout of `scenes/<id>/`, as their preprocessing reads it (docs/ingest.md has every field):
+
+    000.mp4 001.mp4 002.mp4           one video per camera
+    000.mask.png ...                  bright where the LED board is, of the stored picture
+    meta.npz                          times (C, N) us of every video frame, from the scene's start on the board's clock;
+                                      led_time_origin_us () us, the board's clock at that start;
+                                      camera_matrix (C, 3, 3) px and dist_coeffs (C, K), OpenCV, of the stored picture;
+                                      image_size (C, 2) px, width and height; R (C, 3, 3) and t (C, 3), world to camera
+                                      in OpenCV axes; points3D (P, 3) of the still scene
+
+Their world has no metres: the outer cameras stand 10 units apart. Nothing in it is level; axes are ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gof.dataset import Splits, held_out
+from gof.dataset.poses import PoseReport
+from gof.errors import DataFormatError, GofError
+from gof.files import write_json
+from gof.ingest.footage import Footage, read_clip
+from gof.ingest.frame_times import FrameTimes, Timing, paired_frames
+from gof.ingest.place import Placed, PoseOptions, upright_world
+from gof.lens import Lens, Turn, prepare
+from gof.npz import read_npz
+
+META = "meta.npz"
+ZOOM = 1.03  # of their undistorted camera, so that no black borders are left
+TURNS = {  # camera axes of the turned picture, from those of the stored one
+    "none": np.eye(3),
+    "clockwise": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+    "counterclockwise": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+}
+CAMERAS_FILE = "published_cameras.json"
+
+
+@dataclass(frozen=True)
+class Meta:
+    """meta.npz of a scene with C cameras, checked; shapes and units as in the head of this module."""
+
+    path: Path
+    times: np.ndarray
+    led_time_origin_us: float
+    camera_matrix: np.ndarray
+    dist_coeffs: np.ndarray
+    image_size: np.ndarray
+    R: np.ndarray
+    t: np.ndarray
+    points3D: np.ndarray
+
+    @classmethod
+    def read(cls, folder: Path) -> Meta:
+        """Raises DataFormatError: absent, damaged, a field is missing, of another shape, or not finite."""
+        path = folder / META
+        arrays = read_npz(path)
+        cameras = len(arrays.get("times", ()))
+
+        def field(name: str, *shape: int) -> np.ndarray:
+            if name not in arrays:
+                raise DataFormatError(f"{path}: field '{name}' is missing; is this a scene of fire_actioncam?")
+            found = arrays[name]
+            try:
+                value = found.astype(np.float64).reshape(shape)
+            except ValueError as e:
+                expected = tuple("N" if n < 0 else n for n in shape)
+                raise DataFormatError(f"{path}: '{name}' has shape {found.shape}, expected {expected}") from e
+            if not np.isfinite(value).all():
+                raise DataFormatError(f"{path}: '{name}' holds NaN or Inf")
+            return value
+
+        return cls(
+            path,
+            field("times", cameras, -1),
+            float(field("led_time_origin_us", 1)[0]),
+            field("camera_matrix", cameras, 3, 3),
+            field("dist_coeffs", cameras, -1),
+            field("image_size", cameras, 2).astype(int),
+            field("R", cameras, 3, 3),
+            field("t", cameras, 3),
+            field("points3D", -1, 3) if "points3D" in arrays else np.zeros((0, 3)),
+        )
+
+    def world_to_camera(self) -> np.ndarray:
+        """(C, 4, 4) of the stored pictures, in the published world."""
+        pose = np.tile(np.eye(4), (len(self.R), 1, 1))
+        pose[:, :3, :3], pose[:, :3, 3] = self.R, self.t
+        return pose
+
+    def rectified(self, camera: int) -> Lens:
+        """Their undistorted camera: centred, square pixels, ZOOM times the focal length that shows no border.
+
+        Their code gives (width / 2, height / 2) as principal point both to OpenCV, which puts pixel centres at
+        integers, and to renderers that put them at halves. The poses were found with it and hold the half pixel;
+        so pictures are made as theirs, and the camera is theirs.
+        """
+        import cv2
+
+        width, height = (int(n) for n in self.image_size[camera])
+        K, distortion = self.camera_matrix[camera], self.dist_coeffs[camera]
+        tight, _ = cv2.getOptimalNewCameraMatrix(K, distortion, (width, height), 0)
+        focal = ZOOM * max(tight[0, 0], tight[1, 1])
+        return Lens(width, height, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PublishedFootage(Footage):
+    """A published scene. `lenses` are of the undistorted pictures; `world_to_camera` in our axes (Z up).
+
+    Attributes:
+        meta: what the scene says of itself.
+        transform: (4, 4) from the published world to ours, a similarity.
+        scale: how the unit of length is known, in words.
+    """
+
+    meta: Meta
+    transform: np.ndarray
+    scale: str
+
+    @classmethod
+    def read(cls, folder: Path, turn: Turn = "none", baseline_m: float | None = None) -> PublishedFootage:
+        """Open `scenes/<id>`.
+
+        Args:
+            turn: how stored pictures are turned upright.
+            baseline_m: distance between the first and the last camera in m; None keeps the published unit.
+        Raises:
+            DataFormatError: a file is missing or damaged, see `Meta.read`.
+        """
+        meta = Meta.read(folder)
+        count = len(meta.times)
+        videos = tuple(folder / f"{c:03d}.mp4" for c in range(count))
+        for video in videos:
+            if not video.is_file():
+                raise DataFormatError(f"{video}: no such file; {meta.path} describes {count} cameras")
+        published = _turned(meta.world_to_camera(), turn)
+        centre = -np.einsum("cij,ci->cj", published[:, :3, :3], published[:, :3, 3])
+        apart = float(np.linalg.norm(centre[-1] - centre[0]))
+        factor, scale = 1.0, f"that of the data set: first and last camera are {apart:.4g} of its units apart"
+        if baseline_m is not None:
+            factor, scale = baseline_m / apart, f"metres, from --baseline-m {baseline_m:g}"
+        published[:, :3, 3] *= factor
+        world_to_camera, axes = upright_world(published)
+        return cls(
+            videos=videos,
+            lenses=tuple(meta.rectified(c) for c in range(count)),
+            turn=turn,
+            world_to_camera=world_to_camera,
+            meta=meta,
+            transform=axes @ np.diag([factor, factor, factor, 1.0]),
+            scale=scale,
+        )
+
+    def frame_times(self, timing: Timing) -> FrameTimes:
+        """By the board's clock, as published: cameras keep their own times, paired by the nearest frame."""
+        if timing.times is not None or timing.fps is not None:
+            raise GofError(f"{self.meta.path}: the scene brings its frame times; leave out --times and --fps")
+        seconds = list(self.meta.times * 1e-6)
+        frames = paired_frames(self.meta.path, self.names, seconds, timing.start, timing.limit)
+        zero = seconds[0][frames[0].start]
+        return FrameTimes(
+            frames=frames,
+            time_s=[t[f.start : f.stop] - zero for t, f in zip(seconds, frames, strict=True)],
+            row_time_s=[0.0] * len(frames),  # not published
+            readout=["down"] * len(frames),
+            source=f"published; 0 is {self.meta.led_time_origin_us * 1e-6 + zero:.6f} s of the board's clock",
+        )
+
+    def clips(self, frames: list[range]) -> list[np.ndarray]:
+        return [
+            np.stack([self._upright(c, picture) for picture in read_clip(video, self.lenses[c], "none", frames[c])])
+            for c, video in enumerate(self.videos)
+        ]
+
+    def prepared(self, camera: int, picture: np.ndarray) -> np.ndarray:
+        return self._upright(camera, picture)
+
+    def place(self, clips: list[np.ndarray], lowest: list[np.ndarray], options: PoseOptions) -> Placed:
+        """As published."""
+        points = self.meta.points3D @ self.transform[:3, :3].T + self.transform[:3, 3]
+        return Placed(self.world_to_camera, points, PoseReport("published", self.scale))
+
+    def splits(self, count: int) -> Splits:
+        """Theirs: every 8th frame from the first on, so that scores are of the same pictures."""
+        return held_out(count, first=0)
+
+    def board_mask(self, camera: int) -> np.ndarray:
+        """(H, W) uint8, 255 on the LED board, of the upright picture."""
+        import cv2
+
+        path = self.videos[camera].with_suffix(".mask.png")
+        stored = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        lens = self.lenses[camera]
+        if stored is None or stored.shape != (lens.height, lens.width):
+            raise DataFormatError(f"{path}: must be a picture of {lens.width}x{lens.height} pixels, as the video")
+        return np.uint8(255 * (self._upright(camera, stored) > 127))
+
+    def write_beside(self, out: Path) -> None:
+        """out/published_cameras.json: the cameras in the published world, to move a result of theirs into ours."""
+        poses = _turned(self.meta.world_to_camera(), self.turn)
+        write_json(out / CAMERAS_FILE, {name: pose.tolist() for name, pose in zip(self.names, poses, strict=True)})
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        return {"data_set": "jna-358/fire_actioncam", "scene": self.meta.path.parent.name}
+
+    def _upright(self, camera: int, stored: np.ndarray) -> np.ndarray:
+        """A stored picture undistorted as theirs, then turned."""
+        import cv2
+
+        lens = self.lenses[camera]
+        maps = cv2.initUndistortRectifyMap(
+            self.meta.camera_matrix[camera],
+            self.meta.dist_coeffs[camera],
+            None,
+            lens.K,
+            (lens.width, lens.height),
+            cv2.CV_32FC1,
+        )
+        return prepare(cv2.remap(stored, *maps, cv2.INTER_LINEAR), lens, self.turn)
+
+
+def is_published(videos: list[Path]) -> bool:
+    """Whether what was given as footage is one folder of a published scene."""
+    return len(videos) == 1 and (videos[0] / META).is_file()
+
+
+def _turned(world_to_camera: np.ndarray, turn: Turn) -> np.ndarray:
+    """Poses (C, 4, 4) of the turned pictures."""
+    axes = np.eye(4)
+    axes[:3, :3] = TURNS[turn]
+    return axes @ world_to_camera
