@@ -28,12 +28,15 @@ class GenerateConfig:
     """Dataset folder to make or to finish."""
     preset: str | None = None
     """Cost preset instead of the scene's own settings: toy, preview, draft, standard or paper."""
-    views: tuple[Literal["nerfstudio", "dnerf", "colmap", "dynerf"], ...] = ()
+    views: tuple[Literal["nerfstudio", "dnerf", "colmap", "dynerf", "firebundle"], ...] = ()
     """Also write the dataset in the layouts that other people's code reads."""
     workers: int = 2
     """Blender processes at a time on this machine."""
     scheduler: str | None = None
     """Address of a running dask scheduler whose workers share this file system; default: this machine."""
+    tls: Path | None = None
+    """Folder with cert.pem and key.pem that the scheduler asks for; without it, anybody who reaches the scheduler can
+    run programs as you (docs/cluster.md)."""
     estimate: bool = False
     """Only predict time, memory and disk for this machine."""
     json: Path | None = None

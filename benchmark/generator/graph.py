@@ -8,10 +8,13 @@ files.
 
 from __future__ import annotations
 
+import logging
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from gof.costs import StageLog
 from gof.errors import GofError
@@ -33,30 +36,64 @@ LOCAL_WORKERS = {  # they are threads of this process: dask must neither pause n
 
 
 @contextmanager
-def cluster(scheduler: str | None, workers: int) -> Iterator:
+def cluster(scheduler: str | None, workers: int, tls: Path | None = None) -> Iterator:
     """A dask client: of a running scheduler, or of workers in this process, whose Blenders are the real processes.
 
+    Args:
+        tls: folder with the cert.pem and key.pem that the scheduler asks for (docs/cluster.md).
     Raises:
-        GofError: the scheduler does not answer.
+        GofError: the scheduler does not answer, or the folder has no such files.
     """
     import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client, Scheduler, SpecCluster, Worker
 
     if scheduler:
+        if tls is None and scheduler.startswith("tls://"):
+            raise GofError(f"no dask scheduler answers at {scheduler} without a certificate; give --tls FOLDER")
+        if tls is None:
+            print(f"{scheduler}: without --tls, whoever reaches that port can run programs as you", file=sys.stderr)
         try:
-            with Client(scheduler, timeout=20) as client:
+            with Client(scheduler, timeout=20, security=_security(tls)) as client:
                 yield client
-        except (OSError, TimeoutError) as error:
+        except (OSError, TimeoutError, ValueError) as error:
             raise GofError(
                 f"no dask scheduler answers at {scheduler} ({error}); start one with 'dask scheduler'"
             ) from error
         return
+    inside = {"protocol": "inproc://"}
+    scheduler_here = {"cls": type("QuietScheduler", (Scheduler,), _QUIET), "options": inside}
+    worker_here = {"cls": type("QuietWorker", (Worker,), _QUIET), "options": inside | {"nthreads": 1}}
     with (
         dask.config.set(LOCAL_WORKERS),
-        LocalCluster(n_workers=workers, threads_per_worker=1, processes=False, dashboard_address=None) as local,
+        SpecCluster(dict.fromkeys(range(workers), worker_here), scheduler_here, silence_logs=logging.ERROR) as local,
         Client(local) as client,
     ):
         yield client
+
+
+def _security(tls: Path | None) -> Any:
+    """What dask asks of the other side, and shows it."""
+    if tls is None:
+        return None
+    from distributed import Security
+
+    missing = [name for name in ("cert.pem", "key.pem") if not (tls / name).is_file()]
+    if missing:
+        raise GofError(f"{tls}: has no {' and no '.join(missing)}; docs/cluster.md says how to make them")
+    cert, key = str(tls / "cert.pem"), str(tls / "key.pem")
+    return Security(require_encryption=True, tls_ca_file=cert, tls_client_cert=cert, tls_client_key=key)
+
+
+def _no_http(node: Any, *_: Any, **__: Any) -> None:
+    """In place of dask's pages about a node: without a login, they show folders, logs and addresses to the network."""
+    from distributed.http.routing import RoutingApplication
+    from tornado.httpserver import HTTPServer
+
+    node.http_application = RoutingApplication([])
+    node.http_server = HTTPServer(node.http_application)  # is never told to listen
+
+
+_QUIET = {"start_http_server": _no_http}
 
 
 class Generation:

@@ -12,6 +12,7 @@ from gof.errors import GofError, MissingDependencyError
 from gof.gaussians import MovingGaussians, TransientGaussians
 from gof.harmonics import plain_color
 from gof.io.importers import ImportOptions, read_result
+from gof.report.own_pages import only_own_pages
 from gof.rotations import quaternions_wxyz, rotation_matrices
 
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
@@ -84,9 +85,17 @@ class Viewer:
         self.result = self._read()
         first, last = time_span(self.result, self.dataset)
         step = self.dataset.frame_time_s if self.dataset else max(last - first, 1e-3) / 100
-        self.server = viser.ViserServer(host=host, port=port, label="Gaussians on Fire", verbose=False)
+
+        class LocalServer(viser.ViserServer):
+            """One that cannot be published: any page could ask for a public tunnel to it."""
+
+            def request_share_url(self, verbose: bool = True) -> None:
+                return None
+
+        with only_own_pages(host):
+            self.server = LocalServer(host=host, port=port, label="Gaussians on Fire", verbose=False)
         gui, scene = self.server.gui, self.server.scene
-        gui.configure_theme(dark_mode=True)
+        gui.configure_theme(dark_mode=True, show_share_button=False)
         scene.set_background_image(np.full((1, 1, 3), 12, np.uint8))  # fire is light: it shows on black
         scene.set_up_direction("+z")
         self.time = gui.add_slider("time, ms", 0.0, max(1e3 * (last - first), 1e-3), 1e3 * step / 4, 0.0)
