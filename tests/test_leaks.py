@@ -21,6 +21,9 @@ def test_which_files_leak():
     assert leaks(files, [1, 4, 9]) == {"static/cam_0.png": [1, 4]} and leaks(files, []) == {}
 
 
+pytestmark = pytest.mark.long
+
+
 @pytest.fixture
 def flame(tmp_path):
     """A small dataset of a drawn flame, as it might have been made from videos."""

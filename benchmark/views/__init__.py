@@ -13,8 +13,10 @@ from .source import ViewSource
 
 
 def write(name: str, root: Path) -> None:
-    """Write one view ("nerfstudio", "dnerf", "colmap", "dynerf") of the finished dataset in `root`, over an older one.
+    """Write one view of the finished dataset in `root`, over an older one.
 
+    Args:
+        name: "nerfstudio", "dnerf", "colmap", "dynerf" or "firebundle".
     Raises:
         DataFormatError: no finished dataset there, or one that the layout cannot express.
     """

@@ -36,7 +36,7 @@ def field_of_view(dataset: Dataset) -> float:
     """The horizontal field of view that all cameras share, radians. Raises DataFormatError: they do not share one."""
     first = dataset.cameras[0]
     for camera in dataset.cameras:
-        if not (_same_lens(camera, first) and _centred(camera)):
+        if not (_same_lens(camera, first) and is_centred(camera)):
             raise DataFormatError(
                 f"{dataset.path}: the D-NeRF layout has one centred field of view for all cameras; "
                 f"'{camera.name}' differs"
@@ -48,7 +48,7 @@ def _same_lens(a: Camera, b: Camera) -> bool:
     return abs(a.K - b.K).max() < 1e-6 and (a.width, a.height) == (b.width, b.height)
 
 
-def _centred(camera: Camera) -> bool:
+def is_centred(camera: Camera) -> bool:
     """Whether the principal point is the picture's middle, and pixels are square."""
     K = camera.K
     off_centre = max(abs(K[0, 2] - camera.width / 2), abs(K[1, 2] - camera.height / 2))

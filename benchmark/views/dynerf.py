@@ -6,14 +6,11 @@ then the near and far depth. Evaluation cameras come first, because readers of t
 
 from __future__ import annotations
 
-import os
-import shutil
-from pathlib import Path
-
 import numpy as np
 
 from gof.files import atomic_path, path_in
 
+from .links import link
 from .source import ViewSource
 
 
@@ -37,7 +34,7 @@ def link_pictures(source: ViewSource, camera: int, number: int) -> None:
     dataset = source.dataset
     for frame in range(len(dataset.times_s)):
         target = path_in(dataset.path, f"dynerf/cam{number:02d}/images/{frame:04d}.png")
-        _link(dataset.file(camera, "rgb", frame), target)
+        link(dataset.file(camera, "rgb", frame), target)
 
 
 def _poses_bounds(source: ViewSource, camera: int) -> np.ndarray:
@@ -49,12 +46,3 @@ def _poses_bounds(source: ViewSource, camera: int) -> np.ndarray:
     seen = depth[np.isfinite(depth)]
     near, far = (0.8 * seen.min(), 1.2 * seen.max()) if seen.size else (0.1, 100.0)
     return np.array([*np.stack([-up, right, back, centre, size], axis=1).ravel(), near, far])
-
-
-def _link(source: Path, target: Path) -> None:
-    """A second name for a file, or a copy where the file system has no hard links."""
-    with atomic_path(target) as temporary:
-        try:
-            os.link(source, temporary)
-        except OSError:
-            shutil.copyfile(source, temporary)

@@ -15,6 +15,8 @@ from tests.ingest import published_scene as published
 from tests.ingest.scene import HEIGHT, WIDTH, pose_errors
 from tests.ingest.test_clips import psnr
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
