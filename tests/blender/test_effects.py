@@ -18,6 +18,7 @@ from gof_blender.pure.effects import (
     clock,
     exposure,
     fine_noise,
+    floor,
     motion_blur,
     moving_emitter,
     obstacles,
@@ -55,9 +56,9 @@ def camera_run(tmp_path_factory) -> Layout:
 
 @pytest.fixture(scope="module")
 def gas_run(tmp_path_factory) -> Layout:
-    """Everything that happens in the gas: noise, an obstacle, a swinging burner."""
+    """Everything that happens in the gas: noise, an obstacle, a swinging burner, a floor."""
     ball = obstacles.Obstacle("box", (0.0, 0.0, 0.7), (0.48, 0.48, 0.3))
-    listed = (fine_noise.Settings(), obstacles.Settings((ball,)), moving_emitter.Settings(0.1, 0.4))
+    listed = (fine_noise.Settings(), obstacles.Settings((ball,)), moving_emitter.Settings(0.1, 0.4), floor.Settings())
     domain = replace(TOY.domain, resolution=24)
     spec = replace(
         TOY, clip=replace(CLIP, warm_up_frames=22), domain=domain, effects=listed, ground_truth=("grids", "flow", "vdb")
@@ -108,6 +109,16 @@ def test_grids_flow_and_vdb_are_written_when_listed(gas_run, camera_run):
     np.testing.assert_allclose(found["values"], field.velocity[3:9, 3:9, :12].astype(float), atol=5e-3)
     assert {"flame", "heat", "velocity"} <= set(found["blender"])
     assert not (camera_run.root / "grids").exists() and not (camera_run.root / "vdb").exists(), "only where listed"
+
+
+@pytest.mark.blender
+def test_gas_comes_through_the_bottom_unless_there_is_a_floor(gas_run, camera_run):
+    def lowest(layout):
+        velocity = Dataset.open(layout.root).velocity
+        return max(float(np.abs(velocity.frame(k).velocity[:, :, 0, 2]).max()) for k in range(len(velocity)))
+
+    assert lowest(gas_run) == 0.0
+    assert lowest(camera_run) > 0.1
 
 
 @pytest.mark.blender

@@ -230,7 +230,7 @@ def test_wrong_specs_are_refused_by_name(change, message):
 
 @pytest.mark.parametrize("name", effects.names())
 def test_effects_of_the_bake_and_no_others_are_refused(name):
-    ours = {"vorticity", "wind", "smoke", "obstacles", "moving_emitter", "fine_noise"}
+    ours = {"vorticity", "wind", "floor", "smoke", "obstacles", "moving_emitter", "fine_noise"}
     settings = (effects.module(name).Settings(),)
     if name in ours:
         with pytest.raises(SpecError, match=name):
