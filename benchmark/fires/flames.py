@@ -69,6 +69,7 @@ class Truth:
         shining: speed of the shining gas at each height, averaged over the clip.
         hottest_k, fastest_m_s: of any cell and frame.
         cpu_s: seconds of one core that the fire took.
+        windy: the flame leans; the laws are of still air, and the axis is not where it burns.
     """
 
     diameter_m: float
@@ -81,6 +82,7 @@ class Truth:
     shining: Axis | None = None
     hottest_k: float = math.nan
     cpu_s: float = math.nan
+    windy: bool = False
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,7 @@ def of_grids(fire: FireGrids) -> Flame:
         shining=Axis(z, shining, float(fire.times_s[-1])),
         hottest_k=max(float(hot.frame(k).max()) for k in frames) if hot else math.nan,
         cpu_s=sum(fire.description.cpu_s.values()),
+        windy=any(fire.description.wind_m_s),
     )
     views = tuple(View(z, brightest, total) for brightest in (from_x, from_y))
     return Flame(fire.description.name, fire.description.solver.split()[0], fire.times_s, views, truth)
@@ -207,12 +210,12 @@ def of_dataset(dataset: Dataset) -> Flame:
     if dataset.description.spec is None:
         raise DataFormatError(f"{dataset.path}: not a generated dataset: dataset.json holds no spec")
     try:
-        fire = SceneSpec.from_dict(dataset.description.spec).resolved(dataset.path).fire
+        spec = SceneSpec.from_dict(dataset.description.spec).resolved(dataset.path)
     except SpecError as error:
         raise DataFormatError(f"{dataset.path}: {error}") from error
-    if isinstance(fire, GridFire):
-        return of_grids(FireGrids.open(fire.grids))
-    burner, fields = fire.burner, dataset.velocity
+    if isinstance(spec.fire, GridFire):
+        return of_grids(FireGrids.open(spec.fire.grids))
+    burner, fields = spec.fire.burner, dataset.velocity
     first = fields.frame(0)
     x, y, z = (
         first.index_to_world[i, 3] + first.index_to_world[i, i] * (np.arange(first.resolution[i]) + 0.5)
@@ -226,7 +229,7 @@ def of_dataset(dataset: Dataset) -> Flame:
     fastest = max(float(np.linalg.norm(v.astype(np.float32), axis=-1).max()) for v in frames)
     top = float(height_m[-1])
     views = tuple(_picture_view(dataset, number, base, top) for number in range(len(dataset.cameras)))
-    truth = Truth(diameter_m, axis, swings, fastest)
+    truth = Truth(diameter_m, axis, swings, fastest, windy="wind" in spec.effect_names)
     return Flame("/".join(dataset.path.resolve().parts[-2:]), "Mantaflow", dataset.times_s, views, truth)
 
 

@@ -20,6 +20,7 @@ from gof_benchmark.fires.laws import ZONES, heskestad_heat, heskestad_height, mc
 
 BANDS = ((0.1, 0.4), (0.4, 0.7), (0.7, 1.0))  # of the flame's height, through which structures are followed
 LOWEST = 0.02  # m/kW^(2/5): nearer to the burner its rim, not its heat, decides
+HIGHEST = 0.35  # of the charts: the flame, and where its plume begins
 CHART_POINTS, CHART_HZ = 14, np.geomspace(*measures.FLICKER_HZ, 12)
 
 
@@ -43,7 +44,7 @@ class HowReal:
 
 @dataclass(frozen=True)
 class Laws:
-    """A simulated fire beside the laws; NaN where it cannot be said.
+    """A simulated fire beside the laws; NaN where it cannot be said, and all but its heat in wind.
 
     Args:
         heat_kw: of the burner that is looked at. heat_inferred: it follows from the flame's height, by Heskestad's law.
@@ -95,7 +96,7 @@ def seen(flame: Flame) -> Seen:
     height, flicker, slope, *rise = (_median(values) for values in zip(*per_view, strict=True))
     middles = height * np.mean(BANDS, axis=1)
     over_gas = math.nan
-    if flame.truth:
+    if flame.truth and not flame.truth.windy:
         over_gas = _mean(height * np.array(rise) / _speed_at(flame.truth.axis, middles))
     return Seen(height, flicker, slope, tuple(rise), measures.power_law(middles, np.array(rise))[1], over_gas)
 
@@ -115,12 +116,13 @@ def _seen(time_s: np.ndarray, view: View) -> tuple[float, ...]:
 def laws(truth: Truth, height_m: float) -> Laws:
     """A simulated fire whose visible flame is so high, beside the laws; see `Laws`."""
     inferred = math.isnan(truth.heat_kw)
-    heat_kw = heskestad_heat(height_m, truth.diameter_m) if inferred else truth.heat_kw
+    heat_kw = heskestad_heat(height_m, truth.diameter_m) if inferred and not truth.windy else truth.heat_kw
     law_hz, swings = puffing_law(truth.diameter_m), truth.swings
     duration = float(swings.time_s[-1] - swings.time_s[0])
-    long_enough = duration * law_hz >= 2
-    rise, plateau, plume = (_over_law(truth.axis, heat_kw, zone) for zone in range(3))
-    shining = _over_law(truth.shining, heat_kw, 0)
+    long_enough = duration * law_hz >= 2 and not truth.windy
+    axis, shining = (None, None) if truth.windy else (truth.axis, truth.shining)
+    rise, plateau, plume = (_over_law(axis, heat_kw, zone) for zone in range(3))
+    light = _over_law(shining, heat_kw, 0)
     return Laws(
         heat_kw=heat_kw,
         heat_inferred=inferred,
@@ -128,12 +130,12 @@ def laws(truth: Truth, height_m: float) -> Laws:
         rise_exponent=rise[1],
         plateau_ratio=plateau[0],
         plume_ratio=plume[0],
-        height_law_m=math.nan if inferred else heskestad_height(heat_kw, truth.diameter_m),
+        height_law_m=math.nan if inferred or truth.windy else heskestad_height(heat_kw, truth.diameter_m),
         puffing_hz=measures.puffing_frequency(swings.time_s, swings.rise_m_s) if long_enough else math.nan,
         puffing_resolution_hz=1 / duration if duration else math.inf,
         puffing_law_hz=law_hz,
-        shining_ratio=shining[0],
-        shining_exponent=shining[1],
+        shining_ratio=light[0],
+        shining_exponent=light[1],
     )
 
 
@@ -198,18 +200,20 @@ SOLVER_HEAD = (
 def laws_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
     """A simulated fire's line under LAWS_HEAD."""
     truth, figures = flame.truth, laws(flame.truth, looks.height)
-    height = f"{looks.height:.2f}" + ("" if figures.heat_inferred else f" ({figures.height_law_m:.2f})")
+    height = f"{looks.height:.2f}" + ("" if math.isnan(figures.height_law_m) else f" ({figures.height_law_m:.2f})")
     puffing = f"{figures.puffing_hz:.1f} +- {figures.puffing_resolution_hz / 2:.1f}"
+    if math.isnan(figures.puffing_hz):
+        puffing = "wind" if truth.windy else "too short"
     return (
-        flame.name,
-        f"{figures.heat_kw:.0f}" + (" (from its height)" if figures.heat_inferred else ""),
+        flame.name + (" (wind)" if truth.windy else ""),
+        _figure(figures.heat_kw, 0) + (" (from its height)" if figures.heat_inferred and not truth.windy else ""),
         _figure(truth.axis.over_s),
         _figure(figures.rise_ratio),
         _figure(figures.rise_exponent),
         _figure(figures.plateau_ratio),
         _figure(figures.plume_ratio),
         height,
-        f"{'too short' if math.isnan(figures.puffing_hz) else puffing} ({figures.puffing_law_hz:.1f})",
+        f"{puffing} ({figures.puffing_law_hz:.1f})",
     )
 
 
@@ -255,12 +259,12 @@ def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 
 def draw(flames: list[Flame], looks: list[Seen], folder: Path) -> None:
-    """Speed on the axis, scaled as McCaffrey does, a chart a solver; and everybody's flicker in one chart."""
+    """Speed on the axis in still air, scaled as McCaffrey does, a chart a solver; everybody's flicker in one chart."""
     folder.mkdir(parents=True, exist_ok=True)
     for source in sorted({flame.source for flame in flames if flame.truth}):
         lines = {"McCaffrey's law": _law_line()}
         for flame, look in zip(flames, looks, strict=True):
-            if flame.source == source:
+            if flame.source == source and not flame.truth.windy:
                 lines[flame.name] = _scaled(flame.truth.axis, laws(flame.truth, look.height).heat_kw)
         line_chart.write(
             folder / f"how_real_{source.lower()}.svg",
@@ -280,17 +284,17 @@ def draw(flames: list[Flame], looks: list[Seen], folder: Path) -> None:
 
 
 def _law_line() -> list[tuple[float, float, str]]:
-    scaled = np.geomspace(LOWEST / 2, 0.6, 60)
+    scaled = np.geomspace(LOWEST / 2, HIGHEST, 60)
     return [(float(z), float(u), "") for z, u in zip(scaled, mccaffrey_speed(scaled, 1.0), strict=True)]
 
 
 def _scaled(axis: Axis, heat_kw: float) -> list[tuple[float, float, str]]:
     """Some points of a profile, evenly spaced on the chart's axis."""
     z, u = axis.height_m / heat_kw**0.4, axis.speed_m_s / heat_kw**0.2
-    above = z > LOWEST / 2
-    if not above.any():
+    shown = (z > LOWEST / 2) & (z < HIGHEST)
+    if not shown.any():
         return []
-    at = np.geomspace(z[above][0], z[above][-1], CHART_POINTS)
+    at = np.geomspace(z[shown][0], z[shown][-1], CHART_POINTS)
     return [(float(a), float(np.interp(a, z, u)), "") for a in at]
 
 

@@ -243,6 +243,14 @@ def test_a_simulated_fire_is_measured_on_its_velocity_and_its_pictures(tmp_path)
     assert np.isnan(figures.puffing_hz) and np.isnan(figures.height_law_m)
 
 
+def test_a_fire_in_wind_is_not_held_beside_the_laws_of_still_air(tmp_path):
+    write_small_fire(tmp_path / "fire", wind_m_s=(0.0, 1.0))
+    flame = flame_of(tmp_path / "fire")
+    row = how_real.laws_row(flame, how_real.seen(flame))
+    assert row[:1] + row[3:] == ("small (wind)", "-", "-", "-", "-", "0.30", "wind (3.4)")  # 1.5 / sqrt(0.2) = 3.35
+    assert np.isnan(how_real.seen(flame).over_gas)
+
+
 def test_a_dataset_that_nobody_generated_is_refused(tiny_dataset):
     with pytest.raises(DataFormatError, match="not a generated dataset"):
         flame_of(tiny_dataset)
