@@ -57,10 +57,12 @@ class TransientGaussians:
         opacity: (N,) in [0, 1], at time t_mu.
         color: (N, 3) display values, or (N, K, 3) spherical-harmonics coefficients with K = (degree + 1)^2.
         dynamic: (N,) bool; False = static background: ignores velocity, t_mu and t_sigma.
+        velocity_sd: (N,) m/s, >= 0, standard deviation of each component of the velocity; inf = nobody says. None is
+            inf for all.
 
     Raises:
         DataFormatError: shapes disagree, or a value is outside its range (names the parameter and rows).
-        NonFiniteError: NaN or Inf anywhere but t_sigma = inf.
+        NonFiniteError: NaN or Inf anywhere but t_sigma = inf and velocity_sd = inf.
     """
 
     position: np.ndarray
@@ -72,8 +74,11 @@ class TransientGaussians:
     opacity: np.ndarray
     color: np.ndarray
     dynamic: np.ndarray
+    velocity_sd: np.ndarray = None  # never None once constructed
 
     def __post_init__(self):
+        if self.velocity_sd is None:
+            self.velocity_sd = np.full(len(self.position), np.inf)
         for f in fields(self):
             kind = bool if f.name == "dynamic" else np.float32
             try:
@@ -90,6 +95,7 @@ class TransientGaussians:
             "rotation": (n, 4),
             "opacity": (n,),
             "dynamic": (n,),
+            "velocity_sd": (n,),
         }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
@@ -103,11 +109,13 @@ class TransientGaussians:
             )
         for name in shapes | {"color": ()}:
             values = getattr(self, name)
+            may_be_infinite = name in ("t_sigma", "velocity_sd")
             require_finite(
-                name, np.where(np.isposinf(values), 0, values) if name == "t_sigma" else values, "TransientGaussians"
+                name, np.where(np.isposinf(values), 0, values) if may_be_infinite else values, "TransientGaussians"
             )
         self._require("t_sigma", self.t_sigma > 0, "> 0 (inf = always on)")
         self._require("scale", (self.scale > 0).all(-1), "> 0 (linear standard deviation in metres, not its log)")
+        self._require("velocity_sd", self.velocity_sd >= 0, ">= 0 (inf = nobody says how sure the velocity is)")
         self._require("opacity", (self.opacity >= 0) & (self.opacity <= 1), "in [0, 1] (activated, not a logit)")
         norm = np.linalg.norm(self.rotation.astype(np.float64), axis=-1, keepdims=True)
         self._require("rotation", norm[:, 0] > 1e-12, "a non-zero quaternion")
@@ -160,8 +168,16 @@ class TransientGaussians:
         position, scale, rotation, color = transformed_splats(
             matrix, self.position, self.scale, self.rotation, self.color
         )
-        velocity = self.velocity @ np.asarray(matrix, np.float64)[:3, :3].T
-        return replace(self, position=position, velocity=velocity, scale=scale, rotation=rotation, color=color)
+        linear = np.asarray(matrix, np.float64)[:3, :3]
+        return replace(
+            self,
+            position=position,
+            velocity=self.velocity @ linear.T,
+            velocity_sd=self.velocity_sd * np.cbrt(np.linalg.det(linear)),
+            scale=scale,
+            rotation=rotation,
+            color=color,
+        )
 
     @classmethod
     def concatenate(cls, parts: list[TransientGaussians]) -> TransientGaussians:

@@ -2,7 +2,8 @@
 
 The PLY keeps the field's raw conventions so that any splat viewer opens it: scale_* are natural logs, opacity is a
 logit, f_dc/f_rest are SH coefficients (f_rest channel-major). Our additions are plain: t_mu, t_sigma (s), vx, vy, vz
-(m/s), is_dynamic. The npz holds activated values. Neither ever contains a pickle.
+(m/s), is_dynamic, and v_sd (m/s) where something is known of how sure the velocity is. The npz holds activated values.
+Neither ever contains a pickle.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ _NPZ_FIELDS = {
 
 def _save_npz(arrays: Arrays, path: Path, source: str) -> None:
     stored = {key: arrays[name] for key, name in _NPZ_FIELDS.items()}
+    stored |= _velocity_sd(arrays)
     stored["rgb" if arrays["color"].ndim == 2 else "sh"] = arrays["color"]
     np.savez(path, schema=np.array(NPZ_SCHEMA), source=np.array(source), **stored)
 
@@ -85,7 +87,13 @@ def _load_npz(path: Path) -> Arrays:
     missing = [key for key in (*_NPZ_FIELDS, color) if key not in data]
     if missing:
         raise DataFormatError(f"{path}: fields {missing} are missing")
-    return {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]}
+    unsure = {"velocity_sd": data["v_sd"]} if "v_sd" in data else {}
+    return {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]} | unsure
+
+
+def _velocity_sd(arrays: Arrays) -> Arrays:
+    """What both files say of it: nothing where nothing is known."""
+    return {"v_sd": arrays["velocity_sd"]} if np.isfinite(arrays["velocity_sd"]).any() else {}
 
 
 # ---------------------------------------------------------------- PLY
@@ -97,6 +105,7 @@ def _save_ply(arrays: Arrays, path: Path, source: str) -> None:
         "t_sigma": arrays["t_sigma"],
         **{f"v{axis}": arrays["velocity"][:, i] for i, axis in enumerate("xyz")},
         "is_dynamic": arrays["dynamic"],
+        **_velocity_sd(arrays),
     }
     write(path, splat_columns(arrays) | moving, PLY_COMMENTS + ([f"source: {source}"] if source else []))
 
@@ -115,9 +124,14 @@ def _load_ply(path: Path) -> Arrays:
     splats = ply.splats()
     if splats["color"].shape[1] == 1:
         splats["color"] = plain_color(splats["color"])
-    return splats | {
-        "velocity": ply.columns("vx", "vy", "vz"),
-        "t_mu": ply.columns("t_mu")[:, 0],
-        "t_sigma": ply.columns("t_sigma")[:, 0],
-        "dynamic": ply.columns("is_dynamic")[:, 0] != 0,
-    }
+    unsure = {"velocity_sd": ply.columns("v_sd")[:, 0]} if ply.has("v_sd") else {}
+    return (
+        splats
+        | unsure
+        | {
+            "velocity": ply.columns("vx", "vy", "vz"),
+            "t_mu": ply.columns("t_mu")[:, 0],
+            "t_sigma": ply.columns("t_sigma")[:, 0],
+            "dynamic": ply.columns("is_dynamic")[:, 0] != 0,
+        }
+    )

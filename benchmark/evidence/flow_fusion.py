@@ -18,16 +18,14 @@ import numpy as np
 import tyro
 
 from gof.dataset import Dataset
-from gof.evaluate import dve
 from gof.files import write_json
-from gof.gaussians import TransientGaussians
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.fusion import fuse_frame
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.optical_flow import deepflow, tvl1
 from gof.reconstruct.presets import METHODS
-from gof.reconstruct.voxels import FlameVoxels
+from gof_benchmark.field_score import best_constant, buoyant_law, core_alone, mean_per_height, score
 
 
 @dataclass(frozen=True)
@@ -40,15 +38,6 @@ class FlowFusion:
     """Voxels along the longest side of the flame's box."""
     json: Path | None = None
     """Also write the table to this file."""
-
-
-@dataclass(frozen=True)
-class Score:
-    """Means of DVE's figures over the frames of a flow field."""
-
-    l2: float
-    cos_sim: float
-    speed_ratio: float
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -82,7 +71,10 @@ def choices(dataset: Dataset, seen: Observation, field: FlowField) -> dict[str, 
         return replace(field, frames=tuple(frames))
 
     return {
-        "control: best constant vector": lambda: best_constant(field, dataset),
+        "control: best constant vector (knows the truth)": lambda: best_constant(field, dataset),
+        "control: mean per height (knows the truth)": lambda: mean_per_height(field, dataset),
+        "control: buoyant law straight up (knows metres)": lambda: buoyant_law(field),
+        "control: core speed along the axis": lambda: core_alone(field),
         "default: full, smooth 3, light above plate": lambda: fused(seen.flow),
         "no smoothing": lambda: fused(seen.flow, smooth=0.0),
         "smooth 6": lambda: fused(seen.flow, smooth=6.0),
@@ -93,42 +85,6 @@ def choices(dataset: Dataset, seen: Observation, field: FlowField) -> dict[str, 
         "flow by TV-L1": lambda: fused(observe(dataset, flow=tvl1).flow),
         "default, and the flow prior": lambda: FlowPrior.load().correct(fused(seen.flow)),
     }
-
-
-def best_constant(field: FlowField, dataset: Dataset) -> FlowField:
-    """Each frame's mean true velocity, weighted by emission, everywhere."""
-    frames = []
-    for frame in field.frames:
-        truth = dataset.velocity.at(frame.time_s).sample(field.voxels.center)
-        mean = (frame.emission[:, None] * truth).sum(0) / frame.emission.sum()
-        frames.append(replace(frame, velocity=np.broadcast_to(mean, truth.shape)))
-    return replace(field, frames=tuple(frames))
-
-
-def score(field: FlowField, dataset: Dataset) -> Score:
-    """Of a flow field against the dataset's true velocity."""
-    results = []
-    for frame in field.frames:
-        cloud = on_voxels(field.voxels, frame.velocity, frame.emission, frame.time_s)
-        result = dve(cloud, dataset.velocity.at(frame.time_s), frame.time_s, order=1)
-        results.append((result.l2, result.cos_sim, result.speed_ratio))
-    return Score(*np.mean(results, 0).tolist())
-
-
-def on_voxels(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray, time_s: float) -> TransientGaussians:
-    """The fused field as point-like Gaussians, weighted by emission, so that DVE itself scores it."""
-    n = len(voxels.center)
-    return TransientGaussians(
-        position=voxels.center,
-        velocity=velocity,
-        t_mu=np.full(n, time_s),
-        t_sigma=np.full(n, np.inf),
-        scale=np.full((n, 3), 1e-3 * voxels.voxel_size),
-        rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
-        opacity=emission / emission.max(),
-        color=np.ones((n, 3)),
-        dynamic=np.ones(n, bool),
-    )
 
 
 def grey_picture(image: np.ndarray, static: np.ndarray) -> np.ndarray:

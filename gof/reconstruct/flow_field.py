@@ -21,14 +21,19 @@ class FrameField:
     Attributes:
         time_s: on the dataset clock.
         emission: (V,) >= 0, mean 1 over the frame's hull and 0 outside; all 0 where no flame is seen.
+        light: how much the frame's flame shines for each unit of its emission, in a unit of the clip's own.
         velocity: (V, 3) world m/s; 0 where it is not known.
+        velocity_sd: (V,) m/s, standard deviation of each component of the velocity; inf where nobody says how sure
+            it is.
         known: (V,) bool, where the views say something of the velocity.
         image: (C, H, W, 3) the frame's pictures, display sRGB.
     """
 
     time_s: float
     emission: np.ndarray
+    light: float
     velocity: np.ndarray
+    velocity_sd: np.ndarray
     known: np.ndarray
     image: np.ndarray
 
@@ -63,13 +68,26 @@ def seen_flow_field(
         DataFormatError: the flame cannot be placed in space; see `carve`.   GofError: see `fuse_frame`.
     """
     voxels = carve(observation.cameras, observation.mask, longest_side)
+    light = frame_light(observation)
     frames = []
     for f, time_s in enumerate(observation.time_s):
         flow = observation.flow[f]
         mask = observation.mask[f]
         emission = tomography(voxels, observation.intensity[f], mask, method.round_flame)
         velocity, known = fuse_frame(voxels, flow, mask, emission, method.fusion, method.smooth_voxels)
-        frames.append(FrameField(float(time_s), emission, velocity, known, observation.image[f]))
+        unit = float(light[f] / max(emission.sum(), 1.0))
+        unsure = np.full(len(emission), np.inf)
+        frames.append(FrameField(float(time_s), emission, unit, velocity, unsure, known, observation.image[f]))
         if progress:
             progress(f + 1, len(observation.frames))
     return FlowField(voxels, tuple(frames))
+
+
+def frame_light(observation: Observation) -> np.ndarray:
+    """(F,) how bright the flame is in each frame, 1 in the mean; every camera counts alike, a dim one too."""
+    seen = observation.intensity.sum((2, 3), dtype=np.float64)
+    delivered = observation.delivered
+    mean = np.where(delivered, seen, 0).sum(0) / np.maximum(delivered.sum(0), 1)
+    relative = np.where(delivered & (mean > 0), seen / np.where(mean > 0, mean, 1), np.nan)
+    count = np.isfinite(relative).sum(1)
+    return np.where(count > 0, np.nansum(relative, 1) / np.maximum(count, 1), 0)

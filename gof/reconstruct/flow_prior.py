@@ -1,13 +1,15 @@
-"""From the motion that is seen to the motion of the gas: a small learned correction of the fused flow.
+"""From the motion that is seen to the motion of the gas: a small learned correction of the fused flow, with its doubt.
 
 Optical flow follows texture. A flame's texture sits in its slow outer layer, the core has none, and the inflow at the
-foot moves nothing that could be seen, so the fused flow is too slow by a factor that changes over the flame. How it
-changes is much the same from flame to flame. A small network, trained on simulated flames
-(`benchmark/training/flow_prior.py`; none of them is a scene of the benchmark), reads it off the shape of the flame and
-of the seen flow.
+foot moves nothing that could be seen, so the fused flow is too slow by a factor that changes over the flame and from
+flame to flame. Two kinds of evidence meet here: the fused flow, and the speed of the core that the light of whole
+layers shows (`core_speed`). A small network, trained on simulated flames of two solvers
+(`benchmark/training/flow_prior.py`; none of them is a scene or a test fire of the benchmark), says how much of which
+holds where.
 
-Everything the network sees is a ratio, and what it gives are the coefficients of five vectors that turn with the flame,
-so that the result is the same in any unit of length or time and for any heading. The world's z axis must point up.
+Everything the network sees is a ratio, and what it gives are the coefficients of five vectors that turn with the flame
+and its axis, so that the result is the same in any unit of length or time, for any heading, and without knowing which
+way is up. Gravity and metres are not used.
 """
 
 from __future__ import annotations
@@ -21,45 +23,73 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from gof.errors import DataFormatError, GofError
+from gof.reconstruct.core_speed import CoreSpeed, core_speed
+from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField, FrameField
-from gof.reconstruct.voxels import FlameLayers, FlameVoxels, flame_radius
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
 FEATURES = (
     "height",
     "radius",
-    "radius_here",
-    "up",
-    "out",
-    "sideways_speed",
-    "mean_up",
-    "mean_out",
-    "layer_up",
-    "layer_acceleration",
+    "radius_in_widths",
+    "radius_now",
+    "width_now",
+    "width",
+    "seen_along",
+    "seen_out",
+    "seen_sideways",
+    "mean_seen_along",
+    "mean_seen_out",
+    "layer_seen_along",
+    "core_speed",
+    "core_acceleration",
+    "core_agreement",
     "brightness_in_layer",
     "mean_brightness_in_layer",
-    "brightening_up",
+    "brightening_along",
     "brightening_out",
+    "coarse_brightening_along",
+    "coarse_brightening_out",
+    "brightening_in_time",
     "widening",
     "slenderness",
+    "frame_time",
+    "seen_speed",
 )
-"""What the network reads of a voxel in a frame. Lengths are over the flame's height or radius, speeds over the RMS of
-the seen flow."""
+"""What the network reads of a voxel in a frame. Lengths are over the flame's length or radius, speeds over the mean
+speed of its core, times over the time in which the core crosses a radius; the last three are logarithms."""
+VECTORS = 5
 LIMIT = 6.0  # features beyond this say no more; a strange flame must not drive the network far outside its training
+FINE, COARSE = 1.5, 4.0  # voxels, std-dev of the brightness whose slopes are features
+
+Network = Sequence[tuple[np.ndarray, np.ndarray]]
+"""Weights (M, in, out) and biases (M, 1, out) of M members, layer by layer; tanh between the layers."""
+
+
+def evaluate_network(network: Network, x: np.ndarray) -> np.ndarray:
+    """(M, N, out) float32 of scaled features (N, K)."""
+    h = x.astype(np.float32)[None]
+    for weight, bias in network[:-1]:
+        h = np.tanh(h @ weight + bias)
+    weight, bias = network[-1]
+    return h @ weight + bias
 
 
 @dataclass(frozen=True)
 class FlowPrior:
-    """An ensemble of two-layer networks from `FEATURES` to the coefficients of the vectors of `describe`.
+    """An ensemble of small networks from `FEATURES` to the coefficients of the vectors of `FlameDescriber`.
 
     Attributes:
         mean, deviation: (K,) of the training features.
-        layers: per layer weights (M, in, out) and biases (M, 1, out) of the M members.
+        velocity: the ensemble; its last layer gives `VECTORS` coefficients.
+        doubt: one network; log of the standard deviation of a component of the velocity, over the core's mean speed,
+            learned from flames that the ensemble had not been trained on.
     """
 
     mean: np.ndarray
     deviation: np.ndarray
-    layers: Sequence[tuple[np.ndarray, np.ndarray]]
+    velocity: Network
+    doubt: Network
 
     @classmethod
     def load(cls, path: Path = WEIGHTS) -> FlowPrior:
@@ -73,9 +103,8 @@ class FlowPrior:
         except (OSError, ValueError, BadZipFile) as error:
             raise DataFormatError(f"{path}: cannot read the flow prior's weights ({error})") from error
         try:
-            features, count = [str(f) for f in data["features"]], int(data["layers"])
-            layers = [(data[f"weight_{i}"], data[f"bias_{i}"]) for i in range(count)]
-            prior = cls(data["mean"], data["deviation"], layers)
+            features = [str(f) for f in data["features"]]
+            prior = cls(data["mean"], data["deviation"], _network(data, "velocity"), _network(data, "doubt"))
         except KeyError as missing:
             raise DataFormatError(f"{path}: not the weights of a flow prior ({missing} is missing)") from missing
         if features != list(FEATURES):
@@ -86,164 +115,185 @@ class FlowPrior:
 
     def save(self, path: Path) -> None:
         """Write plain arrays (no pickle) to `path`."""
-        arrays = {f"weight_{i}": w for i, (w, _) in enumerate(self.layers)}
-        arrays |= {f"bias_{i}": b for i, (_, b) in enumerate(self.layers)}
-        np.savez_compressed(
-            path,
-            features=np.array(FEATURES),
-            layers=len(self.layers),
-            mean=self.mean,
-            deviation=self.deviation,
-            **arrays,
-        )
-
-    def coefficients(self, features: np.ndarray) -> np.ndarray:
-        """(..., K) features -> (..., 5) coefficients of the vectors of `describe`, the mean over the ensemble."""
-        x = ((features.reshape(-1, features.shape[-1]) - self.mean) / self.deviation).astype(np.float32)[None]
-        for weight, bias in self.layers[:-1]:
-            x = np.tanh(x @ weight + bias)
-        weight, bias = self.layers[-1]
-        return (x @ weight + bias).mean(0).reshape(*features.shape[:-1], -1)
+        arrays = {}
+        for name, network in (("velocity", self.velocity), ("doubt", self.doubt)):
+            arrays[f"{name}_layers"] = np.array(len(network))
+            for i, (weight, bias) in enumerate(network):
+                arrays |= {f"{name}_weight_{i}": weight, f"{name}_bias_{i}": bias}
+        np.savez_compressed(path, features=np.array(FEATURES), mean=self.mean, deviation=self.deviation, **arrays)
 
     def correct(self, field: FlowField) -> FlowField:
-        """The same clip with the velocity of the gas, from the velocity of its texture.
+        """The same clip with the velocity of the gas, and how sure it is, from the velocity of its texture.
 
         Args:
             field: fused and smoothed flow, as `seen_flow_field` makes it.
         Returns:
-            a new field; velocities are all 0 when nothing in the clip moves or shines.
+            a new field; all 0 and without any certainty when nothing in the clip moves or shines.
         Raises:
             GofError: the result is not finite.
         """
-        scene = _Scene.of(field)
-        frames = []
-        for frame in field.frames:  # frame by frame: all features of a clip at once would take gigabytes
-            frames.append(replace(frame, velocity=self._gas_velocity(scene, frame)))
-        return replace(field, frames=tuple(frames))
+        describer = FlameDescriber.of(field)
+        if describer is None:
+            still = [
+                replace(frame, velocity=np.zeros_like(frame.velocity), velocity_sd=np.full(len(frame.emission), np.inf))
+                for frame in field.frames
+            ]
+            return replace(field, frames=tuple(still))
+        # frame by frame: all features of a clip at once would take gigabytes
+        return replace(field, frames=tuple(self._corrected(describer, f) for f in range(len(field.frames))))
 
-    def _gas_velocity(self, scene: _Scene | None, frame: FrameField) -> np.ndarray:
-        """(V, 3) m/s."""
-        if scene is None:
-            return np.zeros_like(frame.velocity)
-        features, vectors = scene.describe(frame)
-        velocity = np.einsum("vk,vki->vi", self.coefficients(features), vectors)
-        if not np.isfinite(velocity).all():
+    def _corrected(self, describer: FlameDescriber, f: int) -> FrameField:
+        features, vectors = describer.describe(f)
+        x = (features - self.mean) / self.deviation
+        members = np.einsum("mvk,vki->mvi", evaluate_network(self.velocity, x), vectors)
+        sd = describer.core_mean * np.exp(evaluate_network(self.doubt, x)[0, :, 0])
+        velocity = members.mean(0, dtype=np.float64)
+        if not (np.isfinite(velocity).all() and np.isfinite(sd).all()):
             raise GofError("the flow prior gave NaN or Inf; are velocity and emission finite?")
-        return velocity.astype(np.float64)
+        return replace(describer.field.frames[f], velocity=velocity, velocity_sd=sd.astype(np.float64))
 
 
-def describe(field: FlowField) -> tuple[np.ndarray, np.ndarray] | None:
-    """What the network reads, and the vectors that it weighs; None where nothing moves or shines at all.
-
-    Returns:
-        features (F, V, 16); and vectors (F, V, 5, 3) in m/s: up, outward from the clip's axis, the seen sideways flow,
-        along the axis' lean, outward from the frame's axis.
-    """
-    scene = _Scene.of(field)
-    if scene is None:
-        return None
-    features, vectors = zip(*map(scene.describe, field.frames), strict=True)
-    return np.stack(features), np.stack(vectors)
+def _network(data: dict[str, np.ndarray], name: str) -> Network:
+    return [(data[f"{name}_weight_{i}"], data[f"{name}_bias_{i}"]) for i in range(int(data[f"{name}_layers"]))]
 
 
 @dataclass(frozen=True)
-class _Scene:
-    """What a clip has one of: its scales, its mean flow, its axis."""
+class FlameDescriber:
+    """What the network reads, and the vectors that it weighs.
 
-    voxels: FlameVoxels
-    speed: float  # RMS of the seen flow, m/s
-    height: np.ndarray  # (V,) over the foot of the flame, in flame heights
-    flame_height: float  # m
-    flame_radius: float  # m
-    layers: FlameLayers
-    mean_velocity: np.ndarray  # (V, 3) m/s
-    mean_brightness: np.ndarray  # (V,) log, relative to the layer
-    layer_up: np.ndarray  # (Z,) m/s
-    widening: np.ndarray  # (Z,) d radius / d height
-    lean: np.ndarray  # (Z, 2) d axis / d height
+    Attributes:
+        core_mean: light-weighted mean speed of the core, m/s; the unit of all speeds.
+        mean_velocity: (V, 3) seen, m/s.    mean_brightness: (V,) log, relative to the layer.
+        layer_seen: (S,) seen speed along the axis, m/s.
+    """
+
+    field: FlowField
+    axis: FlameAxis
+    core: CoreSpeed
+    core_mean: float
+    mean_velocity: np.ndarray
+    mean_brightness: np.ndarray
+    layer_seen: np.ndarray
 
     @classmethod
-    def of(cls, field: FlowField) -> _Scene | None:
+    def of(cls, field: FlowField) -> FlameDescriber | None:
         """None where nothing moves or shines at all."""
-        voxels, emission, velocity = field.voxels, field.emission, field.velocity
-        total = emission.sum(0, dtype=np.float64)
-        energy = (emission[..., None] * velocity**2).sum()
-        if not total.any() or energy <= 0:
+        axis = FlameAxis.of(field)
+        if axis is None:
             return None
-        layer, size = voxels.index[:, 2], voxels.voxel_size
-        light = np.bincount(layer, total, voxels.resolution[2])
-        z = voxels.center[0, 2] + (np.arange(len(light)) - layer[0]) * size
-        foot, tip = np.interp((0.02, 0.95), np.cumsum(light) / light.sum(), z)
-        flame_height = max(tip - foot, 2 * size)
-        layers = FlameLayers.of(voxels, total)
-        momentum = (emission[..., None] * velocity).sum(0)
-        smooth_light = gaussian_filter1d(light, 2) + 1e-9 * light.max()
-        layer_up = gaussian_filter1d(np.bincount(layer, momentum[:, 2], len(light)), 2) / smooth_light
+        emission = field.emission
+        total = emission.sum(0, dtype=np.float64)
+        momentum = (emission[..., None] * field.velocity).sum(0)
+        core = core_speed(axis, np.array([frame.time_s for frame in field.frames]))
+        layers = axis.layers
+        light = layers.pooled(total)
         return cls(
-            voxels=voxels,
-            speed=float(np.sqrt(energy / total.sum())),
-            height=(voxels.center[:, 2] - foot) / flame_height,
-            flame_height=flame_height,
-            flame_radius=flame_radius(voxels, total),
-            layers=layers,
+            field=field,
+            axis=axis,
+            core=core,
+            core_mean=float((axis.mean_light * core.speed).sum() / axis.mean_light.sum()),
             mean_velocity=momentum / (total + 1e-3 * total.mean())[:, None],
-            mean_brightness=_brightness_in_layer(voxels, total / len(emission)),
-            layer_up=layer_up,
-            widening=_slope(gaussian_filter1d(layers.radius, 3), size),
-            lean=_slope(gaussian_filter1d(layers.axis, 3, axis=0), size),
+            mean_brightness=_brightness_in_layer(axis, total / len(emission)),
+            layer_seen=layers.pooled(momentum @ layers.direction) / (light + 1e-9 * light.max()),
         )
 
-    def describe(self, frame: FrameField) -> tuple[np.ndarray, np.ndarray]:
-        """Features (V, 16) and vectors (V, 5, 3) m/s of one frame."""
-        voxels, emission, velocity = self.voxels, frame.emission, frame.velocity
-        speed, layer = self.speed, voxels.index[:, 2]
-        now = FlameLayers.of(voxels, emission) if emission.any() else self.layers
-        outward, radius = self._outward(self.layers)
+    def describe(self, f: int) -> tuple[np.ndarray, np.ndarray]:
+        """Features (V, K) and vectors (V, 5, 3) m/s of frame f.
+
+        The vectors: along the axis, as fast as the core of the layer; outward from the frame's own axis; the seen
+        motion across the axis; along the lean of the clip's axis; outward from the clip's axis.
+        """
+        axis, layers, layer, speed = self.axis, self.axis.layers, self.axis.layers.nearest, self.core_mean
+        frame = self.field.frames[f]
+        emission = frame.emission
+        now = CrossSections.of(layers, self.field.voxels, emission) if emission.any() else axis.sections
+        outward, radius = self._outward(axis.sections)
         outward_now, radius_now = self._outward(now)
-        gradient = self._log_brightness_gradient(emission)
-        sideways = velocity[:, :2]
+        across = layers.sideways(frame.velocity)
+        fine, coarse = (self._brightening(f, width) for width in (FINE, COARSE))
+        length, width = axis.length, axis.radius
+
+        def of_clip(value: float) -> np.ndarray:
+            return np.full(len(layer), value)
+
         features = (
-            self.height,
-            radius / self.flame_radius,
+            (layers.along * layers.thickness - axis.foot) / length,
+            radius / width,
+            radius / np.sqrt(width * length),
             radius_now / now.radius[layer],
-            velocity[:, 2] / speed,
-            (sideways * outward_now).sum(1) / speed,
-            np.linalg.norm(sideways, axis=1) / speed,
-            self.mean_velocity[:, 2] / speed,
-            (self.mean_velocity[:, :2] * outward).sum(1) / speed,
-            self.layer_up[layer] / speed,
-            _slope(self.layer_up, voxels.voxel_size)[layer] * self.flame_height / speed,
-            _brightness_in_layer(voxels, emission),
+            np.log(now.radius / width)[layer],
+            np.log(axis.sections.radius / width)[layer],
+            frame.velocity @ layers.direction / speed,
+            (across * outward_now).sum(1) / speed,
+            np.linalg.norm(across, axis=1) / speed,
+            self.mean_velocity @ layers.direction / speed,
+            (self.mean_velocity * outward).sum(1) / speed,
+            self.layer_seen[layer] / speed,
+            self.core.speed[layer] / speed,
+            layers.slope(self.core.speed)[layer] * length / speed,
+            self.core.agreement[layer],
+            _brightness_in_layer(axis, emission),
             self.mean_brightness,
-            0.1 * gradient[:, 2] * self.flame_height,
-            0.3 * (gradient[:, :2] * outward_now).sum(1) * self.flame_radius,
-            self.widening[layer],
-            np.full(len(layer), np.log(self.flame_radius / self.flame_height)),
+            0.1 * length * (fine @ layers.direction),
+            0.3 * width * (fine * outward_now).sum(1),
+            0.1 * length * (coarse @ layers.direction),
+            0.3 * width * (coarse * outward_now).sum(1),
+            0.3 * self._brightening_in_time(f) * width / speed,
+            layers.slope(gaussian_filter1d(axis.sections.radius, 3))[layer],
+            of_clip(np.log(width / length)),
+            of_clip(np.log(self._frame_time * speed / width)),
+            of_clip(np.log(axis.seen_speed / speed)),
         )
-        vectors = np.zeros((len(layer), 5, 3))
-        vectors[:, 0, 2] = speed
-        vectors[:, 1, :2] = speed * outward
-        vectors[:, 2, :2] = sideways
-        vectors[:, 3, :2] = self.layer_up[layer, None] * self.lean[layer]
-        vectors[:, 4, :2] = speed * outward_now
+        vectors = np.zeros((len(layer), VECTORS, 3))
+        vectors[:, 0] = self.core.speed[layer, None] * layers.direction
+        vectors[:, 1] = speed * outward_now
+        vectors[:, 2] = across
+        vectors[:, 3] = self.core.speed[layer, None] * self._lean[layer]
+        vectors[:, 4] = speed * outward
         return np.clip(np.stack(features, -1), -LIMIT, LIMIT).astype(np.float32), vectors.astype(np.float32)
 
-    def _outward(self, layers: FlameLayers) -> tuple[np.ndarray, np.ndarray]:
-        """Direction (V, 2) away from the axis, shrinking to 0 within half a voxel of it, and distance (V,) m."""
-        offset = self.voxels.center[:, :2] - layers.axis[self.voxels.index[:, 2]]
-        radius = np.linalg.norm(offset, axis=1)
-        return offset / np.maximum(radius, 0.5 * self.voxels.voxel_size)[:, None], radius
+    @property
+    def _frame_time(self) -> float:
+        """s between frames; of a single frame, in which nothing passes, one crossing of the radius."""
+        times = [frame.time_s for frame in self.field.frames]
+        return float(np.median(np.diff(times))) if len(times) > 1 else self.axis.radius / self.core_mean
 
-    def _log_brightness_gradient(self, emission: np.ndarray) -> np.ndarray:
-        """(V, 3) 1/m, of the emission smoothed by 1.5 voxels."""
-        cells = tuple(self.voxels.index.T)
-        grid = np.zeros(self.voxels.resolution)
-        grid[cells] = emission
-        grid = gaussian_filter(grid, 1.5)
-        floor = 1e-2 * grid.max(initial=0)
-        if floor == 0:
-            return np.zeros((len(emission), 3))
-        return np.stack([_slope(np.log(grid + floor), self.voxels.voxel_size, i)[cells] for i in range(3)], -1)
+    @property
+    def _lean(self) -> np.ndarray:
+        """(S, 3) how far the clip's axis goes sideways per m of itself."""
+        tangent = gaussian_filter1d(self.axis.layers.slope(self.axis.sections.middle), 4, axis=0)
+        length = np.linalg.norm(tangent, axis=1, keepdims=True)
+        return self.axis.layers.sideways(tangent / np.maximum(length, 1e-9))
+
+    def _outward(self, sections: CrossSections) -> tuple[np.ndarray, np.ndarray]:
+        """Direction (V, 3) away from the axis, shrinking to 0 within half a voxel of it, and distance (V,) m."""
+        layers = self.axis.layers
+        offset = layers.sideways(self.field.voxels.center - sections.middle[layers.nearest])
+        radius = np.linalg.norm(offset, axis=1)
+        return offset / np.maximum(radius, 0.5 * layers.thickness)[:, None], radius
+
+    def _log_light(self, f: int, width: float) -> np.ndarray:
+        """(X, Y, Z) log of the light of frame f, smoothed by `width` voxels, above a hundredth of the clip's most."""
+        voxels, frame = self.field.voxels, self.field.frames[f]
+        grid = np.zeros(voxels.resolution)
+        grid[tuple(voxels.index.T)] = frame.emission * frame.light
+        brightest = max(float((frame.emission * frame.light).max()) for frame in self.field.frames)
+        return np.log(gaussian_filter(grid, width) + 1e-2 * brightest)
+
+    def _brightening(self, f: int, width: float) -> np.ndarray:
+        """(V, 3) 1/m, slope of the log light."""
+        grid, voxels = self._log_light(f, width), self.field.voxels
+        cells = tuple(voxels.index.T)
+        return np.stack([_slope(grid, voxels.voxel_size, i)[cells] for i in range(3)], -1)
+
+    def _brightening_in_time(self, f: int) -> np.ndarray:
+        """(V,) 1/s, between the frames before and after."""
+        before, after = max(f - 1, 0), min(f + 1, len(self.field.frames) - 1)
+        if before == after:
+            return np.zeros(len(self.field.voxels.center))
+        seconds = self.field.frames[after].time_s - self.field.frames[before].time_s
+        change = self._log_light(after, COARSE) - self._log_light(before, COARSE)
+        return change[tuple(self.field.voxels.index.T)] / seconds
 
 
 def _slope(values: np.ndarray, step: float, axis: int = 0) -> np.ndarray:
@@ -251,13 +301,11 @@ def _slope(values: np.ndarray, step: float, axis: int = 0) -> np.ndarray:
     return np.gradient(values, step, axis=axis) if values.shape[axis] > 1 else np.zeros_like(values)
 
 
-def _brightness_in_layer(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
+def _brightness_in_layer(axis: FlameAxis, emission: np.ndarray) -> np.ndarray:
     """(V,) log of the emission relative to the light's own mean in its layer; 0 in a dark frame."""
     floor = 1e-3 * emission.max(initial=0)
     if floor == 0:
         return np.zeros(len(emission))
-    layer = voxels.index[:, 2]
-    light = np.bincount(layer, emission, voxels.resolution[2])
-    square = np.bincount(layer, emission**2, voxels.resolution[2])
+    light, square = axis.layers.sums(emission), axis.layers.sums(emission**2)
     mean = square / np.where(light > 0, light, 1)
-    return np.log((emission + floor) / (mean[layer] + floor))
+    return np.log((emission + floor) / (mean[axis.layers.nearest] + floor))

@@ -6,7 +6,7 @@ drawn at its own camera's time, and line by line when that camera has a rolling 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -141,6 +141,7 @@ class _Flame:
     def __init__(self, seeds: TransientGaussians, observation: Observation, schedule: Schedule, units: Units):
         self.observation = observation
         self.voxel_size = units.voxel_size
+        self._velocity_sd = seeds.velocity_sd  # the optimisation hardly moves velocities, and learns nothing of it
         self.start_s = float(observation.camera_time_s.min())
         raw = to_raw(seeds, self.voxel_size, self.start_s)
         rates = schedule.rates(units)
@@ -159,7 +160,8 @@ class _Flame:
     def state(self) -> tuple[TransientGaussians, list[np.ndarray]]:
         """The Gaussians, and the plates C x (H, W, 3)."""
         plates = [rows(self.plate(c)).reshape(plate.shape) for c, plate in enumerate(self.observation.plate)]
-        return from_raw(self.optimizer, self.voxel_size, self.start_s), plates
+        gaussians = from_raw(self.optimizer, self.voxel_size, self.start_s)
+        return replace(gaussians, velocity_sd=self._velocity_sd), plates
 
 
 class _TrainingPictures:

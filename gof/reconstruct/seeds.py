@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
+from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
-from gof.reconstruct.voxels import flame_radius
 
 SCALE_MIN, SCALE_MAX = 0.1, 3.0  # bounds of a dynamic Gaussian's std-dev, in voxels (paper)
 SCALE_INITIAL = 0.7  # in voxels: neighbouring seeds overlap
@@ -27,14 +29,12 @@ def lifetime_s(field: FlowField, frame_time_s: float) -> float:
     Returns:
         t_sigma in s, within `LIFETIME_FRAMES` frame times; the longest where nothing known moves or shines.
     """
-    emission = np.stack([frame.emission * frame.known for frame in field.frames])
-    velocities = (frame.velocity for frame in field.frames)
-    energy = sum((e[:, None] * v**2).sum() for e, v in zip(emission, velocities, strict=True))
     shortest, longest = (n * frame_time_s for n in LIFETIME_FRAMES)
-    if not energy > 0:
+    known = replace(field, frames=tuple(replace(f, emission=f.emission * f.known) for f in field.frames))
+    axis = FlameAxis.of(known)
+    if axis is None:
         return longest
-    speed = np.sqrt(energy / emission.sum())
-    return float(np.clip(CROSSED * flame_radius(field.voxels, emission.sum(0)) / speed, shortest, longest))
+    return float(np.clip(CROSSED * axis.radius / axis.seen_speed, shortest, longest))
 
 
 def sample_seeds(
@@ -70,6 +70,7 @@ def sample_seeds(
             TransientGaussians(
                 position=position,
                 velocity=frame.velocity[chosen],
+                velocity_sd=frame.velocity_sd[chosen],
                 t_mu=np.full(n, frame.time_s),
                 t_sigma=np.full(n, t_sigma),
                 scale=np.full((n, 3), SCALE_INITIAL * voxels.voxel_size),

@@ -1,11 +1,10 @@
-"""The voxel grid a flame lives in: its box from the masks, its hull, and how wide its light is at every height."""
+"""The voxel grid a flame lives in: its box from the masks, and its hull."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from gof.cameras import Camera
 from gof.errors import DataFormatError
@@ -118,33 +117,3 @@ def carve(cameras: list[Camera], masks: np.ndarray, longest_side: int, min_views
     kept = center[keep]
     jacobian = np.stack([cam.projection_jacobian(kept) for cam in cameras])
     return FlameVoxels(kept, voxels.voxel_size, index[keep], resolution, voxels.pixel[:, keep], jacobian)
-
-
-@dataclass(frozen=True)
-class FlameLayers:
-    """Axis (Z, 2) and RMS radius (Z,) of the light in every layer of voxels, m."""
-
-    axis: np.ndarray
-    radius: np.ndarray
-
-    @classmethod
-    def of(cls, voxels: FlameVoxels, emission: np.ndarray) -> FlameLayers:
-        """Emission (V,) must not be all 0. Dark layers take the nearest lit ones' values."""
-        layer, xy = voxels.index[:, 2], voxels.center[:, :2]
-
-        def per_layer(values: np.ndarray) -> np.ndarray:
-            return gaussian_filter1d(np.bincount(layer, values, voxels.resolution[2]), LAYERS_POOLED)
-
-        light = per_layer(emission)
-        lit = np.flatnonzero(light > 1e-6 * light.max())
-        at = np.arange(len(light))
-        axis = np.stack([np.interp(at, lit, per_layer(emission * xy[:, i])[lit] / light[lit]) for i in (0, 1)], -1)
-        spread = per_layer(emission * ((xy - axis[layer]) ** 2).sum(1))[lit] / light[lit]
-        radius = np.interp(at, lit, np.sqrt(np.maximum(spread, 0)))
-        return cls(axis, np.maximum(radius, 0.5 * voxels.voxel_size))
-
-
-def flame_radius(voxels: FlameVoxels, emission: np.ndarray) -> float:
-    """RMS distance, m, of the light from the axis of its layer; emission (V,) >= 0 must not be all 0."""
-    light = np.bincount(voxels.index[:, 2], emission, voxels.resolution[2])
-    return float(np.sqrt((light * FlameLayers.of(voxels, emission).radius ** 2).sum() / light.sum()))

@@ -22,7 +22,9 @@ def column():
     frame = FrameField(
         time_s=0.0,
         emission=inside * 1.0,
+        light=1.0,
         velocity=np.tile([0, 0, SPEED], (len(inside), 1)),
+        velocity_sd=np.full(len(inside), np.inf),
         known=np.ones(len(inside), bool),
         image=np.full((3, 64, 36, 3), 0.5),
     )

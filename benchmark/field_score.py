@@ -1,0 +1,106 @@
+"""Scores of a flow field before any optimisation, and the controls beside which they must be read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gof.dataset import Dataset
+from gof.evaluate import dve
+from gof.gaussians import TransientGaussians
+from gof.reconstruct.core_speed import core_speed
+from gof.reconstruct.flame_axis import FlameAxis
+from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.voxels import FlameVoxels
+
+GRAVITY = 9.81
+LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuous flame (NBSIR 79-1910)
+HALF_WIDTH = (
+    0.38  # of sqrt(radius x length), where the speed has fallen to a half; chosen on the demo and one pool fire
+)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Means of DVE's figures over the frames of a flow field."""
+
+    l2: float
+    cos_sim: float
+    speed_ratio: float
+
+
+def score(field: FlowField, dataset: Dataset) -> Score:
+    """Of a flow field against the dataset's true velocity."""
+    results = []
+    for frame in field.frames:
+        cloud = on_voxels(field.voxels, frame.velocity, frame.emission, frame.time_s)
+        result = dve(cloud, dataset.velocity.at(frame.time_s), frame.time_s, order=1)
+        results.append((result.l2, result.cos_sim, result.speed_ratio))
+    return Score(*np.mean(results, 0).tolist())
+
+
+def on_voxels(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray, time_s: float) -> TransientGaussians:
+    """The fused field as point-like Gaussians, weighted by emission, so that DVE itself scores it."""
+    n = len(voxels.center)
+    return TransientGaussians(
+        position=voxels.center,
+        velocity=velocity,
+        t_mu=np.full(n, time_s),
+        t_sigma=np.full(n, np.inf),
+        scale=np.full((n, 3), 1e-3 * voxels.voxel_size),
+        rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
+        opacity=emission / emission.max(),
+        color=np.ones((n, 3)),
+        dynamic=np.ones(n, bool),
+    )
+
+
+# ---- Controls: what a prediction without skill, or a textbook, scores ------------------------------------------------
+
+
+def best_constant(field: FlowField, dataset: Dataset) -> FlowField:
+    """Each frame's mean true velocity, weighted by emission, everywhere."""
+    frames = []
+    for frame in field.frames:
+        truth = dataset.velocity.at(frame.time_s).sample(field.voxels.center)
+        mean = (frame.emission[:, None] * truth).sum(0) / frame.emission.sum()
+        frames.append(replace(frame, velocity=np.broadcast_to(mean, truth.shape)))
+    return replace(field, frames=tuple(frames))
+
+
+def mean_per_height(field: FlowField, dataset: Dataset) -> FlowField:
+    """Each frame's mean true velocity of every height, weighted by emission."""
+    layer = field.voxels.index[:, 2]
+    frames = []
+    for frame in field.frames:
+        truth = dataset.velocity.at(frame.time_s).sample(field.voxels.center)
+        light = np.bincount(layer, frame.emission)
+        sums = np.stack([np.bincount(layer, frame.emission * axis) for axis in truth.T], -1)
+        frames.append(replace(frame, velocity=(sums / np.maximum(light, 1e-12)[:, None])[layer]))
+    return replace(field, frames=tuple(frames))
+
+
+def buoyant_law(field: FlowField) -> FlowField:
+    """McCaffrey's speed of the axis, straight up, fading outward; knows metres, gravity and the vertical, no truth."""
+    axis = FlameAxis.of(field)
+    assert axis is not None
+    height = (axis.layers.along * axis.layers.thickness - axis.foot).clip(0)
+    return _straight(field, axis, LAW * np.sqrt(GRAVITY * height), np.array([0.0, 0.0, 1.0]))
+
+
+def core_alone(field: FlowField) -> FlowField:
+    """The speed of the flame's core along its axis, fading outward: evidence of the pictures without any network."""
+    axis = FlameAxis.of(field)
+    assert axis is not None
+    core = core_speed(axis, np.array([frame.time_s for frame in field.frames]))
+    return _straight(field, axis, core.speed[axis.layers.nearest], axis.layers.direction)
+
+
+def _straight(field: FlowField, axis: FlameAxis, speed: np.ndarray, direction: np.ndarray) -> FlowField:
+    """Speed (V,) m/s on the axis, along a direction, halved HALF_WIDTH away from the axis."""
+    layers = axis.layers
+    offset = layers.sideways(field.voxels.center - axis.sections.middle[layers.nearest])
+    half = HALF_WIDTH * np.sqrt(axis.radius * axis.length)
+    velocity = (speed * 0.5 ** ((offset**2).sum(1) / half**2))[:, None] * direction
+    return replace(field, frames=tuple(replace(frame, velocity=velocity) for frame in field.frames))
