@@ -18,8 +18,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from gof.reconstruct.flame_axis import FlameAxis
 
-SLOW_S = 0.06  # std-dev of the running mean that is taken out: a flame of metres puffs a few times a second
-LONGEST_LAG_S = 0.042  # after which eddies have turned over
+# In the time that what is seen takes to cross the flame's radius, so that a candle and a pool are told alike:
+SLOW = 0.4  # std-dev of the running mean that is taken out; a flame puffs slower
+LONGEST_LAG = 0.3  # after which eddies have turned over
 LAGS = 6  # at most so many time differences are looked at
 SPEEDS = np.geomspace(0.5, 8, 48)  # candidates, in seen speeds
 STIFFNESS = 1.0  # price of a change of log speed from layer to layer
@@ -44,30 +45,41 @@ def core_speed(axis: FlameAxis, time_s: np.ndarray) -> CoreSpeed:
         finite values always; where the light says nothing (one frame, a dark layer, a standing flame) agreement is 0
         and the speed that of the neighbouring layers, at last twice the seen one.
     """
-    changes = fast_changes(axis.light, time_s)
+    crossing_s = axis.radius / axis.seen_speed
+    changes = fast_changes(axis.light, time_s, SLOW * crossing_s)
+    lags = pairs(time_s, LONGEST_LAG * crossing_s)
     speeds = axis.seen_speed * SPEEDS
-    window = axis.radius / axis.layers.thickness
-    agreement = np.stack([_agreement(changes, time_s, speed / axis.layers.thickness, window) for speed in speeds], -1)
+    layer, window = axis.layers.thickness, axis.radius / axis.layers.thickness
+    agreement = np.stack([_agreement(changes, time_s, lags, speed / layer, window) for speed in speeds], -1)
     weight = axis.mean_light / axis.mean_light.mean()
     path = smoothest_path(np.maximum(agreement, -0.2) * weight[:, None], np.log(SPEEDS))
     speed = gaussian_filter1d(speeds[path], 2.0)
     return CoreSpeed(speed, agreement[np.arange(len(path)), path])
 
 
-def fast_changes(light: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """(F, S) log of the light (F, S) >= 0 minus its own running mean over time, mean 0 in every layer."""
+Lag = tuple[np.ndarray, np.ndarray]
+"""Numbers of frames, (P,) and (P,), as far from each other in time."""
+
+
+def fast_changes(light: np.ndarray, time_s: np.ndarray, slow_s: float) -> np.ndarray:
+    """(F, S) log of the light (F, S) >= 0 minus its own running mean over time, mean 0 in every layer.
+
+    The mean reaches over two frame times at least, or nothing would be left.
+    """
     mean = light.mean(0)
     log = np.log(light + DARK * mean + 1e-9 * light.max(initial=1e-30))
-    width = max(SLOW_S, 2 * _frame_time(time_s))
+    width = max(slow_s, 2 * _frame_time(time_s))
     weight = np.exp(-0.5 * ((time_s[:, None] - time_s) / width) ** 2)
     fast = log - weight @ log / weight.sum(1, keepdims=True)
     return fast - fast.mean(0)
 
 
-def _agreement(changes: np.ndarray, time_s: np.ndarray, layers_per_s: float, window: float) -> np.ndarray:
+def _agreement(
+    changes: np.ndarray, time_s: np.ndarray, lags: list[Lag], layers_per_s: float, window: float
+) -> np.ndarray:
     """(S,) correlation of changes (F, S) between layers and times that the speed connects, over `window` layers."""
     together, alone = np.zeros((2, changes.shape[1]))
-    for first, second in pairs(time_s):
+    for first, second in lags:
         half = 0.5 * layers_per_s * (time_s[second] - time_s[first]).mean()
         below, above = _shifted(changes[first], -half), _shifted(changes[second], half)
         together += (below * above).sum(0)
@@ -85,15 +97,15 @@ def _shifted(rows: np.ndarray, by: float) -> np.ndarray:
     return rows[:, low] * (1 - (at - low)) + rows[:, high] * (at - low)
 
 
-def pairs(time_s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(first, second) frames whose times differ by one frame time, by two, ... up to `LONGEST_LAG_S`.
+def pairs(time_s: np.ndarray, longest_s: float) -> list[Lag]:
+    """Frames whose times differ by one frame time, by two, ... up to `longest_s`, but by one in any case.
 
     Gaps are stepped over. Differences in between are left out when they would be more than `LAGS`.
     """
     step = _frame_time(time_s)
     if not step > 0:
         return []
-    longest = max(1, round(LONGEST_LAG_S / step))
+    longest = max(1, round(longest_s / step))
     found = []
     for lag in np.unique(np.rint(np.geomspace(1, longest, min(longest, LAGS)))):
         late = np.abs(time_s[None] - time_s[:, None] - lag * step)
