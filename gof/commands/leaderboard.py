@@ -66,5 +66,5 @@ def _table(title: str, rows: list[Row]) -> Table:
     for key in shown:
         table.add_column(COLUMNS[key].heading, justify="right")
     for row in rows:
-        table.add_row(row.name, *(row.text(key) for key in shown), style="dim" if row.control else None)
+        table.add_row(row.name, *(row.text(key) for key in shown), style=None if row.competes else "dim")
     return table

@@ -125,6 +125,18 @@ class PictureFigures:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PublishedFigures:
+    """The six that the authors publish, by their definitions (`gof.evaluate.published`)."""
+
+    psnr_flame: float | None = None
+    ssim_flame: float | None = None
+    rmse_depth_flame: float | None = None
+    lpips: float | None = None
+    psnr_no_sync: float | None = None
+    ssim_no_sync: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class PictureScore(PictureFigures):
     """One held-out picture. `flame_share` of its pixels show flame; None without masks."""
 
@@ -208,10 +220,12 @@ class Scores(PictureFigures):
     Attributes:
         gaussians, dynamic_gaussians: how many there are.
         import_: where the result came from.
+        flow_prior: whether a learned flow prior had a part in it; None where the result does not say.
         warnings: hints that something is in other units or another world, or missing.
         dve: None when the dataset has no true velocity.
         controls: by name (`gof.evaluate.controls.CONTROLS`); empty without `dve`.
         cgvqm_2, cgvqm_5: quality of the whole videos, mean over cameras; None without weights.
+        published: means over the held-out pictures; None when not asked for.
         images: None when pictures were not asked for.
         costs: seconds by part.
     """
@@ -222,11 +236,13 @@ class Scores(PictureFigures):
     gaussians: int
     dynamic_gaussians: int
     import_: Origin
+    flow_prior: bool | None = None
     warnings: tuple[str, ...] = ()
     dve: VelocityScore | None = None
     controls: dict[str, ControlScore] = field(default_factory=dict)
     cgvqm_2: float | None = None
     cgvqm_5: float | None = None
+    published: PublishedFigures | None = None
     images: ImageScores | None = None
     costs: dict[str, float] = field(default_factory=dict)
 

@@ -68,7 +68,10 @@ def evaluate(
     with timed(costs, "load"):
         gaussians, origin = _load(result, dataset, foreign or ImportOptions(), align)
     scores = Scores(
-        gaussians=len(gaussians), dynamic_gaussians=int(np.count_nonzero(gaussians.dynamic)), import_=origin
+        gaussians=len(gaussians),
+        dynamic_gaussians=int(np.count_nonzero(gaussians.dynamic)),
+        import_=origin,
+        flow_prior=_flow_prior(result),
     )
     if dataset.has_velocity:
         with timed(costs, "dve"):
@@ -87,7 +90,7 @@ def evaluate(
         own = result if isinstance(result, Path) else None
         plates = [background(dataset, number, own) for number in range(len(dataset.cameras))]
         found = image_scores(gaussians, dataset, plates, costs, extras or Extras(), progress)
-        scores = replace(scores, **asdict(found.means), **found.videos, images=found.images)
+        scores = replace(scores, **asdict(found.means), **found.videos, published=found.published, images=found.images)
     return replace(scores, costs={name: round(seconds, 3) for name, seconds in costs.items()})
 
 
@@ -114,6 +117,12 @@ def _load(
     )
     origin = replace(origin, notes=(*origin.notes, note), alignment=UsedAlignment.of(found))
     return gaussians.transformed(found.matrix), origin
+
+
+def _flow_prior(result: Path | MovingGaussians) -> bool | None:
+    """Whether a learned flow prior had a part in a result of ours; None where its folder does not say."""
+    made_from = MadeFrom.read(_folder(result)) if isinstance(result, Path) else None
+    return None if made_from is None else "flow_prior" in made_from.learned
 
 
 def _leak_warnings(result: Path | MovingGaussians, dataset: Dataset) -> list[str]:
