@@ -66,6 +66,8 @@ class EvaluateConfig:
     """Folder with weight files of LPIPS and CGVQM (docs/dve.md); what is not there is left out and named."""
     depth: Path | None = None
     """Folder of predicted or true depth maps CAMERA/FRAME.npy, for RMSE_depth."""
+    flame_only: bool = False
+    """The result of another method is a flame alone: draw it over the dataset's fire-free plates, as ours is."""
     published: bool = False
     """Also the six picture figures that the paper's authors publish, by their definitions (docs/leaderboard.md)."""
     disparity: Path | None = None
@@ -89,6 +91,7 @@ def main(argv: list[str]) -> int:
             config.foreign.options(),
             config.align,
             Extras(config.weights, config.depth, dis if config.published else None, config.disparity),
+            config.flame_only,
         )
     console = Console()
     for table in (velocity_table(scores), picture_table(scores), published_table(scores)):

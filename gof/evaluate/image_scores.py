@@ -22,6 +22,7 @@ from gof.gaussians import MovingGaussians
 
 Progress = Callable[..., None]  # progress(done, total, stage=...)
 Weights = np.ndarray | None  # (H, W) what a pixel counts for, 0..1; None = all count
+Background = np.ndarray | tuple[float, float, float]  # (H, W, 3) display values, or one colour
 Metric = Callable[[np.ndarray, np.ndarray, Weights], float | None]  # of a picture and its truth, (H, W, 3)
 
 BLACK = (0.0, 0.0, 0.0)
@@ -65,7 +66,7 @@ class View:
     """A camera by its number, and what its pictures are scored with: all (H, W, 3) display values, `board` (H, W)."""
 
     number: int
-    background: np.ndarray | tuple[float, float, float]  # what the result is drawn over
+    background: Background  # what the result is drawn over
     plate: np.ndarray  # the dataset's fire-free picture, scored beside the result
     board: Weights  # 0 on the sync board
 
@@ -94,7 +95,7 @@ def timed(costs: dict[str, float], name: str) -> Iterator[None]:
 def image_scores(
     gaussians: MovingGaussians,
     dataset: Dataset,
-    plates: list[np.ndarray],
+    backgrounds: list[Background],
     costs: dict[str, float],
     extras: Extras,
     progress: Progress,
@@ -105,7 +106,7 @@ def image_scores(
     both pictures are faded to black there.
 
     Args:
-        plates: (H, W, 3) per camera: what the result is drawn over, unless it has static Gaussians of its own.
+        backgrounds: per camera, what the result is drawn over.
         costs: seconds by part; "render", "images" and "video" are added.
     """
     metrics = _metrics(extras)
@@ -115,8 +116,7 @@ def image_scores(
     qualities: list[dict[str, float]] = []
     boards = [dataset.board_weight(number) for number in range(len(dataset.cameras))]
     for number, board in enumerate(boards):
-        background = plates[number] if gaussians.dynamic.all() else BLACK
-        view = View(number, background, dataset.static(number), board)
+        view = View(number, backgrounds[number], dataset.static(number), board)
         video = (
             VideoQuality(metrics.video, clip_length(dataset.frame_time_s), extras.weights) if metrics.video else None
         )
