@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from gof.commands.foreign_options import ForeignOptions
 from gof.dataset import Dataset
@@ -18,6 +18,7 @@ from gof.evaluate.published import THEIRS
 from gof.evaluate.scores import VelocityScore
 from gof.progress import progress_bar
 from gof.reconstruct.optical_flow import dis
+from gof.terminal import console
 
 PICTURE_ROWS = (
     ("psnr_flame", "PSNR flame (dB)", 2),
@@ -93,21 +94,21 @@ def main(argv: list[str]) -> int:
             Extras(config.weights, config.depth, dis if config.published else None, config.disparity),
             config.flame_only,
         )
-    console = Console()
+    out = console()
     for table in (velocity_table(scores), picture_table(scores), published_table(scores)):
         if table.row_count:
-            console.print(table)
+            out.print(table)
     for sentence in beaten_controls(scores):
-        console.print(sentence, highlight=False)
+        out.print(sentence, highlight=False)
     if scores.flow_prior is not None:
-        console.print(f"learned flow prior: {'used' if scores.flow_prior else 'not used'}")
+        out.print(f"learned flow prior: {'used' if scores.flow_prior else 'not used'}")
     absent = scores.images.absent if scores.images else ()
     for note in (*scores.import_.notes, *scores.warnings, *absent):
-        console.print("note:", note, style="yellow", markup=False, highlight=False)
-    console.print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in scores.costs.items()))
+        out.print("note:", note, style="yellow")
+    out.print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in scores.costs.items()))
     for path in _files(config):
         scores.write(path)
-        console.print(f"scores written to {path}")
+        out.print(f"scores written to {path}")
     return 0
 
 
@@ -147,7 +148,7 @@ def beaten_controls(scores: Scores) -> list[str]:
 
 
 def _add_own_rows(table: Table, dve: VelocityScore) -> None:
-    table.add_row("[bold]this result", _number(dve.l2), _number(dve.cos_sim), "all frames pooled")
+    table.add_row(Text("this result", "bold"), _number(dve.l2), _number(dve.cos_sim), "all frames pooled")
     table.add_row(
         "  per frame",
         f"{_number(dve.l2_frame_mean)} ± {_number(dve.l2_frame_std)}",

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from gof.dataset import Dataset
@@ -14,6 +13,7 @@ from gof.evaluate.leaderboard import COLUMNS, Leaderboard, Row, collect, rows_of
 from gof.evaluate.leaderboard_page import stream_plots, to_html
 from gof.files import atomic_path
 from gof.records import write_record
+from gof.terminal import console
 
 SHOWN = ("l2", "cos_sim", "psnr_flame", "ssim_flame", "train_s")  # columns for the terminal
 
@@ -49,13 +49,13 @@ def main(argv: list[str]) -> int:
     for suffix, text in pages.items():
         with atomic_path(config.out / f"leaderboard.{suffix}") as temporary:
             temporary.write_text(text, encoding="utf-8")
-    console = Console()
-    console.print(_table(config.title, rows))
+    out = console()
+    out.print(_table(config.title, rows))
     for stream in streams:
         if stream.reason:
             note = f"note: no stream plot of {stream.name}: {stream.reason}"
-            console.print(note, style="yellow", markup=False, highlight=False)
-    console.print(f"written to {config.out}/leaderboard.html, .json, .csv, .md")
+            out.print(note, style="yellow")
+    out.print(f"written to {config.out}/leaderboard.html, .json, .csv, .md")
     return 0
 
 

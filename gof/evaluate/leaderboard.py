@@ -11,6 +11,7 @@ from typing import ClassVar
 
 from gof.costs import StageLog
 from gof.errors import DataFormatError
+from gof.evaluate.cells import in_csv, in_markdown
 from gof.evaluate.published import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.scores import Origin, PublishedFigures, Scores
 from gof.files import read_json
@@ -270,7 +271,7 @@ def to_csv(rows: Sequence[Row]) -> str:
     for row in rows:
         values = [getattr(row, key) for key in COLUMNS]
         kind = [int(row.control), int(row.other_footage)]
-        writer.writerow([row.name, row.method, *kind, *("" if v is None else v for v in values)])
+        writer.writerow([in_csv(row.name), in_csv(row.method), *kind, *("" if v is None else v for v in values)])
     return out.getvalue()
 
 
@@ -280,7 +281,7 @@ def to_markdown(rows: Sequence[Row]) -> str:
     headings = " | ".join(COLUMNS[key].heading for key in keys)
     lines = [f"| method | {headings} |", "|---|" + "---:|" * len(keys)]
     for i, row in enumerate(rows):
-        name = row.name.replace("|", "\\|")
+        name = in_markdown(row.name)
         cells = [f"**{row.text(key)}**" if best.get(key) == i else row.text(key) for key in keys]
         lines.append(f"| {name if row.competes else f'*{name}*'} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
