@@ -15,7 +15,16 @@ from gof.files import atomic_path
 from gof.records import write_record
 from gof.terminal import console
 
-SHOWN = ("l2", "cos_sim", "psnr_flame", "ssim_flame", "train_s")  # columns for the terminal
+SHOWN = (
+    "flow_prior",
+    "l2",
+    "cos_sim",
+    "fluctuation_l2",
+    "fluctuation_cos",
+    "psnr_flame",
+    "ssim_flame",
+    "train_s",
+)  # columns for the terminal
 
 
 @dataclass

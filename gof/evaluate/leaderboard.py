@@ -11,9 +11,11 @@ from typing import ClassVar
 
 from gof.costs import StageLog
 from gof.errors import DataFormatError
+from gof.evaluate.cells import in_csv, in_markdown
 from gof.evaluate.published import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.scores import Origin, PublishedFigures, Scores
 from gof.files import read_json
+from gof.records import convert_json
 
 LOWER, NEITHER, HIGHER = -1, 0, 1  # which values of a column are better
 
@@ -30,6 +32,26 @@ class EvaluatedResult:
     name: str
     scores: Scores
     train_s: float | None
+
+
+@dataclass(frozen=True)
+class AboutMethod:
+    """method.json, by hand: what a method is called, and the seconds that its training took."""
+
+    name: str | None = None
+    train_seconds: float | None = None
+
+    def __post_init__(self):
+        if self.name is not None and not self.name.strip():
+            raise DataFormatError("name: is empty; leave it out, and the folder's name stands for it")
+        if self.train_seconds is not None and not 0 <= self.train_seconds < float("inf"):
+            raise DataFormatError(f"train_seconds: {self.train_seconds} is no number of seconds")
+
+    @classmethod
+    def read(cls, folder: Path) -> AboutMethod:
+        """Of a folder; empty where it has none. Raises DataFormatError: a field is of the wrong type (named)."""
+        path = folder / "method.json"
+        return convert_json(cls, read_json(path), path) if path.is_file() else cls()
 
 
 @dataclass(frozen=True)
@@ -171,9 +193,9 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
                 f"{folder}: no scores.json; run 'gof evaluate RESULT --truth DATASET --out {folder}' first"
             )
         scores = Scores.read(folder / "scores.json")
-        about = read_json(folder / "method.json") if (folder / "method.json").is_file() else {}
-        train_s = about.get("train_seconds", _train_seconds(folder))
-        results.append(EvaluatedResult(folder, about.get("name", folder.resolve().name), scores, train_s))
+        about = AboutMethod.read(folder)
+        train_s = _train_seconds(folder) if about.train_seconds is None else about.train_seconds
+        results.append(EvaluatedResult(folder, about.name or folder.resolve().name, scores, train_s))
     names = [result.name for result in results]
     return [
         replace(result, name=f"{result.name} ({i + 1})") if names.count(result.name) > 1 else result
@@ -249,7 +271,7 @@ def to_csv(rows: Sequence[Row]) -> str:
     for row in rows:
         values = [getattr(row, key) for key in COLUMNS]
         kind = [int(row.control), int(row.other_footage)]
-        writer.writerow([row.name, row.method, *kind, *("" if v is None else v for v in values)])
+        writer.writerow([in_csv(row.name), in_csv(row.method), *kind, *("" if v is None else v for v in values)])
     return out.getvalue()
 
 
@@ -259,7 +281,7 @@ def to_markdown(rows: Sequence[Row]) -> str:
     headings = " | ".join(COLUMNS[key].heading for key in keys)
     lines = [f"| method | {headings} |", "|---|" + "---:|" * len(keys)]
     for i, row in enumerate(rows):
-        name = row.name.replace("|", "\\|")
+        name = in_markdown(row.name)
         cells = [f"**{row.text(key)}**" if best.get(key) == i else row.text(key) for key in keys]
         lines.append(f"| {name if row.competes else f'*{name}*'} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
