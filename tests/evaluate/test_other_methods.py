@@ -79,7 +79,11 @@ def check(scores, method, state):
     assert scores["dve"]["weight_outside"] == 0 and scores["controls"]["true_centre"]["l2"] == pytest.approx(
         0, abs=1e-5
     )
-    assert scores["controls"]["zero"]["l2"] == pytest.approx(1, rel=1e-12) and scores["psnr"] > 0 and scores["ssim_flame"] is not None
+    assert (
+        scores["controls"]["zero"]["l2"] == pytest.approx(1, rel=1e-12)
+        and scores["psnr"] > 0
+        and scores["ssim_flame"] is not None
+    )
 
 
 def authors_state(raw, linear=SAME[:3, :3], shift=0.0):
