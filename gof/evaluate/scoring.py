@@ -72,11 +72,12 @@ def evaluate(
     progress = progress or (lambda *a, **k: None)
     with timed(costs, "load"):
         gaussians, origin = _load(result, dataset, foreign or ImportOptions(), align)
+    made_from = _made_from(result)
     scores = Scores(
         gaussians=len(gaussians),
         dynamic_gaussians=int(np.count_nonzero(gaussians.dynamic)),
         import_=origin,
-        flow_prior=_flow_prior(result),
+        flow_prior=None if made_from is None else "flow_prior" in made_from.learned,
     )
     if dataset.has_velocity:
         with timed(costs, "dve"):
@@ -90,7 +91,7 @@ def evaluate(
         )
     else:
         scores = replace(scores, warnings=("the dataset has no true velocity field, so there is no DVE",))
-    scores = replace(scores, warnings=(*scores.warnings, *_leak_warnings(result, dataset)))
+    scores = replace(scores, warnings=(*scores.warnings, *_leak_warnings(made_from, dataset)))
     if images:
         before_plates = gaussians.dynamic.all() and (flame_only or origin.method in OURS)
         if not before_plates and origin.method not in OURS:
@@ -128,23 +129,19 @@ def _load(
     return gaussians.transformed(found.matrix), origin
 
 
-def _flow_prior(result: Path | MovingGaussians) -> bool | None:
-    """Whether a learned flow prior had a part in a result of ours; None where its folder does not say."""
-    made_from = MadeFrom.read(_folder(result)) if isinstance(result, Path) else None
-    return None if made_from is None else "flow_prior" in made_from.learned
+def _made_from(result: Path | MovingGaussians) -> MadeFrom | None:
+    """What a result of ours was made from; None where its folder does not say."""
+    if not isinstance(result, Path):
+        return None
+    return MadeFrom.read(result if result.is_dir() else result.parent)
 
 
-def _leak_warnings(result: Path | MovingGaussians, dataset: Dataset) -> list[str]:
-    """What a result of ours learned from that is held out here, in words."""
-    made_from = MadeFrom.read(_folder(result)) if isinstance(result, Path) else None
+def _leak_warnings(made_from: MadeFrom | None, dataset: Dataset) -> list[str]:
+    """What a result learned from that is held out here, in words."""
     found = leaks(made_from.files if made_from else {}, dataset.test_frames).values()
     frames = sorted({frame for frames in found for frame in frames})
     said = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"
     return [said] if frames else []
-
-
-def _folder(result: Path) -> Path:
-    return result if result.is_dir() else result.parent
 
 
 # ---------------------------------------------------------------- its velocities
