@@ -104,7 +104,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
         _sync(path.parent)
     except OSError as e:
-        e.filename = e.filename or str(path)  # a full disk does not say whose
+        if e.filename in (None, str(temporary)):  # a full disk does not say whose, and drafts are nobody's business
+            e.filename, e.filename2 = str(path), None
         raise
     finally:
         temporary.unlink(missing_ok=True)

@@ -314,3 +314,60 @@ def test_decoding_is_as_before(tiny_dataset):
     path = tiny_dataset / "cameras/cam_0/rgb/000000.png"
     expected = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB).astype(np.float32) / 255
     np.testing.assert_array_equal(Dataset.open(tiny_dataset).image(0, 0), expected)
+
+
+# ---------------------------------------------------------------- options out of range
+
+
+@pytest.mark.parametrize("camera", ["99", "-5", "2"])
+def test_a_report_of_a_camera_that_is_none(evaluated, tiny_dataset, camera):
+    from gof.commands import report
+
+    with pytest.raises(GofError, match=rf"--camera {camera}: the dataset has cameras 0 to 1"):
+        report.main([str(evaluated), "--dataset", str(tiny_dataset), "--camera", camera])
+
+
+@pytest.mark.parametrize(("camera", "frame"), [(7, 0), (0, 7), (-1, 0), (0, -1)])
+def test_a_preview_of_a_picture_that_is_none(evaluated, tiny_dataset, camera, frame):
+    from gof.commands import report
+    from gof.report import Preview
+
+    cv2.imwrite(str(evaluated / "p.png"), np.zeros((8, 8, 3), np.uint8))
+    Preview("p.png", camera, frame).write(evaluated / "preview.json")
+    with pytest.raises(DataFormatError, match=r"preview\.json: the dataset has no frame"):
+        report.main([str(evaluated), "--dataset", str(tiny_dataset)])
+
+
+@pytest.mark.parametrize(
+    ("host", "port"), [("127.0.0.1", "99999999"), ("127.0.0.1", "-1"), ("no.such.host.invalid", "0")]
+)
+def test_an_address_that_nobody_can_listen_on(tmp_path, host, port):
+    from gof.commands import view
+
+    result = random_gaussians(5).save(tmp_path / "r.npz")
+    with pytest.raises(GofError, match=r"--host|--port"):
+        view.main([str(result), "--host", host, "--port", port])
+
+
+def test_generation_without_workers_is_refused(tmp_path):
+    from gof_benchmark.commands import generate
+
+    with pytest.raises(GofError, match="--workers 0: must be 1 or more"):
+        generate.main(["demo", "--preset", "toy", "--out", str(tmp_path / "d"), "--workers", "0"])
+    assert not (tmp_path / "d").exists()
+
+
+@pytest.mark.parametrize("option", ["gaussians", "iterations"])
+def test_a_demo_is_refused_before_it_begins(tmp_path, option):
+    from gof_benchmark.commands import demo
+
+    with pytest.raises(GofError, match=f"--{option} 0: must be 1 or more"):
+        demo.main(["--preset", "toy", f"--{option}", "0", "--out", str(tmp_path / "d")])
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_folder_in_place_of_a_file_is_named(tmp_path):
+    (tmp_path / "scores.json").mkdir()
+    with pytest.raises(OSError, match=r"scores\.json") as raised:
+        files.write_json(tmp_path / "scores.json", {})
+    assert raised.value.filename == str(tmp_path / "scores.json")

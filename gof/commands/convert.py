@@ -43,9 +43,7 @@ def main(argv: list[str]) -> int:
     seconds = time.perf_counter() - began
     count = len(imported.gaussians)
     out = console()
-    out.print(
-        f"{imported.method}: {count} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s"
-    )
+    out.print(f"{imported.method}: {count} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s")
     for note in imported.notes:
         out.print("note:", note, style="yellow")
     if config.json:
