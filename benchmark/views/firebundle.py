@@ -130,7 +130,7 @@ def write(source: ViewSource) -> None:
 
 
 def _write_transforms(bundle: Bundle) -> None:
-    """transforms.json: pose, field of view and time of every picture; `held_out_every`, ours, is for their trainer's option."""
+    """transforms.json: pose, field of view and time of every picture; `held_out_every`, ours, is for their option."""
     frames = [
         {
             "file_path": f"images/{r:04d}_{c}.png",
