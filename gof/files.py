@@ -71,6 +71,19 @@ def path_in(folder: Path, path: str) -> Path:
     return folder / path
 
 
+def without_place(path: Path, folder: Path) -> str:
+    """The path relative to a folder, if they have more than the root of the disk in common; else its name alone.
+
+    What is published says nothing of where its author keeps files.
+    """
+    path, folder = path.absolute(), folder.absolute()
+    try:
+        shared = Path(os.path.commonpath([path, folder]))
+    except ValueError:  # on another drive
+        return path.name
+    return Path(os.path.relpath(path, folder)).as_posix() if shared != Path(shared.anchor) else path.name
+
+
 def stamp(folder: Path, paths: Iterable[str]) -> str:
     """Sixteen hex digits that change with the names, sizes or times of change of files in a folder; absent ones count.
 

@@ -371,3 +371,20 @@ def test_a_folder_in_place_of_a_file_is_named(tmp_path):
     with pytest.raises(OSError, match=r"scores\.json") as raised:
         files.write_json(tmp_path / "scores.json", {})
     assert raised.value.filename == str(tmp_path / "scores.json")
+
+
+def test_scores_name_no_place_on_their_authors_machine(tiny_dataset, tmp_path):
+    """The result is found again from the scores' own folder, wherever both are moved."""
+    from gof.evaluate.leaderboard_page import read_again
+    from gof.evaluate.scores import Scores
+
+    result = random_gaussians(30).save(tmp_path / "theirs" / "run 7" / "r.npz")
+    scores = evaluate(result, Dataset.open(tiny_dataset), images=False)
+    scores.write(tmp_path / "boards" / "a" / "scores.json")
+    assert json.loads((tmp_path / "boards/a/scores.json").read_text())["import"]["path"] == "../../theirs/run 7/r.npz"
+    assert str(tmp_path) not in (tmp_path / "boards/a/scores.json").read_text()
+    Scores.read(tmp_path / "boards/a/scores.json").write(tmp_path / "scores.json")
+    assert json.loads((tmp_path / "scores.json").read_text())["import"]["path"] == "theirs/run 7/r.npz"
+    (found,) = collect([tmp_path / "boards" / "a"])
+    assert len(read_again(found)) == 30
+    assert files.without_place(Path("/home/alice/r.npz"), Path("/scratch/boards")) == "r.npz"

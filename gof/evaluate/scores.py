@@ -5,12 +5,15 @@ None stands for "undefined" or "not asked for"; docs/dve.md and docs/formats.md 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, make_dataclass
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
 from gof.errors import DataFormatError
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
+from gof.files import without_place
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
 from gof.records import read_record, write_record
@@ -254,10 +257,18 @@ class Scores(PictureFigures):
             DataFormatError: absent, damaged, or of another version (says to evaluate again).
         """
         try:
-            return read_record(cls, path)
+            return read_record(cls, path)._with_paths(lambda name: os.path.normpath(path.parent / name))
         except DataFormatError as e:
             raise DataFormatError(f"{e}; run 'gof evaluate RESULT --truth DATASET' again to write it") from e
 
     def write(self, path: Path) -> None:
-        """Write it, atomically; an older file is replaced."""
-        write_record(path, self)
+        """Write it, atomically; an older file is replaced. Paths in it count from its folder."""
+        write_record(path, self._with_paths(lambda name: without_place(Path(name), path.parent)))
+
+    def _with_paths(self, moved: Callable[[str], str]) -> Scores:
+        """These scores with the path of every file that they name mapped."""
+        origin = self.import_
+        path, options = origin.path and moved(origin.path), origin.options
+        if options is not None and options.world is not None:
+            options = replace(options, world=moved(options.world))
+        return replace(self, import_=replace(origin, path=path, options=options))
