@@ -197,6 +197,8 @@ def read_json(path: Path) -> Any:
     Raises:
         DataFormatError: the file is absent or is not JSON (names it).
     """
+    if path.exists() and not path.is_file():
+        raise DataFormatError(f"{path}: not a file")  # a device would never end
     try:
         text = path.read_text(encoding="utf-8")
         value = json.loads(text)

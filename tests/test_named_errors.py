@@ -388,3 +388,25 @@ def test_scores_name_no_place_on_their_authors_machine(tiny_dataset, tmp_path):
     (found,) = collect([tmp_path / "boards" / "a"])
     assert len(read_again(found)) == 30
     assert files.without_place(Path("/home/alice/r.npz"), Path("/scratch/boards")) == "r.npz"
+
+
+@pytest.mark.parametrize("kind", ["device", "pipe", "folder"])
+def test_json_is_read_from_files_only(tmp_path, kind):
+    """A device or a pipe would be read for ever."""
+    from gof_blender.pure.io import FileFormatError
+    from gof_blender.pure.io import files as of_the_add_on
+
+    path = tmp_path / "captions.json"
+    {"device": lambda: path.symlink_to("/dev/zero"), "pipe": lambda: os.mkfifo(path), "folder": path.mkdir}[kind]()
+    for read, error in ((files.read_json, DataFormatError), (of_the_add_on.read_json, FileFormatError)):
+        with pytest.raises(error, match=r"captions\.json: not a file"):
+            read(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n half", b"GIF89a", b"<svg></svg>"])
+def test_a_damaged_picture_of_a_report_is_named(tmp_path, content):
+    from gof.report.animation import data_uri
+
+    (tmp_path / "1.png").write_bytes(content)
+    with pytest.raises(DataFormatError, match=r"1\.png: cannot be decoded"):
+        data_uri(tmp_path / "1.png")

@@ -125,6 +125,8 @@ def write_json(path: Path, data: Any, indent: int = 1) -> None:
 
 def read_json(path: Path) -> Any:
     """Read JSON. Raises FileFormatError: the file is absent, or is not JSON (names it)."""
+    if path.exists() and not path.is_file():
+        raise FileFormatError(f"{path}: not a file")  # a device would never end
     try:
         text = path.read_text(encoding="utf-8")
         value = json.loads(text)
