@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 import importlib
+import os
 import sys
 from functools import cache
 from importlib.metadata import entry_points
 
 from gof import __version__
 from gof.commands import COMMANDS, Command
-from gof.errors import GofError
+from gof.errors import GofError, printable
 
 ALIASES = {"static": "ingest"}  # old name -> new name, for one version
 
@@ -46,7 +47,24 @@ def commands() -> dict[str, Command]:
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command. Returns the exit status: 0 done, 1 a named error, 2 wrong usage, 130 Ctrl-C."""
+    try:
+        return _main(argv)
+    except BrokenPipeError:  # who reads our output has seen enough; Python would complain when it empties its buffers
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def _main(argv: list[str] | None) -> int:
     argv = sys.argv[1:] if argv is None else argv
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")  # a terminal that cannot show a letter ends no run
+    odd = next((word for word in (*argv, os.getcwd()) if not word.isascii() and _is_not_utf8(word)), None)
+    if odd is not None:
+        print(
+            f"gof: {printable(odd)!r} is not UTF-8; rename that file or folder, or set LC_ALL=C.UTF-8", file=sys.stderr
+        )
+        return 2
     if not argv or argv[0] in ("-h", "--help", "help"):
         lines = "\n".join(f"  {name:<12} {command.help}" for name, command in commands().items())
         print(HELP.format(version=__version__, commands=lines))
@@ -64,6 +82,11 @@ def main(argv: list[str] | None = None) -> int:
     return run(name, rest)
 
 
+def _is_not_utf8(word: str) -> bool:
+    """Bytes that are no text come as halves of characters."""
+    return any("\ud800" <= c <= "\udfff" for c in word)
+
+
 def run(name: str, argv: list[str]) -> int:
     """Run a command with its own arguments, and say what stopped it in words that help."""
     try:
@@ -71,12 +94,20 @@ def run(name: str, argv: list[str]) -> int:
     except GofError as e:
         print(f"gof {name}: {e}", file=sys.stderr)
         return 1
-    except OSError as e:
-        if e.errno not in DISK:
-            raise
+    except MemoryError as e:
         print(
-            f"gof {name}: {e.filename or 'a file'}: {e.strerror}; finished work is kept: make room, or choose another "
-            "folder, and run the same command again",
+            f"gof {name}: not enough memory ({e or 'it does not say for what'}); smaller pictures or fewer Gaussians "
+            "need less, see --help",
+            file=sys.stderr,
+        )
+        return 1
+    except BrokenPipeError:
+        raise
+    except OSError as e:
+        remedy = "make room, or choose another folder, and" if e.errno in DISK else "when that is mended,"
+        place = printable(str(e.filename or "a file"))
+        print(
+            f"gof {name}: {place}: {e.strerror or e}; finished work is kept: {remedy} run the same command again",
             file=sys.stderr,
         )
         return 1

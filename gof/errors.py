@@ -1,8 +1,19 @@
 """Errors a user can act on. Every message names the file or parameter, what is wrong, and what to do."""
 
 
+def printable(text: str) -> str:
+    """The text with a replacement for every character that is not seen but acts: on terminals, or on reading order."""
+    return "".join(c if c.isprintable() or c in "\n\t" else "\ufffd" for c in text)
+
+
 class GofError(Exception):
-    """Base of every error this package raises on purpose; command lines print it without a traceback."""
+    """Base of every error this package raises on purpose; command lines print it without a traceback.
+
+    Its text may quote files: it is `printable`.
+    """
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class DataFormatError(GofError):

@@ -275,7 +275,7 @@ def open_array(path: str | Path):
     import zarr
 
     try:
-        array = zarr.open_array(str(path), mode="r")
+        array = zarr.open_array(str(path), mode="r", zarr_format=3)
         dict(array.attrs)
     except Exception as e:  # zarr raises many kinds; all mean the same to a user
         raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e})") from e

@@ -71,6 +71,19 @@ def path_in(folder: Path, path: str) -> Path:
     return folder / path
 
 
+def without_place(path: Path, folder: Path) -> str:
+    """The path relative to a folder, if they have more than the root of the disk in common; else its name alone.
+
+    What is published says nothing of where its author keeps files.
+    """
+    path, folder = path.absolute(), folder.absolute()
+    try:
+        shared = Path(os.path.commonpath([path, folder]))
+    except ValueError:  # on another drive
+        return path.name
+    return Path(os.path.relpath(path, folder)).as_posix() if shared != Path(shared.anchor) else path.name
+
+
 def stamp(folder: Path, paths: Iterable[str]) -> str:
     """Sixteen hex digits that change with the names, sizes or times of change of files in a folder; absent ones count.
 
@@ -104,7 +117,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
         _sync(path.parent)
     except OSError as e:
-        e.filename = e.filename or str(path)  # a full disk does not say whose
+        if e.filename in (None, str(temporary)):  # a full disk does not say whose, and drafts are nobody's business
+            e.filename, e.filename2 = str(path), None
         raise
     finally:
         temporary.unlink(missing_ok=True)
@@ -183,6 +197,8 @@ def read_json(path: Path) -> Any:
     Raises:
         DataFormatError: the file is absent or is not JSON (names it).
     """
+    if path.exists() and not path.is_file():
+        raise DataFormatError(f"{path}: not a file")  # a device would never end
     try:
         text = path.read_text(encoding="utf-8")
         value = json.loads(text)

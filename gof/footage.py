@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.pictures import read_picture
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
@@ -23,10 +24,7 @@ def stored_frames(path: Path) -> Iterator[np.ndarray]:
     path = Path(path)
     if path.is_dir():
         for file in picture_files(path):
-            frame = cv2.imread(str(file), cv2.IMREAD_COLOR)
-            if frame is None:
-                raise DataFormatError(f"{file}: cannot be decoded as a picture")
-            yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+            yield cv2.cvtColor(read_picture(file), cv2.COLOR_BGR2RGB)
         return
     if not path.is_file():
         raise DataFormatError(f"{path}: no such video or folder of pictures")

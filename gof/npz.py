@@ -6,6 +6,7 @@ import math
 import zipfile
 import zlib
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -53,6 +54,29 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
+def read_npy(path: Path) -> np.ndarray:
+    """The array of an npy.
+
+    Raises:
+        DataFormatError: absent, not an npy, cut off, of objects, or a header that announces more than the file holds.
+    """
+    try:
+        with open(path, "rb") as file:
+            shape, dtype = _header(file)
+            if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > path.stat().st_size:
+                raise ValueError(f"it announces shape {shape} of {dtype} in {path.stat().st_size} bytes")
+        return np.load(path, allow_pickle=False)
+    except (ValueError, OSError, EOFError, SyntaxError, TypeError, RuntimeError, KeyError, OverflowError) as e:
+        raise DataFormatError(f"{path}: not a readable npy ({e})") from e
+
+
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file)
+    return shape, dtype
+
+
 def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
     members = archive.infolist()
     total, limit = sum(m.file_size for m in members), max(EXPANSION * path.stat().st_size, ALWAYS)
@@ -62,9 +86,7 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
         )
     for member in members:
         with archive.open(member) as file:
-            version = np.lib.format.read_magic(file)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, _, dtype = read(file)
+            shape, dtype = _header(file)
         if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
             raise DataFormatError(
                 f"{path}: '{member.filename}' announces shape {shape} of {dtype}, the file holds {member.file_size} "

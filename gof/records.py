@@ -25,6 +25,7 @@ class Record(Protocol):
 
 
 R = TypeVar("R", bound=Record)
+T = TypeVar("T")
 
 
 def to_json(record: Record) -> dict[str, Any]:
@@ -43,6 +44,17 @@ def from_json(kind: type[R], data: Any, source: str | Path) -> R:
     """
     if not isinstance(data, dict) or data.get("schema") != kind.SCHEMA or data.get("version") != kind.VERSION:
         raise DataFormatError(f"{source}: not schema '{kind.SCHEMA}' version {kind.VERSION}")
+    return convert_json(kind, data, source)
+
+
+def convert_json(kind: type[T], data: Any, source: str | Path) -> T:
+    """Build a dataclass from the JSON of a file that people write by hand, without schema and version.
+
+    Raises:
+        DataFormatError: not an object, a missing field, or one of the wrong type (names it).
+    """
+    if not isinstance(data, dict):
+        raise DataFormatError(f"{source}: not a JSON object")
     try:
         return msgspec.convert({f"{key}_" if iskeyword(key) else key: value for key, value in data.items()}, kind)
     except (msgspec.ValidationError, GofError) as e:  # of a field; of the record's own checks

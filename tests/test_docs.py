@@ -14,8 +14,8 @@ PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "benchmark").glob("*/README.md")),
     *sorted((ROOT / "benchmark/scenes").glob("*/README.md")),
-    EVIDENCE / "README.md",
     ROOT / "firmware/README.md",
 ]
 TESTS = {name for path in (ROOT / "tests").rglob("*.py") for name in re.findall(r"def (test_\w+)", path.read_text())}

@@ -152,3 +152,42 @@ def test_settings_are_equal_field_by_field(tmp_path):
     settings.claim(tmp_path)
     with pytest.raises(GofError, match="seed differ"):
         replace(settings, seed=1).claim(tmp_path)
+
+
+# ---------------------------------------------------------------- the demo
+
+
+def test_a_demo_belongs_to_its_scene_and_its_options(tmp_path, monkeypatch):
+    from gof_benchmark.commands import demo
+
+    def no_worker(command, title, log=None):
+        raise GofError("stopped here")
+
+    monkeypatch.setattr(demo, "run_worker", no_worker)
+    options = ["--out", str(tmp_path), "--preset", "toy"]
+    (tmp_path / "dataset").mkdir()
+    (tmp_path / "dataset" / "spec.json").write_text("{}")
+    with pytest.raises(GofError, match="older version"):
+        demo.main(options)
+    (tmp_path / "dataset" / "spec.json").unlink()
+    with pytest.raises(GofError, match="stopped here"):
+        demo.main(options)
+    for other, words in ((["--gaussians", "7"], "gaussians differ"), (["--preset", "preview"], "scene differ")):
+        with pytest.raises(GofError, match=words):
+            demo.main([*options, *other])
+    with pytest.raises(GofError, match="stopped here"):
+        demo.main(options)
+
+
+def test_a_stage_is_finished_when_it_is_younger_than_what_it_is_made_from(tmp_path):
+    from gof_benchmark.commands.demo import Stage
+
+    source, result, picture = (tmp_path / name for name in ("a", "b", "c"))
+    stage = Stage("x", [], [source], [result, picture])
+    for path, time_ns in ((source, 1000), (result, 2000), (picture, 1000)):
+        assert not stage.finished
+        path.write_text("")
+        os.utime(path, ns=(time_ns, time_ns))
+    assert stage.finished
+    os.utime(source, ns=(1500, 1500))
+    assert not stage.finished

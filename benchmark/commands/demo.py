@@ -13,8 +13,10 @@ from typing import ClassVar
 import tyro
 
 from gof.costs import StageCost, StageLog
+from gof.errors import GofError
 from gof.evaluate.scores import Scores
 from gof.files import write_json
+from gof.reconstruct.presets import LEAST
 from gof.records import claim, to_json
 from gof.worker import run_worker
 from gof_benchmark.scenes import load_scene
@@ -54,7 +56,10 @@ class DemoSettings:
 
     @classmethod
     def of(cls, config: DemoConfig) -> DemoSettings:
-        """Raises GofError: there is no such scene."""
+        """Raises GofError: there is no such scene, or an option is out of range."""
+        for name in ("gaussians", "iterations"):
+            if (given := getattr(config, name)) is not None and given < LEAST[name]:
+                raise GofError(f"--{name} {given}: must be {LEAST[name]} or more")
         spec = load_scene(config.scene, config.preset)
         digits = hashlib.sha256(json.dumps(spec.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
         return cls(f"{spec.name} {digits}", config.gaussians, config.iterations)

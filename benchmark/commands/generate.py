@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gof.costs import Costs, StageLog
+from gof.errors import GofError
 from gof.files import only_run_in, write_json
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.layout import Layout
@@ -46,6 +47,8 @@ class GenerateConfig:
 def main(argv: list[str]) -> int:
     """`gof generate SPEC_OR_SCENE --out DIR`; see --help."""
     config = tyro.cli(GenerateConfig, prog="gof generate", args=argv)
+    if config.workers < 1:
+        raise GofError(f"--workers {config.workers}: must be 1 or more")
     spec = load_scene(config.scene, config.preset)
     layout = Layout(config.out)
     if config.estimate:

@@ -28,7 +28,7 @@ class Make:
 
     Each becomes WORK/dev/NAME or WORK/test/NAME. Those of OpenFOAM are first solved into WORK/openfoam/FIRE/grids;
     where OpenFOAM is not installed they are left out, and named. Stopped at any time, the same command goes on where it
-    was. On two free cores everything takes about four hours.
+    was. On two free cores everything takes some three hours.
     """
 
     work: tyro.conf.Positional[Path | None] = None

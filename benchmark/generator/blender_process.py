@@ -35,7 +35,7 @@ class ProcessCost:
 
 def command(stage: str, root: Path) -> list[str]:
     worker = [sys.executable, "-m", "gof_blender.worker.generate"]
-    return [*worker, "--spec", str(Layout(root).spec), "--out", str(root), "--stage", stage]
+    return [*worker, "--spec", str(Layout(root).local_spec), "--out", str(root), "--stage", stage]
 
 
 def run_stage(stage: str, root: Path) -> ProcessCost:

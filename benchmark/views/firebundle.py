@@ -130,7 +130,7 @@ def write(source: ViewSource) -> None:
 
 
 def _write_transforms(bundle: Bundle) -> None:
-    """transforms.json: pose, field of view and time of every picture."""
+    """transforms.json: pose, field of view and time of every picture; `held_out_every`, ours, is for their option."""
     frames = [
         {
             "file_path": f"images/{r:04d}_{c}.png",
@@ -145,7 +145,7 @@ def _write_transforms(bundle: Bundle) -> None:
     ]
     name = bundle.dataset.description.name
     head = {"format": FORMAT, "hf_scene": name, "name": name, "num_frames": bundle.window.count}
-    head |= {"num_cams": len(bundle.numbers), "dt": bundle.dt_ms}
+    head |= {"num_cams": len(bundle.numbers), "dt": bundle.dt_ms, "held_out_every": bundle.window.test_every}
     write_json(bundle.path("transforms.json"), head | {"frames": frames})
 
 

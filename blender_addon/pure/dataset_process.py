@@ -126,7 +126,7 @@ class Job:
         return done is not None and done.is_file()
 
     def _begin(self) -> None:
-        arguments = ["--spec", str(self.layout.spec), "--out", str(self.layout.root), "--stage", self.stage]
+        arguments = ["--spec", str(self.layout.local_spec), "--out", str(self.layout.root), "--stage", self.stage]
         code = (
             f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); "
             f"from {PACKAGE.name}.worker.generate import run; run({arguments!r})"

@@ -167,8 +167,10 @@ class GridFire:
     def burner(self) -> Burner | None:
         """What surroundings draw under the flame: a round one that reaches around all that the solver tells of.
 
-        Raises SpecError: see `store`.
+        None where the grids are not at hand, as in a dataset that was copied. Raises SpecError: see `store`.
         """
+        if not Path(self.grids).exists():
+            return None
         hearths = self.store.description.hearths
         if not hearths:
             return None

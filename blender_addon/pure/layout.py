@@ -7,6 +7,7 @@ from pathlib import Path
 
 from . import spec as scene_spec
 from .checked_json import SpecError
+from .io.files import read_json, write_json
 from .spec import SceneSpec
 
 
@@ -43,6 +44,16 @@ class Layout:
         return self.root / "spec.json"
 
     @property
+    def local_spec(self) -> Path:
+        """The spec with the places of its files on this machine, which is nobody else's business."""
+        return self.hidden / "spec.json"
+
+    @property
+    def inputs(self) -> Path:
+        """What the spec's files were when the folder was claimed."""
+        return self.hidden / "inputs.json"
+
+    @property
     def costs(self) -> Path:
         return self.root / "costs.json"
 
@@ -52,8 +63,8 @@ class Layout:
 
     @property
     def background(self) -> Path:
-        """A copy of the user's scene, where that is the background."""
-        return self.root / "background.blend"
+        """The surroundings of the user's scene, where that is the background."""
+        return self.root / scene_spec.BACKGROUND
 
     @property
     def blend(self) -> Path:
@@ -99,26 +110,40 @@ class Layout:
     def claim(self, spec: SceneSpec) -> None:
         """Make the folder this spec's, or check that it is.
 
-        Raises SpecError if the folder was made from another spec, or holds other things.
+        Raises SpecError if the folder holds other things, or was made from another spec or files that have changed.
         """
+        published = spec.published_in(self.root).to_dict()
         if self.spec.exists():
-            self._check_claim(spec)
+            self._check_claim(published, spec)
         elif self.root.is_dir() and any(self.root.iterdir()):
             raise SpecError(f"{self.root} is not empty and holds no spec.json; choose a new output folder")
         else:
             self.root.mkdir(parents=True, exist_ok=True)
-            scene_spec.save(spec, self.spec)
+            write_json(self.spec, published, indent=2)
+        write_json(self.local_spec, spec.to_dict())
+        write_json(self.inputs, self._stamps(spec))
 
-    def _check_claim(self, spec: SceneSpec) -> None:
+    def _check_claim(self, published: dict, spec: SceneSpec) -> None:
+        way_out = f"choose another output folder, or delete {self.root}"
         try:
-            before = scene_spec.load(self.spec)
+            before = scene_spec.load(self.spec).published_in(self.root).to_dict()
         except SpecError as error:
-            raise SpecError(f"{error}; choose another output folder, or delete {self.root}") from error
-        if before != spec:
-            raise SpecError(
-                f"{self.root} was made from another spec ({', '.join(before.differences(spec))} differ); "
-                "choose another output folder, or delete that one"
-            )
+            raise SpecError(f"{error}; {way_out}") from error
+        changed = sorted(name for name in published if before[name] != published[name])
+        if changed:
+            raise SpecError(f"{self.root} was made from another spec ({', '.join(changed)} differ); {way_out}")
+        if self.inputs.is_file():
+            stamps, now = read_json(self.inputs), self._stamps(spec)
+            moved = sorted(name for name in now if stamps.get(name) != now[name])
+            if moved:
+                raise SpecError(f"{self.root} was made from {', '.join(moved)}, which has changed since; {way_out}")
+
+    def _stamps(self, spec: SceneSpec) -> dict[str, list[int] | None]:
+        """Size and time of change of the spec's files by name; those in this folder are its own."""
+        outside = [path for path in spec.files() if not path.is_relative_to(self.root.resolve())]
+        return {
+            path.name: [path.stat().st_size, path.stat().st_mtime_ns] if path.exists() else None for path in outside
+        }
 
     def frame(self, camera: str, frame: int) -> FrameFiles:
         return FrameFiles(

@@ -28,6 +28,7 @@ from .timeline import Timeline
 SCHEMA = "gof-scene"
 VERSION = 1
 MOST_PICTURES = 100_000
+BACKGROUND = "background.blend"  # of a dataset: the surroundings that a spec's .blend gave it
 LAST_FRAME = 1_048_574  # Blender counts no further
 
 
@@ -222,8 +223,31 @@ class SceneSpec:
         return self._with_paths(lambda path: (folder / path).resolve())
 
     def resolved_in(self, folder: Path) -> SceneSpec:
-        """As `resolved`, for a spec that came with the folder: raises FileFormatError when a file lies outside it."""
-        return self._with_paths(lambda path: path_in(folder.resolve(), path.as_posix()))
+        """As `resolved`, for a spec that came with the folder: its .blend lies in there, or FileFormatError is raised.
+
+        The grids of a fire are not opened to build a scene again.
+        """
+        if not self.blend_file:
+            return self.resolved(folder)
+        path = path_in(folder.resolve(), self.blend_file.path)
+        return dataclasses.replace(self, blend_file=dataclasses.replace(self.blend_file, path=path.as_posix()))
+
+    def published_in(self, folder: Path) -> SceneSpec:
+        """This spec as a dataset in `folder` has it: without the places of the author's files.
+
+        The user's .blend is the dataset's own copy of its surroundings. Grids are relative where they share a folder
+        with the dataset, else only their name is left.
+        """
+        blend_file = self.blend_file and dataclasses.replace(self.blend_file, path=BACKGROUND)
+        fire = self.fire
+        if isinstance(fire, GridFire):
+            fire = dataclasses.replace(fire, grids=_without_place(Path(fire.grids), folder.resolve()))
+        return dataclasses.replace(self, blend_file=blend_file, fire=fire)
+
+    def files(self) -> list[Path]:
+        """The files that say whether what the spec burns and stands in is still the same."""
+        blend = [Path(self.blend_file.path)] if self.blend_file else []
+        return blend + ([Path(self.fire.grids) / "fire.json"] if isinstance(self.fire, GridFire) else [])
 
     def relative_to(self, folder: Path) -> SceneSpec:
         """This spec with the paths of its files relative where they lie in the folder: all can be moved together."""
@@ -281,6 +305,15 @@ class SceneSpec:
             if getattr(self, name) is not None
         }
         return dataclasses.replace(self, **sections)
+
+
+def _without_place(path: Path, folder: Path) -> str:
+    """The path relative to a folder, if they have more than the root of the disk in common; else its name."""
+    try:
+        shared = Path(os.path.commonpath([path, folder]))
+    except ValueError:  # other drives, or relative already
+        return path.name
+    return Path(os.path.relpath(path, folder)).as_posix() if shared != Path(shared.anchor) else path.name
 
 
 def load(path: str | os.PathLike) -> SceneSpec:

@@ -58,6 +58,10 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
 
     shutil.rmtree(layout.bake, ignore_errors=True)
     build.scene(spec)
+    if spec.blend_file:
+        from ..scene.backgrounds import blend_file
+
+        blend_file.save(bpy.data.collections["Background"], layout.background)
     _save_blend(layout)  # the cache folder is relative to the file
     flame_source(spec).bake(layout, progress)
     bpy.context.scene.frame_set(spec.timeline.first_frame)
@@ -169,7 +173,7 @@ def _describe(spec: SceneSpec, layout: Layout) -> DatasetDescription:
         ),
         splits=held_out(spec.clip.frames),
         velocity=layout.velocity.name,
-        spec=spec.relative_to(layout.root).to_dict(),
+        spec=spec.published_in(layout.root).to_dict(),
         effects=tuple(spec.effect_names),
         provenance={"blender": bpy.app.version_string, "generator": GENERATOR_VERSION}
         | flame_source(spec).provenance(),
@@ -180,6 +184,11 @@ def _save_blend(layout: Layout) -> None:
     import bpy
 
     bpy.context.preferences.filepaths.save_version = 0  # no .blend1 beside it
+    bpy.context.scene.render.filepath = "//"
+    for screen in bpy.data.screens:
+        for space in (space for area in screen.areas for space in area.spaces if space.type == "FILE_BROWSER"):
+            if space.params:
+                space.params.directory = b"//"  # it would name the user's home
     bpy.ops.wm.save_as_mainfile(filepath=str(layout.blend), check_existing=False)
 
 
@@ -191,7 +200,7 @@ def _open_blend(layout: Layout, during_bake: bool = False) -> None:
     from ..scene import mantaflow
 
     mantaflow.enable()
-    bpy.ops.wm.open_mainfile(filepath=str(layout.blend))
+    bpy.ops.wm.open_mainfile(filepath=str(layout.blend), use_scripts=False)
 
 
 STAGES = {

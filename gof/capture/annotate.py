@@ -14,9 +14,10 @@ from gof.capture.mask import board_mask
 from gof.capture.template import BoardTemplate
 from gof.dataset import CameraEntry, Dataset
 from gof.errors import DataFormatError, GofError
-from gof.files import atomic_path, path_in
+from gof.files import path_in
 from gof.footage import stored_frames
 from gof.lens import ROLL_DEG, Lens, Turn, prepare, read_cameras
+from gof.pictures import write_picture
 
 LOOK_AT = 160  # frames in which the board is looked for
 TURNS: dict[int, Turn] = {roll: turn for turn, roll in ROLL_DEG.items()}
@@ -105,6 +106,5 @@ def _write_mask(mask: np.ndarray, size: tuple[int, int], path: Path) -> float:
     import cv2
 
     mask = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
-    with atomic_path(path) as temporary:
-        cv2.imwrite(str(temporary), mask)
+    write_picture(path, mask)
     return float((mask > 127).mean())

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.decode import CameraTimes
-from gof.files import atomic_path
+from gof.pictures import write_picture
 
 WIDTH, HEIGHT, LEFT, RIGHT = 1100, 620, 80, 20
 COLOURS = ((40, 40, 220), (30, 140, 240), (60, 160, 60), (200, 120, 30), (170, 50, 150))  # BGR, strips in slot order
@@ -67,5 +67,4 @@ def plot_camera(times: CameraTimes, title: str, slot: np.ndarray, period_us: flo
     text(f"strip brightness over the board's period of {period_us / 1000:g} ms (bars: nominal slots)", LEFT, HEIGHT - 4)
     for i, fault in enumerate(times.faults):
         text(f"fault: {fault}", LEFT + 10, top - 6 + 18 * i, (0, 0, 200))
-    with atomic_path(path) as temporary:
-        cv2.imwrite(str(temporary), image)
+    write_picture(path, image)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 
 from gof.commands.foreign_options import ForeignOptions
 from gof.files import write_json
 from gof.io.convert import convert
 from gof.io.importers import read_result
+from gof.terminal import console
 
 
 @dataclass
@@ -42,12 +42,10 @@ def main(argv: list[str]) -> int:
     convert(imported, config.out, config.start, config.end, config.frame_time)
     seconds = time.perf_counter() - began
     count = len(imported.gaussians)
-    console = Console()
-    console.print(
-        f"{imported.method}: {count} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s"
-    )
+    out = console()
+    out.print(f"{imported.method}: {count} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s")
     for note in imported.notes:
-        console.print("note:", note, style="yellow", markup=False, highlight=False)
+        out.print("note:", note, style="yellow")
     if config.json:
         done = {"method": imported.method, "gaussians": count, "notes": imported.notes, "out": str(config.out)}
         write_json(config.json, done | {"seconds": round(seconds, 3)})

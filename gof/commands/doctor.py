@@ -8,8 +8,9 @@ from pathlib import Path
 import tyro
 
 from gof.checks import checks, examine
-from gof.errors import GofError
+from gof.errors import GofError, printable
 from gof.files import write_json
+from gof.terminal import console
 
 STYLES = {"ok": "green", "missing": "yellow", "broken": "bold red"}
 
@@ -30,21 +31,18 @@ class DoctorConfig:
 def main(argv: list[str]) -> int:
     """Run the checks, print one line each. Raises GofError: something needed is broken."""
     config = tyro.cli(DoctorConfig, prog="gof doctor", args=argv)
-    from rich.console import Console
+    from rich.text import Text
 
-    console = Console()
-    with console.status("looking at this machine (a real 3-frame bake takes some seconds)"):
+    out = console()
+    with out.status("looking at this machine (a real 3-frame bake takes some seconds)"):
         findings = examine(checks())
     for finding in findings:
-        style = STYLES[finding.status]
-        console.print(
-            f"[{style}]{finding.status:<8}[/][bold]{finding.name}[/] ({finding.purpose}): {finding.detail}",
-            highlight=False,
-        )
+        status = (f"{finding.status:<8}", STYLES[finding.status])
+        out.print(Text.assemble(status, (finding.name, "bold"), printable(f" ({finding.purpose}): {finding.detail}")))
     if config.json:
         write_json(config.json, {"checks": [asdict(finding) for finding in findings]})
     broken = [finding.name for finding in findings if finding.status == "broken"]
     if broken:
         raise GofError(f"not ready: {', '.join(broken)}")
-    console.print("ready: `gof demo` has all it needs")
+    out.print("ready: `gof demo` has all it needs")
     return 0

@@ -7,14 +7,18 @@ from pathlib import Path
 from typing import Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from gof.commands.foreign_options import ForeignOptions
 from gof.dataset import Dataset
 from gof.evaluate import Extras, Scores, evaluate
+from gof.evaluate.controls import BOUNDS
+from gof.evaluate.published import THEIRS
 from gof.evaluate.scores import VelocityScore
 from gof.progress import progress_bar
+from gof.reconstruct.optical_flow import dis
+from gof.terminal import console
 
 PICTURE_ROWS = (
     ("psnr_flame", "PSNR flame (dB)", 2),
@@ -28,6 +32,14 @@ PICTURE_ROWS = (
     ("cgvqm_2", "CGVQM-2 of the whole video, 0..100", 2),
     ("cgvqm_5", "CGVQM-5 of the whole video, 0..100", 2),
     ("rmse_depth", "RMSE depth", 3),
+)
+PUBLISHED_ROWS = (
+    ("psnr_flame", "PSNR flame (dB)", 2),
+    ("ssim_flame", "SSIM flame", 3),
+    ("rmse_depth_flame", "RMSE of flame's inverse depth", 3),
+    ("lpips", "LPIPS", 3),
+    ("psnr_no_sync", "PSNR without board (dB)", 2),
+    ("ssim_no_sync", "SSIM without board", 3),
 )
 
 
@@ -55,6 +67,12 @@ class EvaluateConfig:
     """Folder with weight files of LPIPS and CGVQM (docs/dve.md); what is not there is left out and named."""
     depth: Path | None = None
     """Folder of predicted or true depth maps CAMERA/FRAME.npy, for RMSE_depth."""
+    flame_only: bool = False
+    """The result of another method is a flame alone: draw it over the dataset's fire-free plates, as ours is."""
+    published: bool = False
+    """Also the six picture figures that the paper's authors publish, by their definitions (docs/leaderboard.md)."""
+    disparity: Path | None = None
+    """Folder of maps of relative inverse depth CAMERA/FRAME.npy, for --published's error of depth."""
     images: bool = True
     """Also render the held-out frames and score them."""
 
@@ -73,19 +91,24 @@ def main(argv: list[str]) -> int:
             progress,
             config.foreign.options(),
             config.align,
-            Extras(config.weights, config.depth),
+            Extras(config.weights, config.depth, dis if config.published else None, config.disparity),
+            config.flame_only,
         )
-    console = Console()
-    for table in (velocity_table(scores), picture_table(scores)):
+    out = console()
+    for table in (velocity_table(scores), picture_table(scores), published_table(scores)):
         if table.row_count:
-            console.print(table)
+            out.print(table)
+    for sentence in beaten_controls(scores):
+        out.print(sentence, highlight=False)
+    if scores.flow_prior is not None:
+        out.print(f"learned flow prior: {'used' if scores.flow_prior else 'not used'}")
     absent = scores.images.absent if scores.images else ()
     for note in (*scores.import_.notes, *scores.warnings, *absent):
-        console.print("note:", note, style="yellow", markup=False, highlight=False)
-    console.print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in scores.costs.items()))
+        out.print("note:", note, style="yellow")
+    out.print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in scores.costs.items()))
     for path in _files(config):
         scores.write(path)
-        console.print(f"scores written to {path}")
+        out.print(f"scores written to {path}")
     return 0
 
 
@@ -108,8 +131,24 @@ def velocity_table(scores: Scores) -> Table:
     return table
 
 
+def beaten_controls(scores: Scores) -> list[str]:
+    """Per figure a sentence: which controls the result beats in it, and which not; none where it is undefined."""
+    sentences = []
+    for key, label, sign in (("l2", "L2", -1), ("cos_sim", "CosSim", 1)):
+        own = None if scores.dve is None else getattr(scores.dve, key)
+        theirs = {name: getattr(c, key) for name, c in scores.controls.items() if name not in BOUNDS}
+        theirs = {name: value for name, value in theirs.items() if value is not None}
+        if own is None or not theirs:
+            continue
+        beaten = [name for name, value in theirs.items() if sign * own > sign * value]
+        others = [name for name in theirs if name not in beaten]
+        sentence = f"{label} beats {', '.join(beaten) or 'no control'}"
+        sentences.append(f"{sentence}; not {', '.join(others)}" if others else sentence)
+    return sentences
+
+
 def _add_own_rows(table: Table, dve: VelocityScore) -> None:
-    table.add_row("[bold]this result", _number(dve.l2), _number(dve.cos_sim), "all frames pooled")
+    table.add_row(Text("this result", "bold"), _number(dve.l2), _number(dve.cos_sim), "all frames pooled")
     table.add_row(
         "  per frame",
         f"{_number(dve.l2_frame_mean)} ± {_number(dve.l2_frame_std)}",
@@ -147,6 +186,17 @@ def picture_table(scores: Scores) -> Table:
         plate = getattr(scores, f"{key}_plate", None)
         if own is not None or plate is not None:
             table.add_row(label, _number(own, digits), _number(plate, digits))
+    return table
+
+
+def published_table(scores: Scores) -> Table:
+    """The authors' figures beside what they publish; empty when not asked for."""
+    table = Table(title="Held-out pictures, by the authors' definitions", title_justify="left")
+    for column in ("score", "result", "published, other footage"):
+        table.add_column(column, justify="left" if column == "score" else "right")
+    if scores.published is not None:
+        for key, label, digits in PUBLISHED_ROWS:
+            table.add_row(label, _number(getattr(scores.published, key), digits), _number(getattr(THEIRS, key), digits))
     return table
 
 

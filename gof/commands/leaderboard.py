@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from gof.dataset import Dataset
@@ -14,8 +13,18 @@ from gof.evaluate.leaderboard import COLUMNS, Leaderboard, Row, collect, rows_of
 from gof.evaluate.leaderboard_page import stream_plots, to_html
 from gof.files import atomic_path
 from gof.records import write_record
+from gof.terminal import console
 
-SHOWN = ("l2", "cos_sim", "psnr_flame", "ssim_flame", "train_s")  # columns for the terminal
+SHOWN = (
+    "flow_prior",
+    "l2",
+    "cos_sim",
+    "fluctuation_l2",
+    "fluctuation_cos",
+    "psnr_flame",
+    "ssim_flame",
+    "train_s",
+)  # columns for the terminal
 
 
 @dataclass
@@ -49,13 +58,13 @@ def main(argv: list[str]) -> int:
     for suffix, text in pages.items():
         with atomic_path(config.out / f"leaderboard.{suffix}") as temporary:
             temporary.write_text(text, encoding="utf-8")
-    console = Console()
-    console.print(_table(config.title, rows))
+    out = console()
+    out.print(_table(config.title, rows))
     for stream in streams:
         if stream.reason:
             note = f"note: no stream plot of {stream.name}: {stream.reason}"
-            console.print(note, style="yellow", markup=False, highlight=False)
-    console.print(f"written to {config.out}/leaderboard.html, .json, .csv, .md")
+            out.print(note, style="yellow")
+    out.print(f"written to {config.out}/leaderboard.html, .json, .csv, .md")
     return 0
 
 
@@ -66,5 +75,5 @@ def _table(title: str, rows: list[Row]) -> Table:
     for key in shown:
         table.add_column(COLUMNS[key].heading, justify="right")
     for row in rows:
-        table.add_row(row.name, *(row.text(key) for key in shown), style="dim" if row.control else None)
+        table.add_row(row.name, *(row.text(key) for key in shown), style=None if row.competes else "dim")
     return table

@@ -9,6 +9,7 @@ import tyro
 
 from gof.costs import StageCost, StageLog
 from gof.dataset import Dataset
+from gof.errors import GofError
 from gof.evaluate.scores import Scores
 from gof.files import write_json
 from gof.progress import progress_bar
@@ -41,6 +42,8 @@ def main(argv: list[str]) -> int:
     out = config.out_dir
     scores = Scores.read(out / "scores.json")
     dataset = Dataset.open(config.dataset or out / "dataset")
+    if config.camera is not None and not 0 <= config.camera < len(dataset.cameras):
+        raise GofError(f"--camera {config.camera}: the dataset has cameras 0 to {len(dataset.cameras) - 1}")
     result = config.result or _result_in(out)
     preview = Preview.read(out / "preview.json") if (out / "preview.json").exists() else None
     with progress_bar("report") as progress:

@@ -15,6 +15,7 @@ from gof.dataset.description import FILE, CameraEntry, DatasetDescription
 from gof.errors import DataFormatError
 from gof.fields import VelocitySequence
 from gof.files import path_in, stamp
+from gof.pictures import read_picture
 from gof.records import to_json
 
 SEEN = ("rgb", "static", "mask", "board_mask")  # kinds of files that are made something from
@@ -155,19 +156,5 @@ class Dataset:
         return next(entry for entry in self.description.cameras if entry.name == name)
 
     def _read(self, path: Path, camera: int) -> np.ndarray:
-        import cv2
-
-        if not path.is_file():
-            raise DataFormatError(f"{path}: no such file")
-        try:
-            image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        except cv2.error:  # a header that announces more than 2^30 pixels
-            image = None
-        if image is None:
-            raise DataFormatError(f"{path}: cannot be decoded; delete it and resume the generation")
-        expected = self.cameras[camera].height, self.cameras[camera].width
-        if image.shape[:2] != expected:
-            raise DataFormatError(
-                f"{path}: is {image.shape[1]}x{image.shape[0]}, the camera says {expected[1]}x{expected[0]}"
-            )
-        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.float32) / 255
+        image = read_picture(path, size=(self.cameras[camera].width, self.cameras[camera].height))
+        return image[..., ::-1].astype(np.float32) / 255

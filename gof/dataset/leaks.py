@@ -26,17 +26,21 @@ class LeakError(DataFormatError):
 
 @dataclass(frozen=True)
 class MadeFrom:
-    """made_from.json of a reconstruction: its files, each with the numbers of the frames that went into it."""
+    """made_from.json of a reconstruction: its files, each with the numbers of the frames that went into it.
+
+    `learned` names what else went in that was learned from other fires: "flow_prior", or nothing.
+    """
 
     SCHEMA: ClassVar[str] = "gof-made-from"
     VERSION: ClassVar[int] = 1
 
     files: dict[str, tuple[int, ...]]
+    learned: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, names: Iterable[str], frames: Iterable[int]) -> MadeFrom:
+    def of(cls, names: Iterable[str], frames: Iterable[int], learned: Iterable[str] = ()) -> MadeFrom:
         """All files from the same frames."""
-        return cls(dict.fromkeys(names, tuple(int(k) for k in frames)))
+        return cls(dict.fromkeys(names, tuple(int(k) for k in frames)), tuple(learned))
 
     @classmethod
     def read(cls, folder: Path) -> MadeFrom | None:

@@ -9,7 +9,8 @@ import numpy as np
 
 from gof.dataset.dataset import Dataset
 from gof.errors import DataFormatError
-from gof.files import atomic_path, path_in
+from gof.files import path_in
+from gof.pictures import read_picture, write_picture
 
 LEVELS = 65535  # 16 bits: plates are optimised and lit in steps finer than 1/255
 
@@ -21,11 +22,7 @@ def save_plates(folder: Path, names: list[str], plates: list[np.ndarray]) -> Non
         DataFormatError: a name leads out of the folder.
     """
     for name, plate in zip(names, plates, strict=True):
-        ok, data = cv2.imencode(".png", np.rint(np.clip(plate[..., ::-1], 0, 1) * LEVELS).astype(np.uint16))
-        if not ok:
-            raise DataFormatError(f"{folder}/plates/{name}.png: OpenCV cannot encode a plate of shape {plate.shape}")
-        with atomic_path(_plate(folder, name)) as temporary:
-            temporary.write_bytes(data.tobytes())
+        write_picture(_plate(folder, name), np.rint(np.clip(plate[..., ::-1], 0, 1) * LEVELS).astype(np.uint16))
 
 
 def _plate(folder: Path, name: str) -> Path:
@@ -47,8 +44,8 @@ def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray
     path = _plate(result if result.is_dir() else result.parent, dataset.cameras[camera].name)
     if not path.is_file():
         return static
-    stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if stored is None or stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
+    stored = read_picture(path, most=static.shape[0] * static.shape[1], unchanged=True)
+    if stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
         raise DataFormatError(
             f"{path}: not a 16-bit RGB PNG; remove the file to use the dataset's plate, or reconstruct again"
         )

@@ -9,6 +9,7 @@ import numpy as np
 
 from gof.errors import DataFormatError, GofError, require_finite
 from gof.files import path_in
+from gof.npz import read_npy
 
 
 class DepthScore(NamedTuple):
@@ -60,11 +61,9 @@ def read_depth(folder: Path, camera: str, frame: int) -> np.ndarray:
     """
     path = path_in(folder, f"{camera}/{frame:06d}.npy")
     try:
-        value = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as e:
-        raise DataFormatError(
-            f"{path}: not a readable depth map ({e}); expected CAMERA/FRAME.npy with a plain (H, W) array"
-        ) from e
+        value = read_npy(path)
+    except DataFormatError as e:
+        raise DataFormatError(f"{e}; expected CAMERA/FRAME.npy with a plain (H, W) array") from e
     if value.ndim != 2:
         raise DataFormatError(f"{path}: has shape {value.shape}, expected (H, W)")
     return value

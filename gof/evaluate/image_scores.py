@@ -15,12 +15,14 @@ from gof.errors import MissingDependencyError
 from gof.evaluate import perceptual
 from gof.evaluate.depth import read_depth, rmse_depth
 from gof.evaluate.image import psnr, ssim, temporal_l2
-from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore
+from gof.evaluate.published import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
+from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore, PublishedFigures
 from gof.evaluate.video import VideoQuality, available, clip_length
 from gof.gaussians import MovingGaussians
 
 Progress = Callable[..., None]  # progress(done, total, stage=...)
 Weights = np.ndarray | None  # (H, W) what a pixel counts for, 0..1; None = all count
+Background = np.ndarray | tuple[float, float, float]  # (H, W, 3) display values, or one colour
 Metric = Callable[[np.ndarray, np.ndarray, Weights], float | None]  # of a picture and its truth, (H, W, 3)
 
 BLACK = (0.0, 0.0, 0.0)
@@ -33,13 +35,19 @@ class Extras:
 
     weights: Path | None = None  # folder of weight files, for LPIPS and CGVQM
     depth: Path | None = None  # folder of CAMERA/FRAME.npy depth maps, for RMSE_depth
+    flow: Flow | None = None  # optical flow, for the figures that the authors publish; None leaves them out
+    disparity: Path | None = None  # folder of CAMERA/FRAME.npy maps of inverse depth, for their error of depth
 
 
 @dataclass(frozen=True)
 class FoundImageScores:
-    """`means` over pictures; `videos`: means over cameras by the name of the score; and what is behind them."""
+    """`means` over pictures; `videos`: means over cameras by the name of the score; and what is behind them.
+
+    `published`: means of the authors' figures; None when not asked for.
+    """
 
     means: PictureFigures
+    published: PublishedFigures | None
     videos: dict[str, float]
     images: ImageScores
 
@@ -58,7 +66,7 @@ class View:
     """A camera by its number, and what its pictures are scored with: all (H, W, 3) display values, `board` (H, W)."""
 
     number: int
-    background: np.ndarray | tuple[float, float, float]  # what the result is drawn over
+    background: Background  # what the result is drawn over
     plate: np.ndarray  # the dataset's fire-free picture, scored beside the result
     board: Weights  # 0 on the sync board
 
@@ -71,6 +79,7 @@ class Frame:
     image: np.ndarray  # (H, W, 3) drawn, display values in [0, 1]
     alpha: np.ndarray  # (H, W) drawn
     depth: np.ndarray  # (H, W) drawn, m
+    disparity: np.ndarray | None  # (H, W) drawn, 1/m; None when not asked for
     truth: np.ndarray  # (H, W, 3)
     mask: Weights  # 1 where flame is; None = the dataset does not say
 
@@ -86,7 +95,7 @@ def timed(costs: dict[str, float], name: str) -> Iterator[None]:
 def image_scores(
     gaussians: MovingGaussians,
     dataset: Dataset,
-    plates: list[np.ndarray],
+    backgrounds: list[Background],
     costs: dict[str, float],
     extras: Extras,
     progress: Progress,
@@ -97,24 +106,26 @@ def image_scores(
     both pictures are faded to black there.
 
     Args:
-        plates: (H, W, 3) per camera: what the result is drawn over, unless it has static Gaussians of its own.
+        backgrounds: per camera, what the result is drawn over.
         costs: seconds by part; "render", "images" and "video" are added.
     """
     metrics = _metrics(extras)
     frames = _frames_to_draw(dataset, whole_clip=bool(metrics.video))
     rows: list[PictureScore] = []
+    published: list[PublishedFigures] = []
     qualities: list[dict[str, float]] = []
     boards = [dataset.board_weight(number) for number in range(len(dataset.cameras))]
     for number, board in enumerate(boards):
-        background = plates[number] if gaussians.dynamic.all() else BLACK
-        view = View(number, background, dataset.static(number), board)
+        view = View(number, backgrounds[number], dataset.static(number), board)
         video = (
             VideoQuality(metrics.video, clip_length(dataset.frame_time_s), extras.weights) if metrics.video else None
         )
-        for i, (frame, after) in enumerate(_with_next(_draw(gaussians, dataset, view, frames, costs))):
+        for i, (frame, after) in enumerate(_with_next(_draw(gaussians, dataset, view, frames, extras, costs))):
             if frame.number in dataset.test_frames:
                 with timed(costs, "images"):
                     rows.append(_picture_score(dataset, view, frame, after, metrics, extras))
+                    if extras.flow is not None and after is not None:
+                        published.append(_published(dataset, view, frame, after, extras))
             if video:
                 with timed(costs, "video"):
                     video.add(_faded(frame.image, board), _faded(frame.truth, board))
@@ -126,6 +137,7 @@ def image_scores(
     statistics = {name: _mean_and_spread([getattr(row, name) for row in rows]) for name in FIGURES}
     return FoundImageScores(
         means=PictureFigures(**{name: mean for name, (mean, _) in statistics.items()}),
+        published=None if extras.flow is None else mean_figures(published),
         videos={name: float(np.mean([quality[name] for quality in qualities])) for name in metrics.video},
         images=ImageScores(
             count=len(rows),
@@ -171,7 +183,12 @@ def _frames_to_draw(dataset: Dataset, whole_clip: bool) -> list[int]:
 
 
 def _draw(
-    gaussians: MovingGaussians, dataset: Dataset, view: View, frames: list[int], costs: dict[str, float]
+    gaussians: MovingGaussians,
+    dataset: Dataset,
+    view: View,
+    frames: list[int],
+    extras: Extras,
+    costs: dict[str, float],
 ) -> Iterator[Frame]:
     """The frames of a camera in order, one at a time."""
     from gof.render import render  # here: it loads the compiler
@@ -180,12 +197,13 @@ def _draw(
     for k in frames:
         time_s = float(times_s[k])
         with timed(costs, "render"):
-            state = gaussians.state_at(time_s)
-            drawn = render(state, dataset.cameras[view.number], time_s, background=view.background)
+            state, camera = gaussians.state_at(time_s), dataset.cameras[view.number]
+            drawn = render(state, camera, time_s, background=view.background)
+            disparity = None if extras.flow is None else drawn_disparity(state, camera, time_s)
         with timed(costs, "images"):
             truth = dataset.image(view.number, k)
             mask = dataset.mask(view.number, k)
-        yield Frame(k, np.clip(drawn["color"], 0, 1), drawn["alpha"], drawn["depth"], truth, mask)
+        yield Frame(k, np.clip(drawn["color"], 0, 1), drawn["alpha"], drawn["depth"], disparity, truth, mask)
 
 
 def _with_next(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
@@ -223,6 +241,15 @@ def _picture_score(
     finite = {name: value for name, value in figures.items() if value is not None and np.isfinite(value)}
     flame_share = None if mask is None else float(mask.mean())
     return PictureScore(camera=camera, frame=frame.number, flame_share=flame_share, **finite)
+
+
+def _published(dataset: Dataset, view: View, frame: Frame, after: Frame, extras: Extras) -> PublishedFigures:
+    """The authors' figures of one held-out frame of one camera."""
+    camera = dataset.cameras[view.number].name
+    expected = None if extras.disparity is None else read_depth(extras.disparity, camera, frame.number)
+    board = None if view.board is None else view.board < 0.5
+    seen = PublishedFrame(frame.image, frame.truth, after.truth, board, frame.disparity, expected)
+    return published_figures(seen, extras.flow, extras.weights)
 
 
 def _mean_and_spread(values: list[float | None]) -> tuple[float | None, float | None]:

@@ -11,8 +11,11 @@ from typing import ClassVar
 
 from gof.costs import StageLog
 from gof.errors import DataFormatError
-from gof.evaluate.scores import Scores
+from gof.evaluate.cells import in_csv, in_markdown
+from gof.evaluate.published import NAME, OTHER_FOOTAGE, THEIRS
+from gof.evaluate.scores import Origin, PublishedFigures, Scores
 from gof.files import read_json
+from gof.records import convert_json
 
 LOWER, NEITHER, HIGHER = -1, 0, 1  # which values of a column are better
 
@@ -32,13 +35,33 @@ class EvaluatedResult:
 
 
 @dataclass(frozen=True)
+class AboutMethod:
+    """method.json, by hand: what a method is called, and the seconds that its training took."""
+
+    name: str | None = None
+    train_seconds: float | None = None
+
+    def __post_init__(self):
+        if self.name is not None and not self.name.strip():
+            raise DataFormatError("name: is empty; leave it out, and the folder's name stands for it")
+        if self.train_seconds is not None and not 0 <= self.train_seconds < float("inf"):
+            raise DataFormatError(f"train_seconds: {self.train_seconds} is no number of seconds")
+
+    @classmethod
+    def read(cls, folder: Path) -> AboutMethod:
+        """Of a folder; empty where it has none. Raises DataFormatError: a field is of the wrong type (named)."""
+        path = folder / "method.json"
+        return convert_json(cls, read_json(path), path) if path.is_file() else cls()
+
+
+@dataclass(frozen=True)
 class Column:
     """A column of the leaderboard; `value` gives None where there is nothing to show."""
 
     heading: str
     better: int
     format: str
-    value: Callable[[EvaluatedResult], float | int | None]
+    value: Callable[[EvaluatedResult], float | int | str | None]
 
 
 def _velocity(value: Callable) -> Callable[[EvaluatedResult], float | None]:
@@ -51,7 +74,18 @@ def _emission(value: Callable) -> Callable[[EvaluatedResult], float | None]:
     return _velocity(lambda dve: None if dve.on_emission is None else value(dve.on_emission))
 
 
+def _published(value: Callable[[PublishedFigures], float | None]) -> Callable[[EvaluatedResult], float | None]:
+    """One of the authors' figures; None where they were not asked for."""
+    return lambda result: None if result.scores.published is None else value(result.scores.published)
+
+
+def _flow_prior(result: EvaluatedResult) -> str | None:
+    used = result.scores.flow_prior
+    return None if used is None else "yes" if used else "no"
+
+
 COLUMNS = {
+    "flow_prior": Column("learned flow prior", NEITHER, "s", _flow_prior),
     "l2": Column("DVE L2", LOWER, ".3f", _velocity(lambda dve: dve.l2)),
     "cos_sim": Column("DVE CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.cos_sim)),
     "fluctuation_l2": Column("fluctuation L2", LOWER, ".3f", _velocity(lambda dve: dve.fluctuation.l2)),
@@ -70,6 +104,12 @@ COLUMNS = {
     "cgvqm_2": Column("CGVQM-2", HIGHER, ".2f", lambda result: result.scores.cgvqm_2),
     "cgvqm_5": Column("CGVQM-5", HIGHER, ".2f", lambda result: result.scores.cgvqm_5),
     "rmse_depth": Column("RMSE depth (m)", LOWER, ".3f", lambda result: result.scores.rmse_depth),
+    "published_psnr_flame": Column("PSNR moving (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_flame)),
+    "published_ssim_flame": Column("SSIM moving", HIGHER, ".3f", _published(lambda p: p.ssim_flame)),
+    "published_rmse_depth": Column("RMSE 1/depth moving", LOWER, ".3f", _published(lambda p: p.rmse_depth_flame)),
+    "published_lpips": Column("LPIPS whole", LOWER, ".3f", _published(lambda p: p.lpips)),
+    "published_psnr_no_sync": Column("PSNR no board (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_no_sync)),
+    "published_ssim_no_sync": Column("SSIM no board", HIGHER, ".3f", _published(lambda p: p.ssim_no_sync)),
     "train_s": Column("train (s)", LOWER, ".1f", lambda result: result.train_s),
     "evaluate_s": Column("evaluate (s)", LOWER, ".1f", lambda result: sum(result.scores.costs.values()) or None),
     "gaussians": Column("Gaussians", NEITHER, "d", lambda result: result.scores.gaussians),
@@ -78,12 +118,17 @@ COLUMNS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A line of the leaderboard: a result, or a control of the first one. The figures are named as in COLUMNS."""
+    """A line of the leaderboard: a result, or a control of the first one. The figures are named as in COLUMNS.
+
+    A line with `other_footage` shows what somebody published for other fires; it competes with nobody.
+    """
 
     name: str
     method: str
     control: bool = False
+    other_footage: bool = False
     notes: tuple[str, ...] = ()
+    flow_prior: str | None = None
     l2: float | None = None
     cos_sim: float | None = None
     fluctuation_l2: float | None = None
@@ -102,9 +147,20 @@ class Row:
     cgvqm_2: float | None = None
     cgvqm_5: float | None = None
     rmse_depth: float | None = None
+    published_psnr_flame: float | None = None
+    published_ssim_flame: float | None = None
+    published_rmse_depth: float | None = None
+    published_lpips: float | None = None
+    published_psnr_no_sync: float | None = None
+    published_ssim_no_sync: float | None = None
     train_s: float | None = None
     evaluate_s: float | None = None
     gaussians: int | None = None
+
+    @property
+    def competes(self) -> bool:
+        """Whether its figures may be the best of a column."""
+        return not self.control and not self.other_footage
 
     def text(self, column: str) -> str:
         value = getattr(self, column)
@@ -137,9 +193,9 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
                 f"{folder}: no scores.json; run 'gof evaluate RESULT --truth DATASET --out {folder}' first"
             )
         scores = Scores.read(folder / "scores.json")
-        about = read_json(folder / "method.json") if (folder / "method.json").is_file() else {}
-        train_s = about.get("train_seconds", _train_seconds(folder))
-        results.append(EvaluatedResult(folder, about.get("name", folder.resolve().name), scores, train_s))
+        about = AboutMethod.read(folder)
+        train_s = _train_seconds(folder) if about.train_seconds is None else about.train_seconds
+        results.append(EvaluatedResult(folder, about.name or folder.resolve().name, scores, train_s))
     names = [result.name for result in results]
     return [
         replace(result, name=f"{result.name} ({i + 1})") if names.count(result.name) > 1 else result
@@ -155,7 +211,7 @@ def _train_seconds(folder: Path) -> float | None:
 
 
 def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
-    """One row per result, then the controls of the first result that has any."""
+    """One row per result, what the authors published if a result has their figures, then the controls of the first."""
     rows = [
         Row(
             name=result.name,
@@ -165,6 +221,8 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
         )
         for result in results
     ]
+    if any(result.scores.published is not None for result in results):
+        rows.append(_authors_row())
     controls = next((result.scores.controls for result in results if result.scores.controls), {})
     return rows + [
         Row(
@@ -179,18 +237,29 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
     ]
 
 
+def _authors_row() -> Row:
+    """The authors' own figures, of other footage."""
+    about = EvaluatedResult(
+        Path(), NAME, Scores(gaussians=0, dynamic_gaussians=0, import_=Origin(NAME), published=THEIRS), None
+    )
+    figures = {key: column.value(about) for key, column in COLUMNS.items() if key.startswith("published_")}
+    return Row(name=f"{NAME}, other footage", method=OTHER_FOOTAGE, other_footage=True, **figures)
+
+
 def used_columns(rows: Sequence[Row]) -> list[str]:
     """The columns in which any row has a value."""
     return [key for key in COLUMNS if any(getattr(row, key) is not None for row in rows)]
 
 
 def best_rows(rows: Sequence[Row]) -> dict[str, int]:
-    """Column -> number of the row with its best value, the first of equals; controls do not take part."""
+    """Column -> number of the row with its best value, the first of equals; only rows that compete take part."""
     best = {}
     for key, column in COLUMNS.items():
-        values = {i: getattr(row, key) for i, row in enumerate(rows) if not row.control}
+        if not column.better:
+            continue
+        values = {i: getattr(row, key) for i, row in enumerate(rows) if row.competes}
         values = {i: column.better * value for i, value in values.items() if value is not None}
-        if column.better and len(values) > 1:
+        if len(values) > 1:
             best[key] = max(values, key=values.__getitem__)
     return best
 
@@ -198,22 +267,23 @@ def best_rows(rows: Sequence[Row]) -> dict[str, int]:
 def to_csv(rows: Sequence[Row]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["name", "method", "control", *COLUMNS])
+    writer.writerow(["name", "method", "control", "other_footage", *COLUMNS])
     for row in rows:
         values = [getattr(row, key) for key in COLUMNS]
-        writer.writerow([row.name, row.method, int(row.control), *("" if v is None else v for v in values)])
+        kind = [int(row.control), int(row.other_footage)]
+        writer.writerow([in_csv(row.name), in_csv(row.method), *kind, *("" if v is None else v for v in values)])
     return out.getvalue()
 
 
 def to_markdown(rows: Sequence[Row]) -> str:
-    """The best value of every column in bold; controls below, in italics, never bold."""
+    """The best value of every column in bold; controls and rows of other footage in italics, never bold."""
     keys, best = used_columns(rows), best_rows(rows)
     headings = " | ".join(COLUMNS[key].heading for key in keys)
     lines = [f"| method | {headings} |", "|---|" + "---:|" * len(keys)]
     for i, row in enumerate(rows):
-        name = row.name.replace("|", "\\|")
+        name = in_markdown(row.name)
         cells = [f"**{row.text(key)}**" if best.get(key) == i else row.text(key) for key in keys]
-        lines.append(f"| {f'*{name}*' if row.control else name} | " + " | ".join(cells) + " |")
+        lines.append(f"| {name if row.competes else f'*{name}*'} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 

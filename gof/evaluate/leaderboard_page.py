@@ -147,6 +147,7 @@ def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str) -> 
         title=title,
         headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
         table=list(zip(rows, cells, strict=True)),
+        rows_of_others=any(row.other_footage for row in rows),
         streams=streams,
         charts=charts,
         plotlyjs=get_plotlyjs() if charts else "",

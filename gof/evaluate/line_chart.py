@@ -10,6 +10,7 @@ from gof.files import atomic_path
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 560, 340, 70, 20, 34, 52
 COLOURS = ("#c2410c", "#1d4ed8", "#15803d", "#7e22ce", "#0e7490", "#a16207", "#be185d", "#475569")
+COLOURS += ("#84cc16", "#38bdf8", "#f472b6", "#854d0e", "#a78bfa")
 
 
 def write(

@@ -5,12 +5,15 @@ None stands for "undefined" or "not asked for"; docs/dve.md and docs/formats.md 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, make_dataclass
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
 from gof.errors import DataFormatError
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
+from gof.files import without_place
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
 from gof.records import read_record, write_record
@@ -125,6 +128,18 @@ class PictureFigures:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PublishedFigures:
+    """The six that the authors publish, by their definitions (`gof.evaluate.published`)."""
+
+    psnr_flame: float | None = None
+    ssim_flame: float | None = None
+    rmse_depth_flame: float | None = None
+    lpips: float | None = None
+    psnr_no_sync: float | None = None
+    ssim_no_sync: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class PictureScore(PictureFigures):
     """One held-out picture. `flame_share` of its pixels show flame; None without masks."""
 
@@ -208,10 +223,12 @@ class Scores(PictureFigures):
     Attributes:
         gaussians, dynamic_gaussians: how many there are.
         import_: where the result came from.
+        flow_prior: whether a learned flow prior had a part in it; None where the result does not say.
         warnings: hints that something is in other units or another world, or missing.
         dve: None when the dataset has no true velocity.
         controls: by name (`gof.evaluate.controls.CONTROLS`); empty without `dve`.
         cgvqm_2, cgvqm_5: quality of the whole videos, mean over cameras; None without weights.
+        published: means over the held-out pictures; None when not asked for.
         images: None when pictures were not asked for.
         costs: seconds by part.
     """
@@ -222,11 +239,13 @@ class Scores(PictureFigures):
     gaussians: int
     dynamic_gaussians: int
     import_: Origin
+    flow_prior: bool | None = None
     warnings: tuple[str, ...] = ()
     dve: VelocityScore | None = None
     controls: dict[str, ControlScore] = field(default_factory=dict)
     cgvqm_2: float | None = None
     cgvqm_5: float | None = None
+    published: PublishedFigures | None = None
     images: ImageScores | None = None
     costs: dict[str, float] = field(default_factory=dict)
 
@@ -238,10 +257,18 @@ class Scores(PictureFigures):
             DataFormatError: absent, damaged, or of another version (says to evaluate again).
         """
         try:
-            return read_record(cls, path)
+            return read_record(cls, path)._with_paths(lambda name: os.path.normpath(path.parent / name))
         except DataFormatError as e:
             raise DataFormatError(f"{e}; run 'gof evaluate RESULT --truth DATASET' again to write it") from e
 
     def write(self, path: Path) -> None:
-        """Write it, atomically; an older file is replaced."""
-        write_record(path, self)
+        """Write it, atomically; an older file is replaced. Paths in it count from its folder."""
+        write_record(path, self._with_paths(lambda name: without_place(Path(name), path.parent)))
+
+    def _with_paths(self, moved: Callable[[str], str]) -> Scores:
+        """These scores with the path of every file that they name mapped."""
+        origin = self.import_
+        path, options = origin.path and moved(origin.path), origin.options
+        if options is not None and options.world is not None:
+            options = replace(options, world=moved(options.world))
+        return replace(self, import_=replace(origin, path=path, options=options))

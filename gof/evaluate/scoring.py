@@ -14,7 +14,7 @@ from gof.errors import DataFormatError
 from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import DVESequence, Opacity
 from gof.evaluate.emission import EmissionScore, FlameGrid, score_on_emission
-from gof.evaluate.image_scores import Extras, Progress, image_scores, timed
+from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, timed
 from gof.evaluate.scores import (
     Agreement,
     ControlScore,
@@ -31,6 +31,8 @@ from gof.gaussians import MovingGaussians
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
 
+OURS = ("gof", "memory")  # methods whose results without static Gaussians are known to be flames alone
+
 
 def evaluate(
     result: Path | MovingGaussians,
@@ -42,11 +44,13 @@ def evaluate(
     foreign: ImportOptions | None = None,
     align: Path | None = None,
     extras: Extras | None = None,
+    flame_only: bool = False,
 ) -> Scores:
     """All scores of a result.
 
-    Pictures: every held-out frame of every camera, rendered over the result's own plate (`gof.dataset.plates`), else
-    the fire-free one (over black when the result brings static Gaussians of its own); `flame` scores count pixels of
+    Pictures: every held-out frame of every camera. Our own results without static Gaussians are flames before a plate:
+    their own (`gof.dataset.plates`), else the dataset's fire-free one. Everybody else's are drawn as they are, over
+    black: a whole scene drawn over our plates would be scored for them. `flame` scores count pixels of
     the true flame mask only. Pixels of the sync board do not count. Velocities: DVE on every frame of the clip that has
     a true velocity field.
 
@@ -60,6 +64,7 @@ def evaluate(
         align: cameras of the method's own world (see `read_cameras`); the result is moved by the similarity that maps
             them onto the dataset's.
         extras: material for LPIPS, CGVQM and RMSE_depth; without it they are named as absent.
+        flame_only: the result of another method is a flame without its surroundings: draw it over plates too.
     Raises:
         GofError: see `dve_sequence`.   DataFormatError: a file is damaged.
     """
@@ -67,8 +72,12 @@ def evaluate(
     progress = progress or (lambda *a, **k: None)
     with timed(costs, "load"):
         gaussians, origin = _load(result, dataset, foreign or ImportOptions(), align)
+    made_from = _made_from(result)
     scores = Scores(
-        gaussians=len(gaussians), dynamic_gaussians=int(np.count_nonzero(gaussians.dynamic)), import_=origin
+        gaussians=len(gaussians),
+        dynamic_gaussians=int(np.count_nonzero(gaussians.dynamic)),
+        import_=origin,
+        flow_prior=None if made_from is None else "flow_prior" in made_from.learned,
     )
     if dataset.has_velocity:
         with timed(costs, "dve"):
@@ -82,12 +91,16 @@ def evaluate(
         )
     else:
         scores = replace(scores, warnings=("the dataset has no true velocity field, so there is no DVE",))
-    scores = replace(scores, warnings=(*scores.warnings, *_leak_warnings(result, dataset)))
+    scores = replace(scores, warnings=(*scores.warnings, *_leak_warnings(made_from, dataset)))
     if images:
+        before_plates = gaussians.dynamic.all() and (flame_only or origin.method in OURS)
+        if not before_plates and origin.method not in OURS:
+            said = "pictures are those of its Gaussians alone, over black; --flame-only draws a flame over the plates"
+            scores = replace(scores, import_=replace(origin, notes=(*origin.notes, said)))
         own = result if isinstance(result, Path) else None
-        plates = [background(dataset, number, own) for number in range(len(dataset.cameras))]
+        plates = [background(dataset, k, own) if before_plates else BLACK for k in range(len(dataset.cameras))]
         found = image_scores(gaussians, dataset, plates, costs, extras or Extras(), progress)
-        scores = replace(scores, **asdict(found.means), **found.videos, images=found.images)
+        scores = replace(scores, **asdict(found.means), **found.videos, published=found.published, images=found.images)
     return replace(scores, costs={name: round(seconds, 3) for name, seconds in costs.items()})
 
 
@@ -116,17 +129,19 @@ def _load(
     return gaussians.transformed(found.matrix), origin
 
 
-def _leak_warnings(result: Path | MovingGaussians, dataset: Dataset) -> list[str]:
-    """What a result of ours learned from that is held out here, in words."""
-    made_from = MadeFrom.read(_folder(result)) if isinstance(result, Path) else None
+def _made_from(result: Path | MovingGaussians) -> MadeFrom | None:
+    """What a result of ours was made from; None where its folder does not say."""
+    if not isinstance(result, Path):
+        return None
+    return MadeFrom.read(result if result.is_dir() else result.parent)
+
+
+def _leak_warnings(made_from: MadeFrom | None, dataset: Dataset) -> list[str]:
+    """What a result learned from that is held out here, in words."""
     found = leaks(made_from.files if made_from else {}, dataset.test_frames).values()
     frames = sorted({frame for frames in found for frame in frames})
     said = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"
     return [said] if frames else []
-
-
-def _folder(result: Path) -> Path:
-    return result if result.is_dir() else result.parent
 
 
 # ---------------------------------------------------------------- its velocities

@@ -23,6 +23,7 @@ from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.place import Placed, PoseOptions
 from gof.ingest.stereo import stereo_depth
 from gof.lens import ROLL_DEG
+from gof.pictures import write_picture as save_picture
 
 PlateKind = Literal["steady", "minimum"]
 
@@ -291,11 +292,7 @@ def write_pictures(out: Path, view: StoredView, clip: np.ndarray) -> None:
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
     """Write an (H, W, 3) RGB or (H, W, 1) uint8 picture."""
-    import cv2
-
-    with atomic_path(path) as temporary:
-        if not cv2.imwrite(str(temporary), picture[..., ::-1]):
-            raise GofError(f"{path}: cannot be written; is the disk full?")
+    save_picture(path, picture[..., ::-1])
 
 
 def camera_entries(

@@ -8,6 +8,7 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.lens import Lens
+from gof.pictures import read_picture
 
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
 WARM = 12  # display steps of 255 by which red outgrows blue where fire or its light passed
@@ -69,7 +70,4 @@ def read_plate(folder: Path, name: str, lens: Lens) -> np.ndarray:
     files = sorted(folder.glob(f"{name}.*")) if folder.is_dir() else []
     if not files:
         raise DataFormatError(f"{folder}: no picture {name}.png there")
-    picture = cv2.imread(str(files[0]), cv2.IMREAD_COLOR)
-    if picture is None or picture.shape[:2] != (lens.height, lens.width):
-        raise DataFormatError(f"{files[0]}: must be a picture of {lens.width}x{lens.height} pixels, as the footage")
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return cv2.cvtColor(read_picture(files[0], size=(lens.width, lens.height)), cv2.COLOR_BGR2RGB)

@@ -22,6 +22,7 @@ from gof.files import path_in, stamp
 from gof.gaussians import TransientGaussians
 from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
+from gof.npz import read_npy
 from gof.progress import progress_bar
 from gof.reconstruct.shrink import shrink
 from gof.records import claim
@@ -161,7 +162,7 @@ def _stored_depth(file: Path, size: tuple[int, int]) -> np.ndarray:
     """(H, W) float32 m of a depth map of the dataset, at `size` (width, height)."""
     import cv2
 
-    depth = np.load(file, allow_pickle=False)
+    depth = read_npy(file)
     if depth.ndim != 2 or not (np.isfinite(depth) & (depth > 0)).all():
         raise DataFormatError(f"{file}: not an (H, W) map of positive depths; run gof ingest --depth again")
     # Nearest: a mean of two surfaces is a place where nothing is.

@@ -162,9 +162,14 @@ def _observe(run: _Run) -> Observation:
 
 
 def _say_what_from(run: _Run, observation: Observation) -> None:
-    """Which frames everything that follows comes from."""
+    """Which frames, and what that was learned elsewhere, everything that follows comes from."""
     plates = [f"plates/{camera.name}.png" for camera in run.dataset.cameras]
-    MadeFrom.of(["seeds.npz", *plates, "result.npz", "result.ply"], observation.frames).write(run.out)
+    learned = ["flow_prior"] if _uses_flow_prior(run) else []
+    MadeFrom.of(["seeds.npz", *plates, "result.npz", "result.ply"], observation.frames, learned).write(run.out)
+
+
+def _uses_flow_prior(run: _Run) -> bool:
+    return run.settings.flow_prior and run.method.flow_prior
 
 
 # ---- Flow field: where the flame is in space, and how fast it moves there --------------------------------------------
@@ -173,7 +178,7 @@ def _say_what_from(run: _Run, observation: Observation) -> None:
 def _flow_field(run: _Run, observation: Observation) -> FlowField:
     with run.log.measure("flow_field") as figures, progress_bar("flow field") as progress:
         field = seen_flow_field(observation, run.method, run.settings.voxels, progress)
-        if run.settings.flow_prior and run.method.flow_prior:
+        if _uses_flow_prior(run):
             field = FlowPrior.load().correct(field)
         stage_images.save_flow_field(run.out / "stages", field)
         voxels = field.voxels

@@ -15,6 +15,7 @@ from gof.dataset import Dataset
 from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.weighted import weighted_quantile
 from gof.gaussians import TransientGaussians
+from gof.pictures import read_picture
 from gof.report import velocity as velocity_module
 
 PANEL_WIDTH = 360  # px; small pictures are enlarged to about this by a whole factor
@@ -36,12 +37,12 @@ def factor_for(width: int) -> int:
 
 
 def data_uri(image: np.ndarray | Path, kind: str = "webp", quality: int = 88) -> str:
-    """A picture as a data: URI. A path is decoded and encoded again, so only pixels enter the page."""
-    if isinstance(image, Path):
-        with Image.open(image) as opened:
-            picture = opened.convert("RGB")
-    else:
-        picture = Image.fromarray(image)
+    """A picture as a data: URI. A path is decoded and encoded again, so only pixels enter the page.
+
+    Raises:
+        DataFormatError: the file cannot be decoded.
+    """
+    picture = Image.fromarray(read_picture(image)[..., ::-1] if isinstance(image, Path) else image)
     buffer = io.BytesIO()
     picture.save(buffer, kind, **({"quality": quality, "method": 4} if kind == "webp" else {"optimize": True}))
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"

@@ -111,6 +111,10 @@ def _facts(dataset: Dataset, gaussians: TransientGaussians) -> dict[str, str]:
 def _preview(preview: Preview | None, folder: Path, dataset: Dataset) -> dict[str, Any] | None:
     if preview is None:
         return None
+    if not (0 <= preview.camera < len(dataset.cameras) and 0 <= preview.frame < len(dataset.times_s)):
+        raise DataFormatError(
+            f"{folder}/preview.json: the dataset has no frame {preview.frame} of a camera {preview.camera}"
+        )
     image = path_in(folder, preview.image)
     if not image.is_file():
         raise DataFormatError(f"{image}: no such picture; render the Blender preview first")

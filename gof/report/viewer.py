@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from pathlib import Path
 
@@ -80,6 +81,7 @@ class Viewer:
             import viser
         except ImportError as e:
             raise MissingDependencyError("gof view needs viser: pip install 'gaussians-on-fire[view]'") from e
+        _require_address(host, port)
         self.path = path
         self.dataset = dataset
         self.result = self._read()
@@ -185,6 +187,16 @@ class Viewer:
         self._file = newest(self.path)
         self._stamp = _stamp(self._file)
         return read_result(self._file, ImportOptions()).gaussians
+
+
+def _require_address(host: str, port: int) -> None:
+    """viser itself would wait for ever for a server that cannot come up."""
+    try:
+        socket.getaddrinfo(host, None)
+    except OSError as e:
+        raise GofError(f"--host {host}: no address of this machine ({e})") from e
+    if not 0 <= port < 65536:
+        raise GofError(f"--port {port}: must be 0 to 65535 (0: any that is free)")
 
 
 def _stamp(path: Path) -> tuple[Path, float]:

@@ -74,6 +74,7 @@ def test_the_loader_holds_out_what_the_dataset_holds_out(scene):
     assert transforms["format"] == "fire-bundle-v2" and transforms["num_frames"] == FRAMES - first
     assert sorted({f["frame"] + first for f in test}) == list(HELD_OUT)
     assert len(train) == 3 * (FRAMES - first - 3) == len(masks) and len(flows) == FRAMES - first - 3
+    assert transforms["held_out_every"] == 4, "what their trainer has to be told, where it is not 8"
     assert transforms["num_cams"] == 3 and transforms["dt"] == pytest.approx(1000 * DT)
     for f in (*train, *test):
         frame = f["frame"] + first

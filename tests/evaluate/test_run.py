@@ -11,6 +11,7 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
 from gof.evaluate import Scores, evaluate
 from gof.gaussians import TransientGaussians
+from gof.trajectory import Trajectory
 from tests.evaluate.synthetic_flame import flame_dataset
 
 pytestmark = pytest.mark.long
@@ -91,12 +92,11 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
     """FTGS-PLY, a trajectory at half steps, a result in another world with its cameras: all score as the original."""
     from gof.io.importers import ImportOptions
     from gof.io.importers.freetime import save
-    from gof.trajectory import Trajectory
 
     _, dataset, truth = flame
     original = evaluate(truth, dataset)
     times = dataset.times_s
-    ftgs = evaluate(save(truth, tmp_path / "a.ftgs.ply", times[0], times[-1], len(times)), dataset)
+    ftgs = evaluate(save(truth, tmp_path / "a.ftgs.ply", times[0], times[-1], len(times)), dataset, flame_only=True)
     assert ftgs.import_.method == "freetime" and ftgs.dve.l2 == pytest.approx(original.dve.l2, abs=1e-4)
     assert ftgs.psnr == pytest.approx(original.psnr, abs=0.2)
 
@@ -110,7 +110,7 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
         truth.rotation,
         color=truth.color,
     ).save(tmp_path / "t.npz")
-    sampled = evaluate(tmp_path / "t.npz", dataset)
+    sampled = evaluate(tmp_path / "t.npz", dataset, flame_only=True)
     assert sampled.dve.l2 == pytest.approx(original.dve.l2, abs=2e-3) and sampled.psnr == pytest.approx(
         original.psnr, abs=0.1
     )
@@ -181,8 +181,28 @@ def test_a_checkpoint_of_the_papers_code_through_the_whole_path(flame, tmp_path)
         tmp_path / "chkpnt7000.pth",
     )
     (tmp_path / "scale_bounds.json").write_text(json.dumps({"dynamic_scale_min": low, "dynamic_scale_max": high}))
-    original, got = evaluate(truth, dataset), evaluate(tmp_path, dataset)
+    original, got = evaluate(truth, dataset), evaluate(tmp_path, dataset, flame_only=True)
     assert got.import_.method == "authors" and got.dve.l2 == pytest.approx(original.dve.l2, abs=1e-4)
     assert got.dve.cos_sim == pytest.approx(original.dve.cos_sim, abs=1e-5) and got.psnr == pytest.approx(
         original.psnr, abs=0.05
     )
+    as_it_is = evaluate(tmp_path, dataset)
+    assert as_it_is.psnr < got.psnr - 3 and any("over black" in note for note in as_it_is.import_.notes)
+
+
+def test_nobodys_empty_scene_is_given_our_plates(flame, tmp_path):
+    """A foreign result that shows nothing scores what a black picture scores, not what our true plate scores."""
+    _, dataset, truth = flame
+    times = dataset.times_s
+    position = np.repeat(truth.position[None], len(times), 0)
+    nothing = Trajectory(times, position, np.full((len(times), len(truth)), 1e-6), truth.scale, truth.rotation)
+    nothing.save(tmp_path / "method.npz")
+    scores = evaluate(tmp_path / "method.npz", dataset)
+    black = [
+        -10 * np.log10(np.mean(dataset.image(c, k) ** 2.0))
+        for c in range(len(dataset.cameras))
+        for k in dataset.test_frames
+    ]
+    assert scores.import_.method == "trajectory" and scores.psnr == pytest.approx(np.mean(black), abs=0.01)
+    drawn_over = evaluate(tmp_path / "method.npz", dataset, flame_only=True)
+    assert drawn_over.psnr == pytest.approx(scores.psnr_plate, abs=0.01) and drawn_over.psnr > scores.psnr + 1

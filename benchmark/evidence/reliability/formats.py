@@ -336,6 +336,41 @@ def _use_captions(folder: Path):
     return pages
 
 
+def _evaluated(folder: Path) -> None:
+    from gof.costs import StageLog
+    from gof.evaluate.scores import Origin, Scores
+
+    origin = Origin("a method", ("a note", "another"))
+    Scores(gaussians=3, dynamic_gaussians=2, import_=origin, warnings=("a warning",)).write(folder / "scores.json")
+    (folder / "method.json").write_text(json.dumps({"name": "ours", "train_seconds": 3.0}))
+    StageLog(folder / "costs.json").record("stage", 1.0, 2.0)
+
+
+def _show_texts(folder: Path):
+    """The texts of an evaluated result in every table and on every page."""
+    import csv
+    import io
+
+    from gof.costs import StageLog
+    from gof.evaluate.leaderboard import collect, rows_of, to_csv, to_markdown
+    from gof.evaluate.leaderboard_page import to_html
+    from gof.terminal import console
+
+    rows = rows_of(collect([folder]))
+    costs = StageLog(folder / "costs.json").costs()
+    for cells in csv.reader(io.StringIO(to_csv(rows))):
+        assert not any(cell.lstrip().startswith(("=", "+", "@")) for cell in cells), "a cell is a formula"
+    table = to_markdown(rows)
+    assert len(table.splitlines()) == len(rows) + 2 and not {"<", "\x1b", "\0"} & set(table), "a name acts in a table"
+    page = to_html(rows, [], rows[0].name)
+    assert "<script>alert" not in page, "a name acts on a page"
+    screen = console()
+    with screen.capture() as said:
+        screen.print(rows[0].name, *rows[0].notes)
+    assert not {"\x1b", "\x07", "\x9b", "\r", "\0"} & set(said.get()), "a name acts on a terminal"
+    return rows, costs
+
+
 def _require_apart(folder: Path) -> None:
     """What lies outside the dataset is as it was, and nothing has come there."""
     import cv2
@@ -492,6 +527,8 @@ def formats() -> dict[str, Format]:
         "cameras .json": Format(_poses, _read_poses, named=False, share=2),
         "names in dataset.json": Format(_names, _use_names, "dataset/dataset.json", injury=renamed),
         "names of pictures": Format(_captions, _use_captions, "dataset/[cp]*.json", injury=renamed),
+        "texts of a result": Format(_evaluated, _show_texts, injury=renamed, named=False),
+        "scores, costs, method": Format(_evaluated, _show_texts, named=False),
         "scene spec": Format(_spec, _read_spec, refusals=(SpecError,), share=4),
         "serial frames": Format(_frames, _read_frames, named=False, share=16),
     }

@@ -18,6 +18,7 @@ from . import FileFormatError
 
 LONGEST_NAME, LONGEST_PATH = 200, 1000  # bytes; room is left for what is put around a name, and for the folder
 HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")  # in JSON; alone it can be neither printed nor written
+NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EROFS, errno.EACCES)
 # Windows opens these as devices, in any case, with any ending.
 DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])(\..*)?", re.I)
 FRAME = re.compile(r"\{frame(?::0?[1-9]d)?\}")  # what a pattern may hold where the frame's number goes
@@ -85,17 +86,23 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield draft
         _sync(draft)
         os.replace(draft, path)
+        _sync(path.parent)
     finally:
         draft.unlink(missing_ok=True)
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file is on the disk, where the system can say so."""
+    """Wait until a file, or a folder's list of names, is on the disk, where the system can say so."""
+    if path.is_dir() and os.name != "posix":
+        return
     try:
-        with open(path, "rb+") as file:
-            os.fsync(file.fileno())
+        number = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
+        if error.errno not in NO_SYNC:
             raise
 
 
@@ -118,6 +125,8 @@ def write_json(path: Path, data: Any, indent: int = 1) -> None:
 
 def read_json(path: Path) -> Any:
     """Read JSON. Raises FileFormatError: the file is absent, or is not JSON (names it)."""
+    if path.exists() and not path.is_file():
+        raise FileFormatError(f"{path}: not a file")  # a device would never end
     try:
         text = path.read_text(encoding="utf-8")
         value = json.loads(text)

@@ -3,7 +3,7 @@
 Everything in the file's scene that is visible in renders is brought in and moved so that the chosen empty becomes the
 origin of our world, with the empty's turn about Z undone and the file's unit scale applied: one of its units may be a
 centimetre. Objects stand still, as they are at the file's current frame. Its cameras and fluid domains stay out, and so
-does a fire that the add-on has put there.
+does a fire that the add-on has put there. Of the disk only its pictures come in (`foreign`).
 """
 
 from __future__ import annotations
@@ -14,19 +14,22 @@ import bpy
 from mathutils import Matrix
 
 from ...pure.checked_json import SpecError
+from ...pure.io.files import atomic_path
 from ...pure.spec import SceneSpec
 from .. import place
+from . import foreign
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     """Append the scene of ``spec.blend_file``.
 
-    Raises SpecError if the file cannot be read, or has no scene or no such empty.
+    Raises SpecError if the file cannot be read, has no scene or no such empty, or see `foreign`.
     """
     path, name = Path(spec.blend_file.path), spec.blend_file.empty
     if not path.is_file():
         raise SpecError(f"blend_file.path: there is no file {path}")
     scene = _append_scene(path)
+    foreign.cut_links(path)
     marker = scene.objects.get(name)
     if marker is None:
         empties = sorted(thing.name for thing in scene.objects if thing.type == "EMPTY")
@@ -35,17 +38,34 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     to_ours = place.to_our_world(marker.matrix_world, scale)
     poses = {thing: to_ours @ thing.matrix_world for thing in scene.objects}
     for thing, pose in poses.items():
-        if _stays_out(thing):
+        if thing is not marker and _stays_out(thing):
             bpy.data.objects.remove(thing)  # also for its name, which may be one of ours
             continue
         _place(thing, pose, scale)
-        if not thing.hide_render:  # it may shape others all the same, by a modifier of theirs
+        if thing is marker or not thing.hide_render:  # it may shape others all the same, by a modifier of theirs
             collection.objects.link(thing)
     ours = bpy.context.scene
     ours.world = scene.world
     bpy.data.scenes.remove(scene)
     bpy.context.view_layer.update()
-    bpy.ops.file.pack_all()  # scene.blend must not depend on where the user's textures are
+    marker.pop(place.PART, None)  # of a fire that is not here
+    foreign.forget_origin()
+    foreign.stand_still()
+    foreign.take_pictures(path)  # scene.blend must not depend on where the user's textures are
+
+
+def save(collection: bpy.types.Collection, path: Path) -> None:
+    """Write the surroundings to a .blend of their own, which `build` reads as it read the user's.
+
+    It lies in the dataset, so that whoever has that can build the scene again.
+    """
+    surroundings = bpy.data.scenes.new("Surroundings")
+    surroundings.collection.children.link(collection)
+    surroundings.world = bpy.context.scene.world
+    surroundings.render.filepath = "//"
+    with atomic_path(path) as draft:
+        bpy.data.libraries.write(str(draft), {surroundings}, path_remap="NONE", fake_user=True, compress=True)
+    bpy.data.scenes.remove(surroundings)
 
 
 def _append_scene(path: Path) -> bpy.types.Scene:

@@ -110,6 +110,9 @@ def array(value: Any, name: str, shape: tuple[int | None, ...], path: Path) -> n
     """
     if hasattr(value, "detach"):
         tensor = value.detach().cpu()
+        needed, held = tensor.numel() * tensor.element_size(), tensor.untyped_storage().nbytes()
+        if needed > held:
+            raise DataFormatError(f"{path}: '{name}' announces {needed} bytes, more than the file holds ({held})")
         value = tensor.float().numpy() if tensor.is_floating_point() else tensor.numpy()
     elif not isinstance(value, np.ndarray):
         raise DataFormatError(
