@@ -343,3 +343,28 @@ def test_the_campaign_sees_a_name_that_escapes(tmp_path, monkeypatch):
     monkeypatch.setattr("gof.dataset.plates.path_in", lambda folder, name: folder / name)
     with pytest.raises(AssertionError, match="outside"):
         form.read(tmp_path)
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_records_hold_finite_numbers(tmp_path, number):
+    from gof.costs import StageLog
+
+    log = StageLog(tmp_path / "costs.json")
+    log.record("stage", 1.5, 2.0, {"cells": [3.0]})
+    good = (tmp_path / "costs.json").read_text()
+    assert "1.5" in good and "3.0" in good
+    for before in ("1.5", "3.0"):
+        (tmp_path / "costs.json").write_text(good.replace(before, number))
+        with pytest.raises(DataFormatError, match=r"costs\.json: holds NaN or Inf"):
+            log.costs()
+
+
+@pytest.mark.parametrize("encoding", ["x", 1.5, {"configuration": 3}, []])
+def test_a_store_with_other_chunk_keys_is_named(tmp_path, encoding):
+    from gof_blender.pure.io.velocity_reader import TrueVelocity
+
+    formats()["velocity.zarr, add-on"].write(tmp_path)
+    file = tmp_path / "velocity.zarr" / "zarr.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"chunk_key_encoding": encoding}))
+    with pytest.raises(FileFormatError, match=r"velocity\.zarr"):
+        TrueVelocity(tmp_path / "velocity.zarr")

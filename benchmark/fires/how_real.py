@@ -180,7 +180,7 @@ SEEN_HEAD = (
     "fire",
     "made by",
     "frames",
-    "flicker, 8 to 40 Hz",
+    "flicker, 15 to 40 Hz",
     "its slope",
     "structures rise, flame heights/s: low, middle, top",
     "exponent (0.5)",

@@ -8,7 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 
 VISIBLE = 0.05  # of the flame's brightest: what a picture still shows
-FLICKER_HZ = (8.0, 40.0)  # above all puffing of burners of a tenth of a metre and more, below the Nyquist of 100 Hz
+# Above puffing (5 Hz, burner of 0.1 m) and what the window of a clip of a quarter of a second smears it over (8 Hz);
+# below half of 100 Hz.
+FLICKER_HZ = (15.0, 40.0)
 LAGS = 3  # frames over which bright structures are followed
 ALIKE = 0.3  # correlation below which a structure is not the same any more
 
@@ -110,7 +112,7 @@ def puffing_frequency(time_s: np.ndarray, signals: np.ndarray) -> float:
 
 
 def flicker(time_s: np.ndarray, light: np.ndarray) -> tuple[float, float]:
-    """(share, slope) of a flame's flicker between 8 and 40 Hz.
+    """(share, slope) of a flame's flicker between 15 and 40 Hz.
 
     Args:
         light: (T,) of the whole flame.

@@ -47,6 +47,7 @@ class StoredGrid:
             attributes, shape = description["attributes"], tuple(description["shape"])
             codecs = {codec["name"] for codec in description["codecs"]}
             chunks = tuple(description["chunk_grid"]["configuration"]["chunk_shape"])
+            separator = description.get("chunk_key_encoding", {}).get("configuration", {}).get("separator", "/")
             self.dtype = np.dtype(description["data_type"]).newbyteorder("<")
             self.time_s = np.array(attributes["time_s"], float)
             self.index_to_world = np.array(attributes["index_to_world"], float).reshape(4, 4)
@@ -58,11 +59,19 @@ class StoredGrid:
                 raise ValueError(f"{self.dtype}, shape {shape} in chunks of {chunks}, or times that are not finite")
         except FileNotFoundError:
             raise FileFormatError(f"{path}: no zarr.json inside, so no {quantity} store; {REMEDY}") from None
-        except (OSError, ValueError, KeyError, TypeError, RecursionError, np.linalg.LinAlgError) as error:
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            RecursionError,
+            np.linalg.LinAlgError,
+        ) as error:
             message = f"{path}/zarr.json: not a {quantity} store ({type(error).__name__}: {error})"
             raise FileFormatError(message) from None
         self._check_content(attributes, quantity, units)
-        self._check_layout(description, shape, chunks, codecs)
+        self._check_layout(description, shape, chunks, codecs, separator)
         self.grid = shape[1:4]
         self._gzip = "gzip" in codecs
 
@@ -110,11 +119,10 @@ class StoredGrid:
                 f"expected '{schema}', {quantity} in {units or 'any unit'}"
             )
 
-    def _check_layout(self, description: dict, shape: tuple, chunks: tuple, codecs: set[str]) -> None:
+    def _check_layout(self, description: dict, shape: tuple, chunks: tuple, codecs: set[str], separator: str) -> None:
         whole_vectors = chunks[:1] == (1,) and chunks[4:] == self._components
-        usual_keys = description.get("chunk_key_encoding", {}).get("configuration", {}).get("separator", "/") == "/"
         fits = shape[4:] == self._components and self.time_s.shape == shape[:1] and not description.get("fill_value")
-        if codecs not in CODECS or not (whole_vectors and usual_keys and fits):
+        if codecs not in CODECS or not (whole_vectors and separator == "/" and fits):
             parts = ("T", "X", "Y", "Z", *map(str, self._components))
             raise FileFormatError(
                 f"{self.path}: codecs {codecs}, shape {shape} in chunks of {chunks}; only gzip stores "
