@@ -4,7 +4,7 @@
     python -m gof_benchmark.training.flow_prior WORK [--out gof/reconstruct/flow_prior.npz]
 
 Runs the motion and fusion stages on every dataset in WORK/dev, prints what the prior does for a flame it has not seen
-(each flame left out in turn, and the datasets given with --test), and writes the weights. Scores as in
+(each fire left out in turn, and the datasets given with --test), and writes the weights. Scores as in
 `gof_benchmark.field_score`; `within` is the share of the light whose velocity is within one standard deviation
 of the truth, component by component (0.68 where errors are normal and the doubt is right).
 """
@@ -12,6 +12,7 @@ of the truth, component by component (0.68 where errors are normal and the doubt
 from __future__ import annotations
 
 import itertools
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -100,8 +101,13 @@ class Samples:
 
 @dataclass(frozen=True)
 class Flame:
-    """One dataset as the prior sees it."""
+    """One dataset as the prior sees it.
 
+    Attributes:
+        burns: which fire it shows; two datasets may show the same grids of another solver.
+    """
+
+    burns: str
     dataset: Dataset
     field: FlowField
     samples: Samples
@@ -110,7 +116,9 @@ class Flame:
     def of(cls, path: Path) -> Flame:
         dataset = shrink(Dataset.open(path), LONGEST_SIDE)
         field = seen_flow_field(observe(dataset), METHODS["gof"], VOXELS)
-        return cls(dataset, field, Samples.of(field, dataset, np.random.default_rng(0)))
+        fire = json.loads((path / "spec.json").read_text(encoding="utf-8"))["fire"]
+        burns = Path(fire["grids"]).parent.name if "grids" in fire else path.name
+        return cls(burns, dataset, field, Samples.of(field, dataset, np.random.default_rng(0)))
 
     def score(self, field: FlowField) -> str:
         """L2, CosSim and speed ratio of a flow field of this dataset, mean over frames."""
@@ -250,7 +258,8 @@ def main(argv: list[str] | None = None) -> None:
             flames.append(Flame.of(path))
             progress(len(flames), len(paths))
     samples = [flame.samples for flame in flames]
-    without = [train_velocity(samples[:i] + samples[i + 1 :]) for i in range(len(flames))]
+    others = [[j for j, other in enumerate(flames) if other.burns != flame.burns] for flame in flames]
+    without = [train_velocity([samples[j] for j in known]) for known in others]
     errors = [held_out_error(*ensemble, flame) for ensemble, flame in zip(without, samples, strict=True)]
 
     print(f"{'flame not trained on':<32} {'seen: L2 CosSim speed':<24} {'with the prior':<22} within")
@@ -263,8 +272,7 @@ def main(argv: list[str] | None = None) -> None:
 
     for i, flame in enumerate(flames):
         scaling, velocity = without[i]
-        others = [j for j in range(len(flames)) if j != i]
-        doubt = train_doubt(scaling, [samples[j] for j in others], [errors[j] for j in others])
+        doubt = train_doubt(scaling, [samples[j] for j in others[i]], [errors[j] for j in others[i]])
         show(flame.dataset.path.name, flame, prior_of(scaling, velocity, doubt))
     scaling, velocity = train_velocity(samples)
     prior = prior_of(scaling, velocity, train_doubt(scaling, samples, errors))
