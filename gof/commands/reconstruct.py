@@ -49,7 +49,7 @@ class ReconstructConfig:
     """Folder with config.json and model.safetensors of a MEMFOF checkpoint; never downloaded."""
     flow_prior: bool = True
     """Correct the fused flow, which follows texture, to the gas' own velocity, as learnt on simulated flames (not in
-    the paper; needs a world whose z axis points up)."""
+    the paper), and say how sure it is."""
     until: Until = "result"
     """Stop after this stage and look at its pictures; without it the same command goes on."""
     ablation: Ablation = "none"
