@@ -5,10 +5,12 @@
 #   make quick   the part of it for a loop while you work: under a minute on two cores
 #   make lint    the rules and the format of the code
 #   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python 3.11
+# JOBS: how many files of tests run side by side.
 # TORCH: which PyTorch to install; a CUDA build of your own is kept if it is in the environment already.
 PYTHON ?= python3.11
 TORCH  ?= torch==2.13.0
 OUT    ?= out/demo
+JOBS   ?= 2
 VENV   := .venv
 READY  := $(VENV)/.ready
 
@@ -18,7 +20,7 @@ demo: setup
 	$(VENV)/bin/gof demo --out $(OUT)
 
 test: setup
-	$(VENV)/bin/python -m pytest $(ARGS)
+	$(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
 
 quick: setup
 	$(VENV)/bin/python -m pytest -q -m "not long and not blender and not slow and not gpu" $(ARGS)
