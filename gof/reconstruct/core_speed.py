@@ -6,7 +6,8 @@ other. Correlating the layers' light with that of later frames and farther layer
 travel. They go at the speed of the core where the flame is turbulent, and slower where they are large coherent puffs;
 `agreement` tells the two apart.
 
-The slow part of every layer's light is taken out first: the flame's standing shape travels nowhere.
+Two things are taken out first because they travel nowhere: the slow part of every layer's light, which is the flame's
+standing shape, and what all layers do at once, which is a camera's exposure or a flame that swells as a whole.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def core_speed(axis: FlameAxis, time_s: np.ndarray) -> CoreSpeed:
         and the speed that of the neighbouring layers, at last twice the seen one.
     """
     crossing_s = axis.radius / axis.seen_speed
-    changes = fast_changes(axis.light, time_s, SLOW * crossing_s)
+    changes = apart(fast_changes(axis.light, time_s, SLOW * crossing_s), axis.mean_light)
     lags = pairs(time_s, LONGEST_LAG * crossing_s)
     speeds = axis.seen_speed * SPEEDS
     layer, window = axis.layers.thickness, axis.radius / axis.layers.thickness
@@ -72,6 +73,11 @@ def fast_changes(light: np.ndarray, time_s: np.ndarray, slow_s: float) -> np.nda
     weight = np.exp(-0.5 * ((time_s[:, None] - time_s) / width) ** 2)
     fast = log - weight @ log / weight.sum(1, keepdims=True)
     return fast - fast.mean(0)
+
+
+def apart(changes: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Changes (F, S) without what the layers, weighed by (S,), have in common in each frame."""
+    return changes - (changes @ weight / weight.sum())[:, None]
 
 
 def _agreement(

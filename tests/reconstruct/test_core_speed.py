@@ -50,6 +50,15 @@ def test_the_speed_of_bulges(rate_hz, speed):
     assert np.median(found.agreement[inner]) > 0.6
 
 
+def test_flicker_of_everything_at_once_travels_nowhere():
+    """A camera's exposure, or a flame that swells: by up to half from frame to frame."""
+    time_s = np.arange(60) / 100
+    axis, truth = with_bulges(column(speed=1.2), time_s, lambda z: np.full_like(z, 3.0))
+    flicker = np.exp(np.random.default_rng(5).uniform(-0.5, 0.5, (60, 1)))
+    flickering = replace(axis, light=axis.light * flicker, mean_light=(axis.light * flicker).mean(0))
+    np.testing.assert_allclose(core_speed(flickering, time_s).speed[8:-8], truth[8:-8], rtol=0.15)
+
+
 def test_a_core_that_accelerates():
     time_s = np.arange(50) / 100
     axis, truth = with_bulges(column(speed=1.2), time_s, lambda z: 4 * np.sqrt(z + 0.1))
