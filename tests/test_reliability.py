@@ -92,9 +92,10 @@ class Misbehaving:
             connection.send(fuzz.verdict("scene spec", fuzz.Path("/nowhere")))
 
 
-def test_an_infinite_lifetime_is_finite_and_nothing_else_is():
+def test_an_infinite_lifetime_or_doubt_is_finite_and_nothing_else_is():
     g = random_gaussians(4)
     g.t_sigma[:] = np.inf
+    assert np.isinf(g.velocity_sd).all()
     assert finite(g)
     g.velocity[0, 0] = np.inf
     assert not finite(g) and not finite([{"a": (1.0, float("nan"))}])

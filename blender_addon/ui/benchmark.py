@@ -70,6 +70,8 @@ def planned(scene: bpy.types.Scene) -> tuple[SceneSpec, Layout]:
         raise SpecError("choose an output folder: this file has not been saved, so there is no folder beside it")
     layout = Layout(Path(bpy.path.abspath(settings.folder)).resolve())
     if settings.background == "file":
+        if not settings.spec_file:
+            raise SpecError("choose a spec file (.json), or another background")
         spec = spec_file.load(bpy.path.abspath(settings.spec_file))
     else:
         spec = replace(scene_spec.of_scene(scene), name=layout.root.name or "fire")

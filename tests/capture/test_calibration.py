@@ -290,7 +290,9 @@ def test_annotate_keeps_everything_else_in_the_description(pictures, tmp_path):
     assert list(notes) == ["cam_0", "cam_1"]
     after = DatasetDescription.read(folder)
     first = replace(after.cameras[0], board_mask=None)
-    assert after.cameras[0].board_mask and replace(after, cameras=(first, *after.cameras[1:])) == before
+    assert after.cameras[0].board_mask
+    assert set(after.made_from) == {camera.board_mask for camera in after.cameras if camera.board_mask}
+    assert replace(after, cameras=(first, *after.cameras[1:]), made_from=before.made_from) == before
 
 
 def test_sensor_table():

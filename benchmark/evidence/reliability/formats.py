@@ -38,7 +38,7 @@ class Format:
 
 
 def finite(value: Any, name: str = "") -> bool:
-    """Whether there is no NaN or Inf anywhere inside; an infinite t_sigma means always on."""
+    """Whether there is no NaN or Inf anywhere inside; an infinite t_sigma means always on, velocity_sd unknown."""
     if dataclasses.is_dataclass(value):
         return all(finite(getattr(value, f.name), f.name) for f in dataclasses.fields(value))
     if isinstance(value, dict):
@@ -46,7 +46,7 @@ def finite(value: Any, name: str = "") -> bool:
     if isinstance(value, (list, tuple)):
         return all(map(finite, value))
     if isinstance(value, (float, np.ndarray, np.number)) and np.asarray(value).dtype.kind in "fc":
-        return bool((np.isfinite(value) | (np.isposinf(value) if name == "t_sigma" else False)).all())
+        return bool((np.isfinite(value) | (np.isposinf(value) if name in ("t_sigma", "velocity_sd") else False)).all())
     return True
 
 
