@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from plyfile import PlyData, PlyElement, PlyParseError
 
 from gof.errors import DataFormatError
 from gof.harmonics import C0
+from gof.ply_file import read_vertices, write_vertices
 
 LOGIT_EPS = 2.0**-24  # opacities 0 and 1 have no finite logit; this is half a float32 step below 1
 
@@ -30,14 +30,9 @@ class Ply:
     @classmethod
     def read(cls, path: Path) -> Ply:
         """Raises:
-        DataFormatError: not a PLY with a vertex element, or cut off.
+        DataFormatError: see `read_vertices`.
         """
-        _check_size(path)
-        try:
-            ply = PlyData.read(str(path))
-            return cls(path, ply["vertex"].data, [str(c) for c in ply.comments])
-        except (PlyParseError, KeyError, ValueError, UnicodeDecodeError, EOFError) as e:
-            raise DataFormatError(f"{path}: not a readable PLY with a 'vertex' element ({e}); truncated?") from e
+        return cls(path, *read_vertices(path))
 
     def has(self, *names: str) -> bool:
         return all(name in self.vertex.dtype.names for name in names)
@@ -113,19 +108,4 @@ def write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> No
     )
     for name, values in columns.items():
         vertex[name] = values
-    PlyData([PlyElement.describe(vertex, "vertex")], byte_order="<", comments=comments).write(str(path))
-
-
-def _check_size(path: Path) -> None:
-    """Refuse a header that announces more than the file can hold, a byte per property, before anything is allocated."""
-    with open(path, "rb") as f:
-        head = f.read(65536)
-    if head[:3] != b"ply" or b"end_header" not in head or not re.search(rb"^element\s+vertex\s", head, re.M):
-        raise DataFormatError(f"{path}: not a PLY file with a 'vertex' element")
-    for element in re.split(rb"^element\s", head.partition(b"end_header")[0], flags=re.M)[1:]:
-        words, properties = element.split(), len(re.findall(rb"^property\s", element, re.M))
-        if len(words) < 2 or not words[1].isdigit() or int(words[1][:30]) * max(properties, 1) > path.stat().st_size:
-            raise DataFormatError(
-                f"{path}: header announces {b' '.join(words[1:2]).decode(errors='replace')} points with {properties} "
-                f"properties, the file has {path.stat().st_size} bytes; truncated?"
-            )
+    write_vertices(path, vertex, comments)

@@ -7,6 +7,7 @@ from gof.gaussians import TransientGaussians
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io.cloud import SH_C0
 from gof_blender.pure.io.gaussians_file import Clock, count, load
+from tests.plys import read_ply, write_ply
 
 N = 40
 
@@ -43,13 +44,10 @@ def test_reads_what_the_library_writes(tmp_path, suffix, color_shape):
 
 
 def test_reads_big_endian_doubles(tmp_path):
-    from plyfile import PlyData, PlyElement
-
     wanted = gaussians()
-    vertex = PlyData.read(str(wanted.save(tmp_path / "a.ply")))["vertex"].data
+    vertex, _ = read_ply(wanted.save(tmp_path / "a.ply"))
     wide = vertex.astype([(n, "u1" if n == "is_dynamic" else "f8") for n in vertex.dtype.names])
-    PlyData([PlyElement.describe(wide, "vertex")], byte_order=">").write(str(tmp_path / "b.ply"))
-    assert np.array_equal(load(tmp_path / "b.ply").position, wanted.position)
+    assert np.array_equal(load(write_ply(tmp_path / "b.ply", wide, order=">")).position, wanted.position)
 
 
 def npz(tmp_path, **changes):
@@ -132,15 +130,13 @@ def test_broken_ply(tmp_path, old, new, message):
 
 
 def test_absurd_raw_values_in_ply(tmp_path):
-    from plyfile import PlyData
-
     file = gaussians().save(tmp_path / "result.ply")
-    ply = PlyData.read(str(file), mmap=False)  # it is written back to the same name
-    ply["vertex"].data["opacity"][:2] = [-1e30, 1e30]
-    ply.write(str(file))
+    vertex, comments = read_ply(file)
+    vertex["opacity"][:2] = [-1e30, 1e30]
+    write_ply(file, vertex, comments=comments)
     assert load(file).opacity[:2].tolist() == [0.0, 1.0]
-    ply["vertex"].data["scale_1"][5] = 1e4
-    ply.write(str(file))
+    vertex["scale_1"][5] = 1e4
+    write_ply(file, vertex, comments=comments)
     with pytest.raises(FileFormatError, match=r"'scale' must be finite.*rows \[5\]"):
         load(file)
 
@@ -154,12 +150,9 @@ def test_wrong_name(tmp_path):
 
 def plain_ply(path, cloud):
     """A 3DGS PLY as trainers write it, without time."""
-    from plyfile import PlyData, PlyElement
-
-    vertex = PlyData.read(str(cloud.save(path)))["vertex"].data
+    vertex, _ = read_ply(cloud.save(path))
     names = [n for n in vertex.dtype.names if n not in ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")]
-    PlyData([PlyElement.describe(vertex[names].astype([(n, "f4") for n in names]), "vertex")]).write(str(path))
-    return path
+    return write_ply(path, vertex[names].astype([(n, "f4") for n in names]))
 
 
 def test_ftgs_ply_against_the_library(tmp_path):
@@ -252,9 +245,6 @@ def test_count_of_a_file_that_is_no_result(tmp_path):
 
 
 def test_a_mesh_is_no_reconstruction(tmp_path):
-    from plyfile import PlyData, PlyElement
-
-    vertex = np.zeros(4, [(n, "f4") for n in "xyz"])
-    PlyData([PlyElement.describe(vertex, "vertex")]).write(str(tmp_path / "mesh.ply"))
+    mesh = write_ply(tmp_path / "mesh.ply", np.zeros(4, [(n, "f4") for n in "xyz"]))
     with pytest.raises(FileFormatError, match="not a Gaussian splat PLY"):
-        load(tmp_path / "mesh.ply")
+        load(mesh)

@@ -8,6 +8,7 @@ from gof.errors import DataFormatError, GofError
 from gof.ingest import depth as d
 from gof.ingest import stereo
 from tests.ingest.scene import cameras, draw
+from tests.plys import read_ply
 
 NEAR, FAR = 1.5, 8.0
 
@@ -84,9 +85,7 @@ def test_points_lie_where_the_planes_are(views, tmp_path):
     rows, columns = np.nonzero(np.isfinite(truth[0]))
     np.testing.assert_allclose(pixels, np.column_stack([columns, rows]) + 0.5, atol=1e-6)
     d.write_points(tmp_path / "p.ply", points, colors)
-    from plyfile import PlyData
-
-    vertex = PlyData.read(tmp_path / "p.ply")["vertex"]
+    vertex, _ = read_ply(tmp_path / "p.ply")
     np.testing.assert_allclose(vertex["z"], points[:, 2], atol=1e-5)
     np.testing.assert_array_equal(vertex["blue"], colors[:, 2])
 

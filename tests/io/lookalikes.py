@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from plyfile import PlyData, PlyElement
+
+from tests.plys import write_ply
 
 
 def logistic(x):
@@ -243,8 +244,7 @@ def splat_ply(path: Path, raw: dict, extra: dict | None = None, comments=()):
     vertex = np.empty(n, [(k, "f4") for k in columns])
     for k, v in columns.items():
         vertex[k] = v
-    path.parent.mkdir(parents=True, exist_ok=True)
-    PlyData([PlyElement.describe(vertex, "vertex")], comments=list(comments)).write(str(path))
+    write_ply(path, vertex, comments=comments)
 
 
 def ftgs_ply(path: Path, n=30, seed=0, n_frames=61):
