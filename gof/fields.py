@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,9 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.zarr_array import ZarrArray
 
 SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side that a reader believes: twice what a scene may ask for
+LARGEST_CHUNK_BYTES = 2**29
 
 
 @dataclass(frozen=True)
@@ -115,9 +118,9 @@ class VelocitySequence:
         index_to_world: (4, 4), see `VelocityField`.
     """
 
-    def __init__(self, array, path: Path):
-        self._array, self._path, self._cached = array, path, None
-        attributes = dict(array.attrs)
+    def __init__(self, array: ZarrArray):
+        self._array, self._path, self._cached = array, array.path, None
+        attributes, path = array.attributes, array.path
         if attributes.get("schema") != SCHEMA or attributes.get("version") != VERSION:
             raise DataFormatError(
                 f"{path}: schema '{attributes.get('schema')}' version {attributes.get('version')}; "
@@ -153,7 +156,7 @@ class VelocitySequence:
         Raises:
             DataFormatError: not a zarr array, wrong schema or version, missing attribute, times not increasing.
         """
-        return cls(open_array(path), Path(path))
+        return cls(open_array(path))
 
     @classmethod
     def create(cls, path: str | Path, fields: Iterable[VelocityField], dtype: str = "float32") -> VelocitySequence:
@@ -162,11 +165,7 @@ class VelocitySequence:
         Raises:
             DataFormatError: the store exists, there are no fields, or their grids differ.
         """
-        import zarr
-
-        path, fields = Path(path), list(fields)
-        if path.exists():
-            raise DataFormatError(f"{path}: exists already; remove it first or choose another name")
+        fields = list(fields)
         if not fields:
             raise DataFormatError(f"{path}: no fields to write")
         first = fields[0]
@@ -184,28 +183,22 @@ class VelocitySequence:
             "voxel_size": first.voxel_size,
             "time_s": [float(f.time_s) for f in fields],
         }
-        array = zarr.create_array(
-            str(path),
-            shape=(len(fields), *first.resolution, 3),
-            chunks=(1, CHUNK, CHUNK, CHUNK, 3),
-            dtype=dtype,
-            fill_value=0,
-            attributes=attributes,
-        )
+        shape, chunks = (len(fields), *first.resolution, 3), (1, CHUNK, CHUNK, CHUNK, 3)
+        array = ZarrArray.create(path, shape, chunks, dtype, attributes)
         for i, f in enumerate(fields):
-            array[i] = f.velocity
-        return cls(array, path)
+            array.write(i, f.velocity)
+        return cls(array)
 
     def __len__(self) -> int:
         return len(self.times_s)
 
     @property
     def resolution(self) -> tuple[int, int, int]:
-        return tuple(self._array.shape[1:4])
+        return self._array.shape[1:4]
 
     @property
     def dtype(self) -> np.dtype:
-        return self._array.dtype
+        return self._array.dtype.newbyteorder("=")
 
     def chunk(self, index: int, number: tuple[int, int, int]) -> np.ndarray | None:
         """The part of stored field `index` that `VelocityField.chunk` names, reading nothing else; None if not stored.
@@ -213,11 +206,10 @@ class VelocitySequence:
         Raises:
             DataFormatError: the chunk is truncated, or holds NaN or Inf.
         """
-        key = self._array.metadata.encode_chunk_key((index, *number, 0))
-        if self._array.chunks[1:4] == (CHUNK,) * 3 and not (self._path / key).exists():
+        if self._array.chunks == (1, CHUNK, CHUNK, CHUNK, 3) and not self._array.is_stored((index, *number, 0)):
             return None
         box = tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)
-        cells = read_array(self._array, (index, *box), self._path)
+        cells = self._array[(index, *box)]
         if not _all_finite(cells):
             raise DataFormatError(
                 f"{self._path}: frame {index}, chunk {number} holds NaN or Inf; the store is damaged, make it again"
@@ -245,7 +237,7 @@ class VelocitySequence:
     def frame(self, index: int) -> VelocityField:
         """The stored field number `index`."""
         if self._cached is None or self._cached[0] != index:
-            velocity = read_array(self._array, (index,), self._path)
+            velocity = self._array[(index,)]
             if not _all_finite(velocity):
                 raise DataFormatError(
                     f"{self._path}: frame {index} holds NaN or Inf; the store is damaged, make it again"
@@ -266,43 +258,23 @@ class VelocitySequence:
         return VelocityField(velocity, self.index_to_world, float(time_s))
 
 
-def open_array(path: str | Path):
+def open_array(path: str | Path) -> ZarrArray:
     """A zarr array of cells over time for reading.
 
     Raises:
         DataFormatError: not a zarr array, of other things than floats, or too large for any simulation.
     """
-    import zarr
-
-    try:
-        array = zarr.open_array(str(path), mode="r", zarr_format=3)
-        dict(array.attrs)
-    except Exception as e:  # zarr raises many kinds; all mean the same to a user
-        raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e})") from e
+    array = ZarrArray.open(path)
     if (
-        array.dtype.kind != "f"
-        or max(array.shape[1:4], default=0) > LARGEST
+        max(array.shape[1:4], default=0) > LARGEST
         or max(array.chunks[1:4], default=0) > LARGEST_CHUNK
+        or math.prod(array.chunks) * array.dtype.itemsize > LARGEST_CHUNK_BYTES
     ):
         raise DataFormatError(
-            f"{path}: {array.dtype} of shape {array.shape} in chunks of {array.chunks}; expected floats of at most "
-            f"{LARGEST} cells a side in chunks of at most {LARGEST_CHUNK}"
+            f"{path}: shape {array.shape} in chunks of {array.chunks}; expected at most {LARGEST} cells a side in "
+            f"chunks of at most {LARGEST_CHUNK} and {LARGEST_CHUNK_BYTES >> 20} MB"
         )
     return array
-
-
-def read_array(array, where: tuple, path: Path) -> np.ndarray:
-    """A part (frame, ...) of a zarr array.
-
-    Raises:
-        DataFormatError: a chunk is damaged.
-    """
-    try:
-        return np.asarray(array[where])
-    except Exception as e:  # each codec has its own errors for damage
-        raise DataFormatError(
-            f"{path}: frame {where[0]} cannot be decoded ({type(e).__name__}: {e}); a chunk is truncated, make it again"
-        ) from e
 
 
 def _all_finite(values: np.ndarray) -> bool:

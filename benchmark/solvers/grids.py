@@ -25,8 +25,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from gof.errors import DataFormatError, require_finite
-from gof.fields import CHUNK, VelocitySequence, open_array, read_array
+from gof.fields import CHUNK, VelocitySequence, open_array
 from gof.records import read_record, write_record
+from gof.zarr_array import ZarrArray
 
 QUANTITIES = {"emission": "W m^-3 sr^-1 nm^-1", "temperature": "K", "heat_release": "W/m3", "fuel": "1"}
 COMMON = {"version": 1, "frame": "world", "layout": "cell_centred"}
@@ -134,7 +135,7 @@ class GridSequence:
 
     def __init__(self, path: Path):
         self.path, self._array = path, open_array(path)
-        attributes = dict(self._array.attrs)
+        attributes = self._array.attributes
         if (attributes.get("schema"), attributes.get("version")) != ("gof-grid", 1):
             raise DataFormatError(f"{path}: not a grid (schema gof-grid version 1)")
         try:
@@ -152,7 +153,7 @@ class GridSequence:
 
     def frame(self, index: int) -> np.ndarray:
         """(X, Y, Z) or (X, Y, Z, 3) of a stored frame. Raises DataFormatError when it is damaged or not finite."""
-        values = read_array(self._array, (index,), self.path)
+        values = self._array[(index,)]
         if not np.isfinite(values).all():
             raise DataFormatError(f"{self.path}: frame {index} holds NaN or Inf; bake the fire again")
         return values
@@ -266,7 +267,7 @@ def write_fire(
             raise DataFormatError(f"{path}: frame {k} has other quantities or another shape than frame 0")
         for name, value in grids.items():
             require_finite(name, value, f"frame {k} of fire '{description.name}'")
-            stores[name][k] = np.asarray(value, np.float32)
+            stores[name].write(k, np.asarray(value, np.float32))
     if history:
         write_record(partial / "history.json", history)
     write_record(partial / "fire.json", description)
@@ -275,9 +276,6 @@ def write_fire(
 
 
 def _create(folder: Path, name: str, shape: tuple[int, ...], times_s: tuple[float, ...], index_to_world: np.ndarray):
-    import zarr
-    import zarr.codecs
-
     vector = name in ("velocity", "emission")
     if len(shape) != 3 + vector or (vector and shape[3] != 3):
         raise DataFormatError(f"{name}: shape {shape}, expected (X, Y, Z{', 3' if vector else ''})")
@@ -292,12 +290,4 @@ def _create(folder: Path, name: str, shape: tuple[int, ...], times_s: tuple[floa
         "time_s": list(times_s),
     }
     chunks = (1, CHUNK, CHUNK, CHUNK, 3)[: len(shape) + 1]
-    return zarr.create_array(
-        str(folder / f"{name}.zarr"),
-        shape=(len(times_s), *shape),
-        chunks=chunks,
-        dtype="float32",
-        fill_value=0,
-        compressors=zarr.codecs.GzipCodec(level=1),
-        attributes=attributes,
-    )
+    return ZarrArray.create(folder / f"{name}.zarr", (len(times_s), *shape), chunks, "float32", attributes, level=1)

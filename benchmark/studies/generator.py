@@ -18,6 +18,7 @@ import tyro
 from gof.evaluate import line_chart
 from gof.fields import VelocitySequence
 from gof.files import atomic_path, read_json, write_json
+from gof.zarr_array import ZarrArray
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.layout import Layout
@@ -240,24 +241,15 @@ def study_storage(config: GeneratorStudy) -> list[StorageRow]:
 
 
 def _stored(exact: np.ndarray, dtype: str, chunk: int) -> StorageRow:
-    import zarr
-
     core = tuple(slice(n // 3, 2 * n // 3) for n in exact.shape[:3])
     with tempfile.TemporaryDirectory() as folder:
-        store = zarr.create_array(
-            f"{folder}/v",
-            shape=exact.shape,
-            chunks=(chunk,) * 3 + (3,),
-            dtype=dtype,
-            compressors=zarr.codecs.GzipCodec(level=5),
-            fill_value=0,
-        )
+        store = ZarrArray.create(f"{folder}/v", (1, *exact.shape), (1, chunk, chunk, chunk, 3), dtype, {})
         start = time.perf_counter()
-        store[:] = exact.astype(dtype)
+        store.write(0, exact)
         written = time.perf_counter()
-        back = store[:]
+        back = store[(0,)]
         read = time.perf_counter()
-        store[core]
+        store[(0, *core)]
         done = time.perf_counter()
         size = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
     return StorageRow(

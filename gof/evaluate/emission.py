@@ -20,7 +20,7 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.sparse_grid import StoredField
-from gof.fields import CHUNK, VelocitySequence, open_array, read_array
+from gof.fields import CHUNK, VelocitySequence, open_array
 from gof.gaussians import MovingGaussians
 from gof.rotations import rotation_matrices
 
@@ -52,7 +52,7 @@ class FlameGrid:
 
     def __init__(self, path: Path):
         self._array = open_array(path)
-        attributes = dict(self._array.attrs)
+        attributes = self._array.attributes
         if (attributes.get("schema"), attributes.get("version"), attributes.get("quantity")) != (
             "gof-grid",
             1,
@@ -91,7 +91,7 @@ class FlameGrid:
             )
         cells, shine = [], []
         for x in range(0, self._array.shape[1], CHUNK):  # a layer of chunks at a time, and of it what burns
-            flame = read_array(self._array, (frame, slice(x, x + CHUNK)), self.path).astype(np.float32)
+            flame = self._array[frame, x : x + CHUNK].astype(np.float32)
             if not ((flame >= 0) & np.isfinite(flame)).all():
                 raise DataFormatError(f"{self.path}: frame {frame} holds NaN, Inf or negative values; make it again")
             burning = np.argwhere(flame)

@@ -99,5 +99,7 @@ def test_damaged_chunk_and_other_folders(tmp_path):
     with pytest.raises(FileFormatError, match="no true velocity"):
         of_dataset(tmp_path)
     VelocitySequence.create(tmp_path / "other.zarr", [VelocityField.from_array(np.ones((3, 3, 3, 3)), (0, 0, 0), 1.0)])
+    description = tmp_path / "other.zarr/zarr.json"
+    description.write_text(description.read_text().replace('"gzip"', '"zstd"'))
     with pytest.raises(FileFormatError, match="can be read here"):
         TrueVelocity(tmp_path / "other.zarr")
