@@ -13,6 +13,7 @@ from gof.gaussians import TransientGaussians
 from gof.similarity import transformed_splats
 
 SCHEMA = "gof-trajectory/1"
+ROUNDING = 1e-5  # by which products of float32 opacities may leave 0..1
 _ARRAYS = ("time_s", "position", "opacity", "scale", "rotation")
 
 
@@ -24,7 +25,7 @@ class Trajectory:
         time_s: (T,) s on the dataset clock, strictly increasing, T >= 2. Half steps between frames make better
             velocities.
         position: (T, N, 3) m.
-        opacity: (T, N) in [0, 1], everything included (temporal windows, deformation).
+        opacity: (T, N) 0..1, everything included (temporal windows, deformation).
         scale: (N, 3) or (T, N, 3) m, > 0.   rotation: (N, 4) or (T, N, 4) wxyz.
         velocity: (T, N, 3) m/s, or None: differences of the positions.
         color: (N, 3) display values or (N, K, 3) spherical harmonics.
@@ -78,6 +79,13 @@ class Trajectory:
             )
         if self.dynamic.shape != (count,):
             raise DataFormatError(f"trajectory 'dynamic' has shape {self.dynamic.shape}, expected ({count},)")
+        self._require("scale", (self.scale > 0).all(-1), "> 0 (linear standard deviation in metres, not its log)")
+        self._require("opacity", (self.opacity > -ROUNDING) & (self.opacity < 1 + ROUNDING), "0..1 (not a logit)")
+
+    def _require(self, name: str, ok: np.ndarray, rule: str) -> None:
+        if not ok.all():
+            where = np.argwhere(~ok)[0].tolist()
+            raise DataFormatError(f"trajectory '{name}' must be {rule}; entry {where} is not")
 
     def __len__(self) -> int:
         return self.position.shape[1]
@@ -139,8 +147,12 @@ class Trajectory:
             dynamic=self.dynamic,
         )
 
-    def difference_error(self) -> float:
-        """How much velocities change (relative L2) when differences span twice the step: 3 times their own error."""
+    def difference_change(self) -> float:
+        """How much velocities change (relative L2) when differences span twice the step.
+
+        That is three times their own error where motion is smooth. Where it has kinks, as that of networks with ReLU or
+        of planes interpolated in time, the error falls with the root of the step only, and is as large as the change.
+        """
         if self.velocity is not None or len(self.time_s) < 5:
             return float("nan")
         fine, coarse = [], []

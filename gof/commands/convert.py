@@ -20,7 +20,7 @@ class ConvertConfig:
     """Read a result of any known method; write .npz (exact), .ply (3DGS attributes, time and velocity) or .ftgs.ply."""
 
     result: tyro.conf.Positional[Path]
-    """File or folder: ours, the paper's checkpoint, Yang's 4DGS, FreeTimeGS, a folder of PLYs, a trajectory."""
+    """File or folder of any method that docs/importers.md lists."""
     out: tyro.conf.Positional[Path]
     """File to write; the suffix says which format. An existing file is not replaced."""
     foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
@@ -39,14 +39,15 @@ def main(argv: list[str]) -> int:
     config = tyro.cli(ConvertConfig, prog="gof convert", args=argv)
     began = time.perf_counter()
     imported = read_result(config.result, config.foreign.options(config.frame_time))
-    convert(imported, config.out, config.start, config.end, config.frame_time)
+    made = convert(imported, config.out, config.start, config.end, config.frame_time)
     seconds = time.perf_counter() - began
     count = len(imported.gaussians)
     out = console()
     out.print(f"{imported.method}: {count} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s")
-    for note in imported.notes:
+    notes = [*imported.notes, *made]
+    for note in notes:
         out.print("note:", note, style="yellow")
     if config.json:
-        done = {"method": imported.method, "gaussians": count, "notes": imported.notes, "out": str(config.out)}
+        done = {"method": imported.method, "gaussians": count, "notes": notes, "out": str(config.out)}
         write_json(config.json, done | {"seconds": round(seconds, 3)})
     return 0

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gof.io.importers import ImportOptions
+from gof.io.importers.source import WorldBy
 
 
 @dataclass
@@ -18,6 +19,10 @@ class ForeignOptions:
     """Dataset time in seconds at the method's time 0."""
     world: Path | None = None
     """COLMAP model (folder) its world was normalised from, or JSON with "training_to_world": undone when given."""
+    world_by: WorldBy | None = None
+    """Whose normalisation of that model: FreeTimeGsVanilla's own, or gsplat's; without it that is found out."""
+    code_date: str | None = None
+    """Date (2024-09-15) of the method's code that trained, where its files changed their meaning (4DGS of Yang)."""
 
     def options(self, frame_time_s: float | None = None) -> ImportOptions:
-        return ImportOptions(self.time_unit, self.time_zero, frame_time_s, self.world)
+        return ImportOptions(self.time_unit, self.time_zero, frame_time_s, self.world, self.world_by, self.code_date)

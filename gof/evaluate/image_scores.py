@@ -110,7 +110,8 @@ def image_scores(
         costs: seconds by part; "render", "images" and "video" are added.
     """
     metrics = _metrics(extras)
-    frames = _frames_to_draw(dataset, whole_clip=bool(metrics.video))
+    known = known_frames(gaussians, dataset)
+    frames = [k for k in _frames_to_draw(dataset, whole_clip=bool(metrics.video)) if known[k]]
     rows: list[PictureScore] = []
     published: list[PublishedFigures] = []
     qualities: list[dict[str, float]] = []
@@ -147,6 +148,13 @@ def image_scores(
             **{f"{name}_std": spread for name, (_, spread) in statistics.items()},
         ),
     )
+
+
+def known_frames(gaussians: MovingGaussians, dataset: Dataset) -> np.ndarray:
+    """(T,) bool: the frames whose pictures all lie in the time for which a result has a state."""
+    first, last = gaussians.covered_s
+    clocks = np.array([dataset.times_s, *(dataset.camera_times_s(c) for c in range(len(dataset.cameras)))])
+    return ((clocks >= first - 1e-6) & (clocks <= last + 1e-6)).all(0)
 
 
 def _metrics(extras: Extras) -> Metrics:

@@ -16,6 +16,7 @@ from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
 from gof.files import without_place
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
+from gof.io.importers.source import WorldBy
 from gof.records import read_record, write_record
 
 # ---------------------------------------------------------------- velocities
@@ -176,15 +177,19 @@ class UsedOptions:
     time_zero_s: float
     frame_time_s: float | None
     world: str | None
+    world_by: WorldBy | None = None
+    code_date: str | None = None
 
     @classmethod
     def of(cls, options: ImportOptions) -> UsedOptions:
         world = None if options.world is None else str(options.world)
-        return cls(options.time_unit_s, options.time_zero_s, options.frame_time_s, world)
+        times = options.time_unit_s, options.time_zero_s, options.frame_time_s
+        return cls(*times, world, options.world_by, options.code_date)
 
     def options(self) -> ImportOptions:
         world = None if self.world is None else Path(self.world)
-        return ImportOptions(self.time_unit_s, self.time_zero_s, self.frame_time_s, world)
+        times = self.time_unit_s, self.time_zero_s, self.frame_time_s
+        return ImportOptions(*times, world, self.world_by, self.code_date)
 
 
 @dataclass(frozen=True)

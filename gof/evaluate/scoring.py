@@ -14,7 +14,7 @@ from gof.errors import DataFormatError
 from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import DVESequence, Opacity
 from gof.evaluate.emission import EmissionScore, FlameGrid, score_on_emission
-from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, timed
+from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, known_frames, timed
 from gof.evaluate.scores import (
     Agreement,
     ControlScore,
@@ -29,7 +29,7 @@ from gof.evaluate.scores import (
 from gof.evaluate.sequence import dve_sequence, sanity_warnings
 from gof.gaussians import MovingGaussians
 from gof.io.importers import ImportOptions, read_result
-from gof.io.importers.alignment import align_cameras, read_cameras
+from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
 
 OURS = ("gof", "memory")  # methods whose results without static Gaussians are known to be flames alone
 
@@ -73,11 +73,13 @@ def evaluate(
     with timed(costs, "load"):
         gaussians, origin = _load(result, dataset, foreign or ImportOptions(), align)
     made_from = _made_from(result)
+    partly = _partly(gaussians, dataset)
     scores = Scores(
         gaussians=len(gaussians),
         dynamic_gaussians=int(np.count_nonzero(gaussians.dynamic)),
         import_=origin,
         flow_prior=None if made_from is None else "flow_prior" in made_from.learned,
+        warnings=partly,
     )
     if dataset.has_velocity:
         with timed(costs, "dve"):
@@ -87,10 +89,10 @@ def evaluate(
             scores,
             dve=_velocity_score(sequence, order, opacity, emission),
             controls={name: _control_score(name, control) for name, control in sequence.controls.items()},
-            warnings=tuple(sanity_warnings(sequence)),
+            warnings=(*partly, *sanity_warnings(sequence)),
         )
     else:
-        scores = replace(scores, warnings=("the dataset has no true velocity field, so there is no DVE",))
+        scores = replace(scores, warnings=(*partly, "the dataset has no true velocity field, so there is no DVE"))
     scores = replace(scores, warnings=(*scores.warnings, *_leak_warnings(made_from, dataset)))
     if images:
         before_plates = gaussians.dynamic.all() and (flame_only or origin.method in OURS)
@@ -111,10 +113,17 @@ def _load(
     result: Path | MovingGaussians, dataset: Dataset, foreign: ImportOptions, align: Path | None
 ) -> tuple[MovingGaussians, Origin]:
     if isinstance(result, Path):
-        options = replace(foreign, frame_time_s=foreign.frame_time_s or dataset.frame_time_s or None)
+        options = replace(
+            foreign,
+            frame_time_s=foreign.frame_time_s or dataset.frame_time_s or None,
+            clip_s=(float(dataset.times_s[0]), float(dataset.times_s[-1])),
+        )
         imported = read_result(result, options)
-        gaussians = imported.gaussians
-        origin = Origin(imported.method, tuple(imported.notes), str(imported.path), UsedOptions.of(options))
+        gaussians, notes = imported.gaussians, list(imported.notes)
+        if options.world is not None and options.world.is_dir() and align is None:
+            ours = {c.name: c.world_to_camera for c in dataset.cameras}
+            notes.append(require_same_world(read_cameras(options.world), ours, options.world))
+        origin = Origin(imported.method, tuple(notes), str(imported.path), UsedOptions.of(options))
     else:
         gaussians = result
         origin = Origin("memory")
@@ -142,6 +151,20 @@ def _leak_warnings(made_from: MadeFrom | None, dataset: Dataset) -> list[str]:
     frames = sorted({frame for frames in found for frame in frames})
     said = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"
     return [said] if frames else []
+
+
+def _partly(gaussians: MovingGaussians, dataset: Dataset) -> tuple[str, ...]:
+    """A warning where a result says something about a part of the clip alone."""
+    known = known_frames(gaussians, dataset)
+    if known.all():
+        return ()
+    first, last = gaussians.covered_s
+    held_out = dataset.test_frames
+    return (
+        f"the result covers {first:g}..{last:g} s, {known.sum()} of the clip's {len(known)} frames and "
+        f"{known[held_out].sum()} of its {len(held_out)} held-out ones, and is scored there alone: these are no scores "
+        "of the clip",
+    )
 
 
 # ---------------------------------------------------------------- its velocities

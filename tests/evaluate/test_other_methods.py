@@ -6,6 +6,8 @@ from the raw numbers of the file it made.
 """
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +15,10 @@ import pytest
 pytest.importorskip("torch")
 
 from gof.cli import main
+from gof.dataset import Dataset
+from gof.evaluate import evaluate as score_it
 from gof.fields import VelocityField
-from gof.io.importers.normalisation import normalisation
+from gof.motion import Motion, State
 from gof.trajectory import Trajectory
 from tests.conftest import arc, write_dataset
 from tests.io import lookalikes
@@ -126,7 +130,9 @@ def test_4dgs_of_yang(dataset, tmp_path):
             velocity,
         )
 
-    check(evaluate(tmp_path / "chkpnt30000.pth", dataset, tmp_path / "s.json"), "yang", state)
+    scores = evaluate(tmp_path / "chkpnt30000.pth", dataset, tmp_path / "s.json", "--time-unit", 1)
+    check(scores, "yang", state)
+    assert main(["evaluate", str(tmp_path / "chkpnt30000.pth"), "--truth", str(dataset)]) == 1  # 1 s in a clip of 0.16
 
 
 def freetime_state(raw, to_world=SAME):
@@ -155,13 +161,32 @@ def test_freetimegs_with_its_normalisation_undone(dataset, tmp_path, kind):
         result, raw = tmp_path / "results", lookalikes.freetime(tmp_path / "results/ckpts/ckpt_29999.pt")
     else:
         result, raw = tmp_path / "a.ftgs.ply", lookalikes.ftgs_ply(tmp_path / "a.ftgs.ply")
-    scores = evaluate(result, dataset, tmp_path / "s.json", "--world", tmp_path / "colmap")
-    check(scores, "freetime", freetime_state(raw, np.linalg.inv(normalisation(poses, points))))
+    back = np.linalg.inv(lookalikes.freetime_world(poses, points))
+    (tmp_path / "world.json").write_text(json.dumps({"training_to_world": back.tolist()}))
+    scores = evaluate(result, dataset, tmp_path / "s.json", "--world", tmp_path / "world.json")
+    check(scores, "freetime", freetime_state(raw, back))
     left = evaluate(
         result, dataset, tmp_path / "t.json", "--no-images"
     )  # in the training's world it is another score, and a note says so
     assert left["dve"]["l2"] == pytest.approx(closed_form(freetime_state(raw))[0], rel=2e-5)
     assert any("normalises" in note for note in left["import"]["notes"])
+
+
+def test_freetimegs_with_its_colmap_model(dataset, tmp_path):
+    """Gaussians on the points, normalised by the method's own rule; and cameras that are the dataset's, or not."""
+    rng = np.random.default_rng(3)
+    poses = {f"cam_{i}.png": c.world_to_camera for i, c in enumerate(arc(3))}
+    points = rng.normal(size=(200, 3)) * [2, 1, 0.5] + [0, 0, 1]
+    T = lookalikes.freetime_world(poses, points, (-1, 1))
+    raw = lookalikes.freetime(tmp_path / "ckpt_1.pt", means=(points + 0.01) @ T[:3, :3].T + T[:3, 3])
+    lookalikes.colmap_binary(tmp_path / "colmap/sparse/0", poses, points)
+    scores = evaluate(tmp_path / "ckpt_1.pt", dataset, tmp_path / "s.json", "--world", tmp_path / "colmap")
+    check(scores, "freetime", freetime_state(raw, np.linalg.inv(T)))
+    assert any("cameras are the dataset's" in note for note in scores["import"]["notes"])
+    turned = {k: p @ np.diag([-1.0, -1, 1, 1]) for k, p in poses.items()}
+    lookalikes.colmap_binary(tmp_path / "turned/sparse/0", turned, points * [-1, -1, 1])
+    asked = ["evaluate", str(tmp_path / "ckpt_1.pt"), "--truth", str(dataset), "--world", str(tmp_path / "turned")]
+    assert main([*asked, "--no-images"]) == 1
 
 
 def test_a_sequence_of_plys_at_half_steps(dataset, tmp_path):
@@ -264,3 +289,48 @@ def test_what_an_alignment_leaves_is_reported(dataset, tmp_path, own_world):
     assert (
         main(["evaluate", str(tmp_path / "model"), "--truth", str(dataset), "--align", str(tmp_path / "nothing")]) == 1
     )
+
+
+def test_a_part_of_the_clip_is_scored_with_a_warning(dataset, tmp_path):
+    """Frames 3 to 6 of 9: with pictures too, and never as the clip's score; a function of time is scored the same."""
+    rng = np.random.default_rng(6)
+    x0, rotation = rng.normal(size=(20, 3)), rng.normal(size=(20, 4))
+
+    def state(t):
+        return State(x0 + t * A[0], np.full(20, 0.5), np.full((20, 3), 0.1), rotation)
+
+    part = Motion(state, (TIMES[3], TIMES[6]), times_s=TIMES[3:7])
+    scores = evaluate(part.save(tmp_path / "t.npz"), dataset, tmp_path / "s.json")
+    assert scores["dve"]["frames_scored"] == 4 and scores["psnr"] > 0 and scores["images"]["count"] == 3
+    assert "4 of the clip's 9 frames and 1 of its 1 held-out" in scores["warnings"][0]
+    direct = score_it(part, Dataset.open(dataset))
+    assert direct.dve.l2 == pytest.approx(scores["dve"]["l2"], rel=1e-5) and direct.warnings == tuple(
+        scores["warnings"]
+    )
+    none = evaluate(Motion(state, times_s=TIMES[6:]).save(tmp_path / "u.npz"), dataset, tmp_path / "u.json")
+    assert none["psnr"] is None and "0 of its 1 held-out" in none["warnings"][0]
+
+
+def test_the_scripts_of_this_page_run(dataset, tmp_path, monkeypatch):
+    """docs/importers.md, "My own method": every script and command as it stands; all three score the same motion."""
+    page = (Path(__file__).parents[2] / "docs/importers.md").read_text()
+    page = page.partition("## My own method")[2].partition("\n## ")[0]
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/fire").symlink_to(dataset)
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```(python)?\n(.*?)```", page, re.S)
+    assert [kind for kind, _ in blocks] == ["python", "", "python", "", "python"]
+    found = []
+    for kind, text in blocks:
+        # this dataset lasts 0.16 s, the page's 0.35 s
+        text = text.replace("range(71)", "range(33)")
+        if kind:
+            exec(compile(text, "docs/importers.md", "exec"), {"__name__": "page"})
+        else:
+            assert main(text.split()[1:]) == 0
+        if (tmp_path / "out/mine/scores.json").exists():
+            found.append(json.loads((tmp_path / "out/mine/scores.json").read_text())["dve"])
+            (tmp_path / "out/mine/scores.json").unlink()
+    assert len(found) == 3 and found[0]["frames_scored"] == len(TIMES)
+    for other in found[1:]:
+        assert other["l2"] == pytest.approx(found[0]["l2"], rel=1e-3)

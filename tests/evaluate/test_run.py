@@ -137,6 +137,8 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
     assert aligned.dve.l2 == pytest.approx(original.dve.l2, abs=1e-3) and aligned.psnr == pytest.approx(
         original.psnr, abs=0.1
     )
+    theirs = (tmp_path / "a.ftgs.ply").read_bytes().replace(b"gof_clip_s", b"other_word")
+    (tmp_path / "a.ftgs.ply").write_bytes(theirs)
     with pytest.raises(DataFormatError, match="--time-unit"):
         evaluate(
             tmp_path / "a.ftgs.ply",

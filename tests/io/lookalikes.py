@@ -159,11 +159,11 @@ def released_checkpoint(folder: Path, scene, iteration=30000, bounds=RELEASED_BO
     return path
 
 
-def yang(path: Path, n=30, seed=0, rot_4d=True):
+def yang(path: Path, n=30, seed=0, rot_4d=True, times=(0, 1)):
     rng = np.random.default_rng(seed)
     p = capture(rng, n, sh_rest=47)
     extra = {
-        "t": rng.uniform(0, 1, (n, 1)),
+        "t": rng.uniform(*times, (n, 1)),
         "scaling_t": rng.normal(-1, 0.5, (n, 1)),
         "rotation_r": rng.normal(size=(n, 4)),
     }
@@ -193,24 +193,25 @@ def yang(path: Path, n=30, seed=0, rot_4d=True):
     return {k: v.detach().numpy() for k, v in (p | extra).items()}
 
 
-def yang_covariance(raw):
-    """The method's covariance, one Gaussian at a time, written out from its definition."""
+def yang_covariance(raw, flip=True):
+    """The method's covariance, one Gaussian at a time, written out from its definition (before 2024-09-15: no flip)."""
     out = []
     for i in range(len(raw["xyz"])):
         a, b, c, d = raw["rotation"][i].astype(float) / np.linalg.norm(raw["rotation"][i])
         p, q, r, s = raw["rotation_r"][i].astype(float) / np.linalg.norm(raw["rotation_r"][i])
         left = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
         right = np.array([[p, q, r, s], [-q, p, -s, r], [-r, s, p, -q], [-s, -r, q, p]])
-        turn = np.flip(left @ right, (0, 1))
+        turn = np.flip(left @ right, (0, 1)) if flip else left @ right
         half = turn @ np.diag(np.exp([*raw["scaling"][i].astype(float), float(raw["scaling_t"][i, 0])]))
         out.append(half @ half.T)
     return np.array(out)
 
 
-def freetime(path: Path, n=30, seed=0, drop=()):
+def freetime(path: Path, n=30, seed=0, drop=(), extra=None, means=None):
     rng = np.random.default_rng(seed)
+    n = n if means is None else len(means)
     raw = {
-        "means": rng.normal(size=(n, 3)),
+        "means": rng.normal(size=(n, 3)) if means is None else means,
         "scales": rng.normal(-4, 0.3, (n, 3)),
         "quats": rng.normal(size=(n, 4)),
         "opacities": rng.normal(size=n),
@@ -225,7 +226,9 @@ def freetime(path: Path, n=30, seed=0, drop=()):
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     torch.save(
-        {"step": 29999, "splats": splats.state_dict(), "optimizers": {}, "n_frames": 61, "use_velocity": True}, path
+        {"step": 29999, "splats": splats.state_dict(), "optimizers": {}, "n_frames": 61, "use_velocity": True}
+        | (extra or {}),
+        path,
     )
     return {k: v.detach().numpy() for k, v in splats.items()}
 
@@ -342,3 +345,50 @@ def colmap_text(folder: Path, poses, points):
         "# 3D points\n"
         + "".join(f"{i} {x[0]!r} {x[1]!r} {x[2]!r} 1 2 3 0.5 1 0\n" for i, x in enumerate(points.tolist()))
     )
+
+
+def freetime_world(poses: dict[str, np.ndarray], points: np.ndarray, signs=(1, 1)) -> np.ndarray:
+    """World to training (4, 4) as FreeTimeGsVanilla's parser (datasets/normalize.py of January 2026) makes it.
+
+    First the cameras' mean centre to the origin, and the farthest centre to distance 1; then a turn about that origin
+    onto the principal axes of the points, largest first, made right-handed by its third row. `signs`: of the first two
+    axes, which its linear algebra chooses.
+    """
+    centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses.values()])
+    first = np.eye(4)
+    first[:3] /= max(np.linalg.norm(c - centres.mean(0)) for c in centres)
+    first[:3, 3] = -first[0, 0] * centres.mean(0)
+    moved = (first @ np.c_[points, np.ones(len(points))].T)[:3].T
+    second = np.eye(4)
+    second[:3, :3] = np.linalg.svd(moved - moved.mean(0), full_matrices=False)[2]
+    second[:2, :3] *= np.array(signs)[:, None]
+    second[2, :3] = np.cross(second[0, :3], second[1, :3])
+    return second @ first
+
+
+def spacetime(path: Path, n=20, seed=0, full=False):
+    """PLY of SpacetimeGaussians, properties in its order; returns the raw values."""
+    rng = np.random.default_rng(seed)
+    raw = {
+        "xyz": rng.normal(size=(n, 3)),
+        "trbf_center": rng.uniform(0, 1, (n, 1)),
+        "trbf_scale": rng.normal(-1, 0.3, (n, 1)),
+        "normals": np.zeros((n, 3)),
+        "motion": rng.normal(size=(n, 9)),
+        "f_dc": rng.uniform(0, 1, (n, 6 if full else 3)),
+        "opacity": rng.normal(size=(n, 1)),
+        "scale": rng.normal(-3, 0.3, (n, 3)),
+        "rot": rng.normal(size=(n, 4)),
+        "omega": rng.normal(size=(n, 4)),
+    } | ({"f_t": rng.normal(size=(n, 3))} if full else {})
+    names = {"xyz": ["x", "y", "z"], "normals": ["nx", "ny", "nz"]}
+    names |= {k: [k] for k in ("trbf_center", "trbf_scale", "opacity")}
+    columns = {}
+    for key, values in raw.items():
+        own = names.get(key, [f"{key}_{i}" for i in range(values.shape[1])])
+        columns |= dict(zip(own, values.T, strict=True))
+    vertex = np.empty(n, [(k, "f4") for k in columns])
+    for k, v in columns.items():
+        vertex[k] = v
+    write_ply(path, vertex)
+    return {k: v.astype(np.float32).astype(float) for k, v in raw.items()}

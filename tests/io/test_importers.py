@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +12,12 @@ from scipy.spatial.transform import Rotation
 torch = pytest.importorskip("torch")
 
 from gof.errors import DataFormatError, GofError  # noqa: E402
-from gof.gaussians import TransientGaussians  # noqa: E402
 from gof.io.colmap import read_colmap  # noqa: E402
 from gof.io.importers import ImportOptions, Source, detect, read_result  # noqa: E402
-from gof.io.importers.alignment import align_cameras  # noqa: E402
+from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world  # noqa: E402
 from gof.io.importers.freetime import save as save_ftgs  # noqa: E402
-from gof.io.importers.normalisation import normalisation  # noqa: E402
+from gof.io.importers.normalisation import freetime_normalisation, gsplat_normalisation  # noqa: E402
+from gof.motion import Motion, State  # noqa: E402
 from gof.trajectory import Trajectory  # noqa: E402
 from tests.conftest import arc, random_gaussians  # noqa: E402
 from tests.io import lookalikes  # noqa: E402
@@ -127,6 +128,45 @@ def test_yang_against_the_density_in_space_time(tmp_path):
     np.testing.assert_allclose(g.scale.astype(float).prod(1), det, rtol=1e-4)  # the DVE weight's volume
 
 
+def test_yang_before_and_since_september_2024(tmp_path):
+    """One file, two meanings: its commit 900c592 reversed the order of the axes that the quaternions turn."""
+    raw = lookalikes.yang(tmp_path / "chkpnt30000.pth")
+    for date, flip in (("2024-09-14", False), ("2024-09-15", True), (None, True)):
+        S = yang_covariance(raw, flip)
+        got = read_result(tmp_path / "chkpnt30000.pth", ImportOptions(code_date=date))
+        np.testing.assert_allclose(got.gaussians.velocity, S[:, :3, 3] / S[:, 3, 3, None], rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(got.gaussians.t_sigma, np.sqrt(S[:, 3, 3]), rtol=1e-5)
+        assert any("--code-date" in note for note in got.notes) == (date is None)
+
+
+def test_yang_with_a_wider_window(tmp_path):
+    """prefilter_var stands in cfg_args beside the checkpoint; it widens the temporal window and nothing else."""
+    raw = lookalikes.yang(tmp_path / "chkpnt_best.pth")
+    S = yang_covariance(raw)
+    (tmp_path / "cfg_args").write_text("Namespace(sh_degree=3, source_path='a', prefilter_var=0.02, x=[1])")
+    got = read_result(tmp_path)  # the folder's best, where it has no other
+    np.testing.assert_allclose(got.gaussians.t_sigma, np.sqrt(S[:, 3, 3] + 0.02), rtol=1e-5)
+    np.testing.assert_allclose(got.gaussians.velocity, S[:, :3, 3] / S[:, 3, 3, None], rtol=1e-4, atol=1e-5)
+    assert not any("--code-date" in note for note in got.notes)
+    for text in ("Namespace(prefilter_var=-1.0)", "Namespace(a=-'b')", "import os", "Namespace(" * 9999, "\0", "f(x"):
+        (tmp_path / "cfg_args").write_text(text)
+        np.testing.assert_allclose(read_result(tmp_path).gaussians.t_sigma, np.sqrt(S[:, 3, 3]), rtol=1e-5)
+
+
+def test_times_that_are_shares_of_the_clip_are_asked_about(tmp_path):
+    """Trained on the D-NeRF layout of our own dataset: its time runs from 0 to 1 however long the clip is."""
+    lookalikes.yang(tmp_path / "a.pth", n=300)
+    clip = ImportOptions(frame_time_s=0.01, clip_s=(0.0, 0.35))
+    with pytest.raises(DataFormatError, match=r"--time-unit.*0\.35 if they are shares"):
+        read_result(tmp_path / "a.pth", clip)
+    assert read_result(tmp_path / "a.pth", replace(clip, time_unit_s=0.35)).gaussians.t_mu.max() <= 0.35
+    lookalikes.yang(tmp_path / "b.pth", n=300, times=(-0.03, 0.38))  # seconds, as its own initialisation spreads them
+    read_result(tmp_path / "b.pth", clip)
+    lookalikes.yang(tmp_path / "c.pth", n=300, times=(0, 35 / 30))  # frames at 30 a second, as n3v2blender writes
+    with pytest.raises(DataFormatError, match="the clip lasts 0.35 s"):
+        read_result(tmp_path / "c.pth", clip)
+
+
 def test_yang_time_unit_and_the_3d_variant(tmp_path):
     raw = lookalikes.yang(tmp_path / "a.pth")
     a, b = (
@@ -226,9 +266,9 @@ def test_cut_off_colmap_model(tmp_path, colmap_scene):
         read_colmap(tmp_path / "nothing")
 
 
-def test_normalisation_has_the_properties_it_promises(colmap_scene):
+def test_gsplats_normalisation_has_the_properties_it_promises(colmap_scene):
     poses, points = colmap_scene
-    T = normalisation(poses, points)
+    T = gsplat_normalisation(poses, points)
     s = np.cbrt(np.linalg.det(T[:3, :3]))
     moved = points @ T[:3, :3].T + T[:3, 3]
     # up to -y; then the middle of where the optical axes pass the origin, and the median distance from it as the unit
@@ -252,7 +292,9 @@ def test_normalisation_has_the_properties_it_promises(colmap_scene):
     # another similarity of the same scene is normalised to the same points, up to the signs of the axes
     other = np.eye(4)
     other[:3, :3] = 2.5 * np.eye(3)  # (a turned world changes what "closest to the origin" means, as in the trainer)
-    again = normalisation({k: np.linalg.inv(_moved(other, np.linalg.inv(p))) for k, p in poses.items()}, 2.5 * points)
+    again = gsplat_normalisation(
+        {k: np.linalg.inv(_moved(other, np.linalg.inv(p))) for k, p in poses.items()}, 2.5 * points
+    )
     np.testing.assert_allclose(np.abs((2.5 * points) @ again[:3, :3].T + again[:3, 3]), np.abs(moved), atol=1e-9)
 
 
@@ -262,37 +304,109 @@ def _moved(similarity, camera_to_world):
     return out
 
 
-def test_freetime_normalisation_is_undone(tmp_path, colmap_scene):
-    """Gaussians in metres, moved into the training world by hand, come back."""
-    poses, points = colmap_scene
-    lookalikes.colmap_binary(tmp_path / "sparse/0", poses, points)
-    T = normalisation(poses, points)
-    g = random_gaussians(20)
-    g = TransientGaussians(
-        **{n: getattr(g, n) for n in g.__dataclass_fields__}
-        | {"dynamic": np.ones(20, bool), "t_sigma": np.full(20, 0.3)}
-    )
-    s, R = np.cbrt(np.linalg.det(T[:3, :3])), T[:3, :3] / np.cbrt(np.linalg.det(T[:3, :3]))
-    trained = TransientGaussians(
+def trained(g, T):
+    """Gaussians in metres, as a trainer holds them after the similarity T (4, 4)."""
+    s = np.cbrt(np.linalg.det(T[:3, :3]))
+    turn = Rotation.from_matrix(T[:3, :3] / s)
+    rotation = (turn * Rotation.from_quat(g.rotation[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]]
+    return replace(
+        g,
         position=g.position @ T[:3, :3].T + T[:3, 3],
         velocity=g.velocity @ T[:3, :3].T,
-        t_mu=g.t_mu,
-        t_sigma=g.t_sigma,
         scale=s * g.scale,
-        rotation=(Rotation.from_matrix(R) * Rotation.from_quat(g.rotation[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]],
-        opacity=g.opacity,
-        color=g.color,
-        dynamic=g.dynamic,
+        rotation=rotation,
     )
-    save_ftgs(trained, tmp_path / "a.ftgs.ply", 0.0, 2.0, 11)
+
+
+def on_points(points):
+    """Gaussians that began on COLMAP points and moved a little, as trained ones do."""
+    g = random_gaussians(len(points))
+    off = np.random.default_rng(0).normal(0, 0.02, points.shape)
+    return replace(g, position=points + off, dynamic=np.ones(len(g), bool), t_sigma=np.full(len(g), 0.3))
+
+
+@pytest.mark.parametrize("signs", [(1, 1), (-1, 1), (-1, -1)])
+def test_the_world_of_freetimegsvanilla_is_found_again(tmp_path, colmap_scene, signs):
+    """Its own normalisation, in whichever signs its machine gave the axes; velocities, sizes, turns come back too."""
+    poses, points = colmap_scene
+    lookalikes.colmap_binary(tmp_path / "sparse/0", poses, points)
+    T, g = lookalikes.freetime_world(poses, points, signs), on_points(points)
+    save_ftgs(trained(g, T), tmp_path / "a.ftgs.ply", 0.0, 2.0, 11)
     (tmp_path / "n.json").write_text(json.dumps({"training_to_world": np.linalg.inv(T).tolist()}))
     for world in (tmp_path, tmp_path / "n.json"):
-        back = read_result(tmp_path / "a.ftgs.ply", ImportOptions(time_unit_s=2.0, world=world)).gaussians
+        got = read_result(tmp_path / "a.ftgs.ply", ImportOptions(time_unit_s=2.0, world=world))
+        back = got.gaussians
         np.testing.assert_allclose(back.position, g.position, atol=1e-4)
         np.testing.assert_allclose(back.velocity, g.velocity, atol=1e-4)
         np.testing.assert_allclose(back.scale, g.scale, rtol=1e-4)
-        dot = np.abs((back.rotation * g.rotation).sum(1))
-        np.testing.assert_allclose(dot, 1, atol=1e-5)
+        np.testing.assert_allclose(np.abs((back.rotation * g.rotation).sum(1)), 1, atol=1e-5)
+    ours = freetime_normalisation(poses, points)
+    np.testing.assert_allclose(np.abs(T[:3, :3]), np.abs(ours[:3, :3]), atol=1e-9)
+
+
+def test_a_result_of_gsplats_trainer_is_told_from_it(tmp_path, colmap_scene):
+    poses, points = colmap_scene
+    lookalikes.colmap_binary(tmp_path / "sparse/0", poses, points)
+    g = on_points(points)
+    save_ftgs(trained(g, gsplat_normalisation(poses, points)), tmp_path / "a.ftgs.ply", 0.0, 2.0, 11)
+    got = read_result(tmp_path / "a.ftgs.ply", ImportOptions(time_unit_s=2.0, world=tmp_path))
+    np.testing.assert_allclose(got.gaussians.position, g.position, atol=1e-4)
+    assert "gsplat" in got.notes[-1]
+
+
+def test_a_world_that_nothing_tells_apart_is_asked_for(tmp_path, colmap_scene):
+    """A flame alone lies on no COLMAP point: no guess."""
+    poses, points = colmap_scene
+    lookalikes.colmap_binary(tmp_path / "sparse/0", poses, points)
+    lookalikes.freetime(tmp_path / "ckpt_1.pt")
+    options = ImportOptions(time_unit_s=2.0, world=tmp_path)
+    with pytest.raises(DataFormatError, match="--world-by"):
+        read_result(tmp_path / "ckpt_1.pt", options)
+    for by, T in (("freetime", freetime_normalisation), ("gsplat", gsplat_normalisation)):
+        got = read_result(tmp_path / "ckpt_1.pt", replace(options, world_by=by))
+        raw = lookalikes.freetime(tmp_path / "ckpt_1.pt")
+        back = np.linalg.inv(T(poses, points))
+        np.testing.assert_allclose(got.gaussians.position, raw["means"] @ back[:3, :3].T + back[:3, 3], atol=1e-3)
+    with pytest.raises(DataFormatError, match="give --world too"):
+        read_result(tmp_path / "ckpt_1.pt", ImportOptions(time_unit_s=2.0, world_by="gsplat"))
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"time_units": "seconds"},
+        {"model_spec": {"time_units": "frames"}},
+        {"model_spec": {"duration_activation": "sigmoid"}},
+        {"use_marginal_gating": True},
+        {"use_color_velocity": True},
+        {"color_correction": {"a": torch.ones(3)}},
+        {"model_spec": [1]},
+        {"n_frames": "61"},
+    ],
+    ids=str,
+)
+def test_variants_of_freetime_are_refused(tmp_path, said):
+    """What the method's own validate_vanilla_checkpoint refuses is refused here."""
+    lookalikes.freetime(tmp_path / "ckpt_1.pt", extra=said)
+    with pytest.raises(DataFormatError, match="ckpt_1.pt"):
+        read_result(tmp_path / "ckpt_1.pt", ImportOptions(time_unit_s=2.0))
+    plain = {"time_units": "normalized", "color_correction": None, "use_marginal_gating": False}
+    lookalikes.freetime(tmp_path / "ckpt_2.pt", extra=plain | {"model_spec": {"min_duration": 0.001}})
+    short = read_result(tmp_path / "ckpt_2.pt", ImportOptions(time_unit_s=2.0)).gaussians.t_sigma
+    assert 0.002 <= short.min() < 0.02 * 2
+
+
+def test_an_ftgs_ply_of_ours_comes_back_without_options(tmp_path):
+    """Which seconds its times 0 and 1 are, and what it cannot hold, is said and written."""
+    from gof.io.convert import convert
+    from gof.io.importers import Imported
+
+    g = replace(random_gaussians(30), t_sigma=np.full(30, 0.005))
+    said = convert(Imported(g, "gof", tmp_path / "a.npz"), tmp_path / "a.ftgs.ply", 0.1, 0.45)
+    assert "0.1..0.45 s" in said[0] and "shorter than the format's least" in said[1]
+    back = read_result(tmp_path / "a.ftgs.ply").gaussians
+    np.testing.assert_allclose(back.t_mu[g.dynamic], g.t_mu[g.dynamic], atol=1e-6)
+    np.testing.assert_allclose(back.velocity[g.dynamic], g.velocity[g.dynamic], rtol=1e-5)
 
 
 # ---------------------------------------------------------------- trajectories
@@ -325,7 +439,7 @@ def test_half_steps_and_ends_of_a_swirl():
     assert errors["half", "inside"] < 0.006 and 0.02 < errors["whole", "inside"] < 0.027
     assert errors["half", "end"] < 0.02 and errors["half", "end"] < errors["whole", "end"] / 3
     # changing by 3x its own error when the step doubles (differences of second order)
-    assert make_trajectory(np.arange(0, 1.001, 0.04), rate=rate)[0].difference_error() == pytest.approx(
+    assert make_trajectory(np.arange(0, 1.001, 0.04), rate=rate)[0].difference_change() == pytest.approx(
         3 * errors["whole", "inside"], rel=0.3
     )
 
@@ -389,7 +503,188 @@ def test_ply_sequence(tmp_path):
         read_result(tmp_path / "seq", ImportOptions(time_unit_s=0.02))
 
 
+def test_a_sequence_of_the_wrong_clock_or_kind_is_asked_about(tmp_path):
+    """Half steps taken for frames, numbers of training steps, a file per picture, numbers with a point."""
+    raw = {k: v.detach().numpy() for k, v in lookalikes.capture(np.random.default_rng(1), 5).items()}
+
+    def write(folder, names, places):
+        for name, place in zip(names, places, strict=True):
+            lookalikes.splat_ply(tmp_path / folder / name, raw | {"xyz": raw["xyz"] + place})
+
+    clip = ImportOptions(frame_time_s=0.01, clip_s=(0.0, 0.35))
+    write("half", [f"{k:03d}.ply" for k in range(71)], np.linspace(0, 1, 71))
+    with pytest.raises(DataFormatError, match="--time-unit"):
+        read_result(tmp_path / "half", clip)
+    assert read_result(tmp_path / "half", replace(clip, time_unit_s=0.005)).gaussians.covered_s[1] == pytest.approx(
+        0.35
+    )
+    write("4dgs", [f"4dgs_{k:05d}.ply" for k in range(36)], np.linspace(0, 1, 36))
+    assert len(read_result(tmp_path / "4dgs", clip).gaussians.time_s) == 36
+    write("steps", ["point_cloud_7000.ply", "point_cloud_30000.ply"], [0, 1])
+    with pytest.raises(DataFormatError, match="steps of a training"):
+        read_result(tmp_path / "steps", ImportOptions(time_unit_s=0.01))
+    write("cameras", [f"time_{k:05d}.ply" for k in range(9)], np.repeat([0, 1, 2], 3))
+    with pytest.raises(DataFormatError, match="same positions"):
+        read_result(tmp_path / "cameras", ImportOptions(time_unit_s=0.01))
+    for name, files in {"point": ["a_0.25.ply", "a_0.5.ply"], "two": ["a0.ply", "a1.ply", "b0.ply"]}.items():
+        write(name, files, range(len(files)))
+        with pytest.raises(DataFormatError, match="no format"):
+            read_result(tmp_path / name, ImportOptions(time_unit_s=0.01))
+
+
+def test_ranges_of_a_trajectory(tmp_path):
+    """Logarithms and logits are no sizes and opacities; seconds are no shares of the clip."""
+    trajectory, _ = make_trajectory(np.linspace(0, 1, 5))
+    for wrong, rule in (
+        ({"scale": np.log(trajectory.scale)}, "not its log"),
+        ({"opacity": trajectory.opacity * 9}, "logit"),
+    ):
+        with pytest.raises(DataFormatError, match=rule):
+            replace(trajectory, **wrong)
+    replace(trajectory, opacity=np.full_like(trajectory.opacity, 1 + 1e-7))
+    path = trajectory.save(tmp_path / "t.npz")
+    assert len(read_result(path, ImportOptions(clip_s=(0.0, 1.0))).notes) == 1
+    assert "are they seconds" in read_result(path, ImportOptions(clip_s=(0.0, 0.35))).notes[1]
+
+
+# ---------------------------------------------------------------- a function of time
+
+
+def test_a_function_of_time_is_a_result(tmp_path):
+    """Velocities of a function that has none are differences of it; worlds, ends, files and wrong states."""
+    _, start = make_trajectory(np.linspace(0, 1, 5))
+    n = len(start)
+
+    def state(t, **changes):
+        fields = {"position": swirl(t, start), "opacity": np.full(n, 0.5), "scale": np.full((n, 3), 0.1)}
+        return State(**fields | {"rotation": np.tile([1.0, 0, 0, 0], (n, 1))} | changes)
+
+    motion = Motion(state, (0.0, 1.0), times_s=np.linspace(0, 1, 9))
+    assert len(motion) == n and motion.life() == (0, 1)
+    for t in (0.0, 0.4, 1.0):
+        truth = (swirl(t + 1e-6, start) - swirl(t - 1e-6, start)) / 2e-6
+        np.testing.assert_allclose(motion.state_at(t).velocity, truth, atol=0.05 if t in (0, 1) else 1e-4)
+    T = similarity()
+    np.testing.assert_allclose(
+        motion.transformed(T).transformed(np.linalg.inv(T)).state_at(0.4).position, swirl(0.4, start), atol=1e-5
+    )
+    saved = read_result(motion.save(tmp_path / "m.npz")).gaussians
+    np.testing.assert_allclose(saved.state_at(0.5).velocity, motion.state_at(0.5).velocity, atol=1e-6)
+    with pytest.raises(DataFormatError, match="outside"):
+        motion.state_at(1.1)
+    with pytest.raises(GofError, match="times_s"):
+        Motion(state).save(tmp_path / "n.npz")
+    for wrong in (
+        {"scale": np.full((n, 3), -2.0)},
+        {"opacity": np.full(n, 3.0)},
+        {"position": np.full((n, 3), np.nan)},
+    ):
+        with pytest.raises(GofError, match="state at 0.5 s"):
+            Motion(lambda t, wrong=wrong: state(t, velocity=np.zeros((n, 3)), **wrong)).state_at(0.5)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_spacetime_gaussians(tmp_path, full):
+    """Positions, velocities and opacities of its renderer, one Gaussian at a time, from the raw numbers."""
+    raw = lookalikes.spacetime(tmp_path / "p.ply", full=full)
+    with pytest.raises(DataFormatError, match="--time-unit.*0.36 if that was"):
+        read_result(tmp_path / "p.ply", ImportOptions(frame_time_s=0.01, clip_s=(0.0, 0.35)))
+    got = read_result(tmp_path / "p.ply", ImportOptions(time_unit_s=0.5, time_zero_s=1.0))
+    for t in (1.0, 1.2, 1.5):
+        state = got.gaussians.state_at(t)
+        for i in range(20):
+            d = (t - 1.0) / 0.5 - raw["trbf_center"][i, 0]
+            m = raw["motion"][i]
+            place = [raw["xyz"][i, k] + m[k] * d + m[3 + k] * d**2 + m[6 + k] * d**3 for k in range(3)]
+            speed = [(m[k] + 2 * m[3 + k] * d + 3 * m[6 + k] * d**2) / 0.5 for k in range(3)]
+            q = raw["rot"][i] + d * raw["omega"][i]
+            alpha = logistic(raw["opacity"][i, 0]) * np.exp(-((d / np.exp(raw["trbf_scale"][i, 0])) ** 2))
+            np.testing.assert_allclose(state.position[i], place, rtol=1e-5, atol=1e-6)
+            np.testing.assert_allclose(state.velocity[i], speed, rtol=1e-5, atol=1e-5)
+            np.testing.assert_allclose(state.rotation[i], q / np.linalg.norm(q), atol=1e-6)
+            np.testing.assert_allclose(state.opacity[i], alpha, atol=1e-6)
+    np.testing.assert_allclose(got.gaussians.state_at(1.2).scale, np.exp(raw["scale"]), rtol=1e-5)
+    assert ("decoder" in got.notes[1]) == full
+    got.gaussians.save(tmp_path / "t.npz")
+    assert "velocities as stored" in read_result(tmp_path / "t.npz").notes
+
+
 # ---------------------------------------------------------------- recognised, refused, dangerous
+
+
+@pytest.mark.parametrize("option", ["world", "code_date", "time_unit_s", "time_zero_s", "world_by"])
+def test_options_that_would_be_ignored_are_an_error(tmp_path, gaussians, option):
+    """A path that does not exist included; and the numbers that are no times."""
+    gaussians.save(tmp_path / "a.npz")
+    given = {"world": tmp_path / "nothing", "code_date": "2024-01-01", "time_unit_s": 2.0, "time_zero_s": 1.0}
+    options = ImportOptions(**{option: given.get(option, "gsplat")})
+    with pytest.raises(DataFormatError, match="--" + option.removesuffix("_s").replace("_", "-")):
+        read_result(tmp_path / "a.npz", options)
+    path, _ = lookalikes.authors(tmp_path / "model")
+    if not option.startswith("time"):
+        with pytest.raises(DataFormatError, match="would change nothing"):
+            read_result(path, options)
+    for wrong in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(GofError, match="--time-unit"):
+            ImportOptions(time_unit_s=wrong)
+    with pytest.raises(GofError, match="--time-zero"):
+        ImportOptions(time_zero_s=np.nan)
+    with pytest.raises(GofError, match="--code-date"):
+        ImportOptions(code_date="yesterday")
+
+
+def test_tensors_that_are_no_plain_arrays_are_named(tmp_path):
+    """Sparse, meta, quantised, nested, complex, of no rows; keys that are no text; archives that are packed."""
+    import zipfile
+
+    path, _ = lookalikes.authors(tmp_path / "model")
+    state, iteration = torch.load(path, weights_only=False)
+    odd = {
+        "sparse": state[1].detach().to_sparse(),
+        "meta": torch.zeros(30, 3, device="meta"),
+        "quantised": torch.quantize_per_tensor(state[1].detach(), 0.1, 0, torch.qint8),
+        "complex": state[1].detach().to(torch.complex64),
+        "conjugated": state[1].detach().to(torch.complex64).conj(),
+        "empty": torch.zeros(0, 3),
+        "bool": torch.zeros(30, 3, dtype=torch.bool).to_sparse(),
+    }
+    for name, tensor in odd.items():
+        torch.save(((*state[:1], tensor, *state[2:]), iteration), path)
+        with pytest.raises(DataFormatError, match="chkpnt7000.pth"):
+            read_result(path)
+            pytest.fail(name)
+    torch.save({1: torch.zeros(3), (2, 3): 4}, tmp_path / "keys.pth")
+    with pytest.raises(DataFormatError, match="no layout gof knows"):
+        read_result(tmp_path / "keys.pth")
+    torch.save(torch.zeros(30_000_000), tmp_path / "big.pth")
+    with zipfile.ZipFile(tmp_path / "big.pth") as big, zipfile.ZipFile(tmp_path / "p.pth", "w", 8) as packed:
+        for name in big.namelist():
+            packed.writestr(name, big.read(name))
+    with pytest.raises(DataFormatError, match="unpacks to"):
+        read_result(tmp_path / "p.pth")
+
+
+def test_what_cannot_be_read_is_named_as_a_user_knows_it(tmp_path):
+    torch.save((Bomb(), 3), tmp_path / "x.pth")
+    with pytest.raises(DataFormatError) as said:
+        read_result(tmp_path / "x.pth")
+    assert "holds exec besides" in str(said.value) and "option" not in str(said.value) and "\x1b" not in str(said.value)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataFormatError, match="SpacetimeGaussians"):
+        read_result(tmp_path / "empty")
+    torch.save({"linear.0.weight": torch.zeros(2), "gaussian_warp.weight": torch.zeros(3)}, tmp_path / "deform.pth")
+    np.savez(tmp_path / "params.npz", means3D=np.zeros((4, 5, 3)), unnorm_rotations=np.zeros((4, 5, 4)))
+    np.savez(tmp_path / "t.npz", time_s=np.arange(4), position=np.zeros((4, 5, 3)))
+    (tmp_path / "wu").mkdir()
+    torch.save({}, tmp_path / "wu/deformation.pth")
+    for name, reason in (
+        ("deform.pth", "Deformable-3DGS"),
+        ("params.npz", "Dynamic3DGaussians"),
+        ("t.npz", "schema"),
+        ("wu", "Wu"),
+    ):
+        with pytest.raises(DataFormatError, match=reason):
+            read_result(tmp_path / name)
 
 
 def test_methods_without_velocities_are_explained(tmp_path):
@@ -461,6 +756,19 @@ def test_own_files(tmp_path, gaussians):
 
 
 # ---------------------------------------------------------------- worlds
+
+
+def test_cameras_of_one_folder_are_named_by_their_files(tmp_path):
+    """Our own COLMAP view: static/cam_0.png."""
+    poses = {f"static/{c.name}.png": c.world_to_camera for c in arc(3)}
+    lookalikes.colmap_binary(tmp_path, poses, np.zeros((3, 3)))
+    assert set(read_cameras(tmp_path)) == {"cam_0", "cam_1", "cam_2"}
+    ours = {c.name: c.world_to_camera for c in arc(3)}
+    assert "and 0 degrees" in require_same_world(read_cameras(tmp_path), ours, tmp_path)
+    elsewhere = {k: _moved(similarity(1.0), p) for k, p in ours.items()}
+    with pytest.raises(DataFormatError, match="--align"):
+        require_same_world(elsewhere, ours, tmp_path)
+    assert "nothing says" in require_same_world({"a": np.eye(4)}, ours, tmp_path)
 
 
 def similarity(scale=2.5, seed=0):

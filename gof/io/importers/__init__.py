@@ -1,4 +1,7 @@
-"""Other methods' results as they are: one module per method, with `matches(source)` and `read(source, options)`."""
+"""Other methods' results as they are: one module per method.
+
+Each has `matches(source)`, `read(source, options)`, and OPTIONS, the fields of `ImportOptions` that a user may give it.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from gof.errors import DataFormatError, GofError
-from gof.io.importers import authors, freetime, own, ply_sequence, unreadable, yang
-from gof.io.importers.source import Imported, ImportOptions, Source
+from gof.io.importers import authors, freetime, own, ply_sequence, spacetime, unreadable, yang
+from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
 # in the order in which they are asked; `unreadable` explains what is recognised and has no velocities
 METHODS = {
@@ -16,9 +19,16 @@ METHODS = {
     "authors": authors,
     "yang": yang,
     "freetime": freetime,
+    "spacetime": spacetime,
     "ply-sequence": ply_sequence,
     "unreadable": unreadable,
 }
+
+KNOWN = (
+    "results and trajectories of gof (.npz, .ply), checkpoints and PLYs of the paper's code, checkpoints of 4DGS (Yang "
+    "et al.), FreeTimeGS (.pt, canonical_4d.npz, .ftgs.ply), PLYs of SpacetimeGaussians, and folders of 3DGS PLYs "
+    "NAME00000.ply, NAME00001.ply, ..."
+)
 
 __all__ = ["METHODS", "ImportOptions", "Imported", "Source", "detect", "read_result"]
 
@@ -36,8 +46,7 @@ def detect(source: Source) -> str:
         raise DataFormatError(
             f"{source.path}: holds {_summary(source.checkpoint)}, which is no layout gof knows (docs/importers.md)"
         )
-    known = ", ".join(name for name in METHODS if name != "unreadable")
-    raise DataFormatError(f"{source.path}: no format gof knows; it reads {known} (docs/importers.md)")
+    raise DataFormatError(f"{source.path}: no format gof knows; it reads {KNOWN} (docs/importers.md)")
 
 
 def _summary(checkpoint: Any) -> str:
@@ -59,16 +68,27 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
             paper's code: without one, its newest PLY).
         options: what the file does not say.
     Raises:
-        DataFormatError: unknown, damaged, another version, or it has no velocities (says what to do).
+        DataFormatError: unknown, damaged, another version, or it has no velocities (says what to do); or an option was
+            given that says nothing about this format.
         MissingDependencyError: torch is needed and absent.
     """
     path = Path(path)
     source = Source(_newest_checkpoint(path) if path.is_dir() else path)
-    name = detect(source)
+    name, options = detect(source), options or ImportOptions()
     try:
-        return METHODS[name].read(source, options or ImportOptions())
+        _refuse_unused(name, options)
+        return METHODS[name].read(source, options)
     except GofError as e:
         raise e if str(source.path) in str(e) or "scale_bounds" in str(e) else type(e)(f"{source.path}: {e}") from e
+
+
+def _refuse_unused(name: str, options: ImportOptions) -> None:
+    unused = [FLAGS[field] for field in options.given() if field not in METHODS[name].OPTIONS]
+    if unused:
+        raise DataFormatError(
+            f"{' and '.join(unused)} would change nothing here: read as '{name}', which says so itself or has no such "
+            "thing (docs/importers.md); leave it out"
+        )
 
 
 def _newest_checkpoint(folder: Path) -> Path:
@@ -76,9 +96,10 @@ def _newest_checkpoint(folder: Path) -> Path:
         (int(m[1]), p)
         for pattern in ("chkpnt*.pth", "ckpts/ckpt_*.pt", "ckpt_*.pt")
         for p in folder.glob(pattern)
-        if (m := re.search(r"(\d+)\.pth?$", p.name))
+        if (m := re.search(r"(\d{1,12})\.pth?$", p.name))
     ]
-    return max(found)[1] if found else _newest_ply(folder)
+    best = folder / "chkpnt_best.pth"  # of 4DGS (Yang et al.); the newest where there are others
+    return max(found)[1] if found else best if best.is_file() else _newest_ply(folder)
 
 
 def _newest_ply(folder: Path) -> Path:

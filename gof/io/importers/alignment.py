@@ -11,6 +11,8 @@ from gof.errors import DataFormatError, GofError
 from gof.files import read_json
 from gof.io.colmap import check_poses, read_colmap
 
+SAME_WORLD = 0.02  # of the cameras' distances from each other; 100 times as many degrees
+
 
 @dataclass(frozen=True)
 class Alignment:
@@ -71,14 +73,18 @@ def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) 
 def read_cameras(path: Path) -> dict[str, np.ndarray]:
     """World-to-camera matrices by camera name: a COLMAP folder, a dataset.json, or JSON of name -> 4x4.
 
-    A COLMAP image `cam_0.png` or `cam_0/000001.png` is camera `cam_0`.
+    A COLMAP image `cam_0.png` or `cam_0/000001.png` is camera `cam_0`, and so is `static/cam_0.png` where all images
+    lie in one folder.
     """
     path = Path(path)
     if path.is_dir():
         if (path / "dataset.json").is_file():
             return read_cameras(path / "dataset.json")
+        poses = read_colmap(path)[0]
+        folders = {Path(n).parent for n in poses}  # one for all cameras says nothing of which
         return {
-            Path(n).parent.name or Path(n).stem: pose for n, pose in sorted(read_colmap(path)[0].items(), reverse=True)
+            (Path(n).stem if len(folders) == 1 else Path(n).parent.name or Path(n).stem): pose
+            for n, pose in sorted(poses.items(), reverse=True)
         }
     content = read_json(path)
     try:
@@ -89,3 +95,27 @@ def read_cameras(path: Path) -> dict[str, np.ndarray]:
         raise DataFormatError(f"{path}: no cameras with a name and a 4x4 world_to_camera in it ({e})") from e
     check_poses(found, path)
     return found
+
+
+def require_same_world(source: dict[str, np.ndarray], target: dict[str, np.ndarray], path: Path) -> str:
+    """A sentence on whether cameras of the same name stand in the same place in both worlds.
+
+    Args:
+        source, target: name -> world_to_camera (4, 4).   path: where `source` was read.
+    Raises:
+        DataFormatError: they do not, by more than 2 % of the cameras' distances or 2 degrees.
+    """
+    names = sorted(set(source) & set(target))
+    if len(names) < 2:
+        return f"no two cameras of {path} are named as the dataset's, so nothing says that both have one world"
+    centre = [np.stack([np.linalg.inv(poses[n])[:3, 3] for n in names]) for poses in (source, target)]
+    reach = np.linalg.norm(centre[1][:, None] - centre[1], axis=-1).max()
+    off = np.linalg.norm(centre[0] - centre[1], axis=1).max()
+    turns = [np.trace(source[n][:3, :3] @ target[n][:3, :3].T) for n in names]
+    turned = float(np.degrees(np.arccos(np.clip((min(turns) - 1) / 2, -1, 1))))
+    if off > SAME_WORLD * max(reach, 1e-12) or turned > SAME_WORLD * 100:
+        raise DataFormatError(
+            f"{path}: its cameras stand up to {off:.3g} m and {turned:.2g} degrees from the dataset's, so its world is "
+            f"another one; add --align {path}"
+        )
+    return f"the training's cameras are the dataset's, to {off * 1000:.2g} mm and {turned:.2g} degrees"

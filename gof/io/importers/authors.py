@@ -17,6 +17,7 @@ from gof.gaussians import TransientGaussians
 from gof.io.importers.source import Imported, ImportOptions, Source, array
 from gof.ply import exp, quaternions, sigmoid
 
+OPTIONS = ("time_unit_s", "time_zero_s")
 LAYOUT = (
     "active_sh_degree",
     "xyz",

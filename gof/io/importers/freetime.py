@@ -17,8 +17,18 @@ from gof.io.importers.normalisation import world_from_training
 from gof.io.importers.source import Imported, ImportOptions, Source, array
 from gof.ply import exp, quaternions, sigmoid, splat_columns, write
 
+OPTIONS = ("time_unit_s", "time_zero_s", "world", "world_by")
 SPLATS = {"means", "scales", "quats", "opacities", "sh0", "shN", "times", "durations", "velocities"}
 MIN_DURATION = 0.02  # of the sequence; its renderer never uses a shorter one
+# What vanilla files say where they say it, in the file or in its "model_spec"; its own validator rejects all else.
+VANILLA = {
+    "time_units": "normalized",
+    "duration_activation": "exp",
+    "use_marginal_gating": False,
+    "use_color_velocity": False,
+    "color_correction": None,
+}
+CLIP = "gof_clip_s"  # our own comment in an .ftgs.ply: seconds of its times 0 and 1
 
 
 def matches(source: Source) -> bool:
@@ -39,19 +49,19 @@ def read(source: Source, options: ImportOptions) -> Imported:
         values, meta = _from_ply(source)
     else:
         values, meta = _from_splats(source)
-    unit = _sequence_seconds(source.path, meta, options)
-    notes.append(f"its time 0..1 taken as {unit:g} s from {options.time_zero_s:g} s on")
+    start, unit = _sequence(source.path, meta, options)
+    notes.append(f"its time 0..1 taken as {unit:g} s from {start:g} s on")
     if not meta.get("use_velocity", True):
         values["velocity"] = np.zeros_like(values["velocity"])
         notes.append("trained without velocities")
     notes.append(
         "opacities without its floor of 1e-4, which would let every dead Gaussian count; life times at least "
-        f"{MIN_DURATION} of the sequence"
+        f"{meta.get('min_duration', MIN_DURATION):g} of the sequence"
     )
     gaussians = TransientGaussians(
         position=values["position"],
         velocity=values["velocity"].astype(np.float64) / unit,
-        t_mu=values["time"].astype(np.float64) * unit + options.time_zero_s,
+        t_mu=values["time"].astype(np.float64) * unit + start,
         t_sigma=np.maximum(exp(values["log_duration"]), meta.get("min_duration", MIN_DURATION)) * unit,
         scale=values["scale"],
         rotation=values["rotation"],
@@ -60,13 +70,16 @@ def read(source: Source, options: ImportOptions) -> Imported:
         dynamic=np.ones(len(values["time"]), bool),
     )
     if options.world is None:
+        if options.world_by is not None:
+            raise DataFormatError("--world-by says whose normalisation of --world it was; give --world too")
         notes.append(
             "its world taken as the dataset's; its trainer normalises the scene, so give the COLMAP model (--world) "
             "unless that was undone"
         )
     else:
-        gaussians = gaussians.transformed(world_from_training(options.world))
-        notes.append(f"scene normalisation undone with {options.world}")
+        matrix, note = world_from_training(options.world, options.world_by, gaussians.position)
+        gaussians = gaussians.transformed(matrix)
+        notes.append(note)
     return Imported(gaussians, "freetime", source.path, notes)
 
 
@@ -103,7 +116,7 @@ def _checkpoint_splats(source: Source) -> tuple[dict, dict]:
             f"{source.path}: splats hold {found}, not the nine of FreeTimeGS vanilla {sorted(SPLATS)}; variants with "
             "gates or sigmoid durations mean other things by the same names"
         )
-    return splats, {k: content[k] for k in ("n_frames", "use_velocity") if k in content}
+    return splats, _vanilla_facts(content, source.path)
 
 
 def _canonical_splats(source: Source) -> tuple[dict, dict]:
@@ -112,12 +125,32 @@ def _canonical_splats(source: Source) -> tuple[dict, dict]:
     missing = SPLATS - set(content)
     if missing:
         raise DataFormatError(f"{source.path}: fields {sorted(missing)} are missing")
-    meta = {
-        k: content[k].item()
-        for k in ("n_frames", "use_velocity")
-        if k in content and content[k].size == 1 and content[k].dtype.kind in "biuf"
-    }
-    return content, meta
+    return content, _vanilla_facts({k: v.item() for k, v in content.items() if v.size == 1}, source.path)
+
+
+def _vanilla_facts(content: dict, path: Path) -> dict:
+    """What a file says of its clip and its life times.
+
+    Raises:
+        DataFormatError: it says that it is no vanilla model, or a figure is none.
+    """
+    spec = content.get("model_spec") or {}
+    if not isinstance(spec, dict):
+        raise DataFormatError(f"{path}: 'model_spec' is no table")
+    for name, vanilla in VANILLA.items():
+        said = spec.get(name, content.get(name, vanilla))
+        if said != vanilla and (said or vanilla):
+            raise DataFormatError(
+                f"{path}: '{name}' is {str(said)[:40]!r}, so this is a variant of FreeTimeGS vanilla in which the same "
+                "fields mean other things; export positions at times, as a gof-trajectory (docs/importers.md)"
+            )
+    facts = {k: content[k] for k in ("n_frames", "use_velocity") if k in content}
+    if "min_duration" in spec:
+        facts["min_duration"] = spec["min_duration"]
+    for name, value in facts.items():
+        if not isinstance(value, (bool, int, float)) or not 0 <= value < np.inf:
+            raise DataFormatError(f"{path}: '{name}' is {str(value)[:40]!r}, not a number")
+    return facts
 
 
 def _from_ply(source: Source) -> tuple[dict, dict]:
@@ -132,6 +165,10 @@ def _from_ply(source: Source) -> tuple[dict, dict]:
         meta = {"use_velocity": words["use_velocity"] == "1", "min_duration": float(words["min_duration"])}
         if "n_frames" in words:
             meta["n_frames"] = int(words["n_frames"])
+        if CLIP in words:
+            meta["clip_s"] = tuple(map(float, words[CLIP].split()))
+        if not 0 <= meta["min_duration"] < np.inf or not np.isfinite(meta.get("clip_s", (0.0, 1.0))).all():
+            raise ValueError("a duration or a clip")
     except (KeyError, ValueError) as e:
         raise DataFormatError(f"{source.path}: header comment {e} is missing or not a number") from e
     return ply.splats() | {
@@ -141,12 +178,15 @@ def _from_ply(source: Source) -> tuple[dict, dict]:
     }, meta
 
 
-def _sequence_seconds(path: Path, meta: dict, options: ImportOptions) -> float:
-    if options.time_unit_s:
-        return options.time_unit_s
-    frames = meta.get("n_frames")
+def _sequence(path: Path, meta: dict, options: ImportOptions) -> tuple[float, float]:
+    """Second of its time 0, and seconds from there to its time 1."""
+    start, frames = options.time_zero_s, meta.get("n_frames")
+    if options.time_unit_s is not None:
+        return start, options.time_unit_s
+    if len(clip := meta.get("clip_s", ())) == 2 and clip[1] > clip[0]:
+        return start or clip[0], clip[1] - clip[0]
     if frames and frames > 1 and options.frame_time_s:
-        return (frames - 1) * options.frame_time_s
+        return start, (frames - 1) * options.frame_time_s
     raise DataFormatError(
         f"{path}: its time runs from 0 to 1 and the file does not say how many seconds that is: give --time-unit "
         "(seconds of the whole sequence, first to last frame)"
@@ -163,6 +203,7 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
         raise DataFormatError(
             f"{path}: FTGS-PLY needs a name ending in .ftgs.ply, at least one Gaussian, and a clip longer than 0 s"
         )
+    start_s, end_s = float(start_s), float(end_s)
     g, unit = gaussians, end_s - start_s
     forever = ~g.dynamic | np.isinf(g.t_sigma)
     duration = np.where(forever, 1e6, np.clip(g.t_sigma / unit, MIN_DURATION, 1e6))
@@ -179,7 +220,20 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
         "use_velocity 1",
         f"min_duration {MIN_DURATION}",
         "opacity_floor 0.0001",
+        f"{CLIP} {start_s!r} {end_s!r}",
     ] + ([f"n_frames {frames}"] if frames else [])
     with atomic_path(path) as temporary:
         write(temporary, columns, comments)
     return path
+
+
+def losses(gaussians: TransientGaussians, start_s: float, end_s: float) -> list[str]:
+    """What the format cannot hold, in words; args as `save`."""
+    short = gaussians.dynamic & (gaussians.t_sigma < MIN_DURATION * (end_s - start_s))
+    notes = [f"its times 0..1 are {start_s:g}..{end_s:g} s of the dataset clock (comment {CLIP})"]
+    if short.any():
+        notes.append(
+            f"{short.sum()} of {len(short)} life times were shorter than the format's least, {MIN_DURATION} of the "
+            f"clip, and are {MIN_DURATION * (end_s - start_s):.3g} s now"
+        )
+    return notes

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from gof.gaussians import TransientGaussians
-from gof.io.importers.ply_sequence import difference_notes
+from gof.io.importers.ply_sequence import clock_notes, difference_notes
 from gof.io.importers.source import Imported, ImportOptions, Source
 from gof.trajectory import SCHEMA, Trajectory
+
+OPTIONS = ()  # seconds and metres: nothing is left to say
 
 
 def matches(source: Source) -> bool:
@@ -21,5 +23,6 @@ def matches(source: Source) -> bool:
 def read(source: Source, options: ImportOptions) -> Imported:
     if source.path.suffix == ".npz" and str(source.npz["schema"]) == SCHEMA:
         trajectory = Trajectory.from_arrays(source.npz, source.path)
-        return Imported(trajectory, "trajectory", source.path, difference_notes(trajectory))
+        notes = [*difference_notes(trajectory), *clock_notes(trajectory, options)]
+        return Imported(trajectory, "trajectory", source.path, notes)
     return Imported(TransientGaussians.load(source.path), "gof", source.path)

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import itertools
 import re
+from pathlib import Path
 
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.io.importers.source import Imported, ImportOptions, Source
+from gof.io.importers.source import Imported, ImportOptions, Source, require_unit
 from gof.ply import Ply
 from gof.trajectory import Trajectory
 
+OPTIONS = ("time_unit_s", "time_zero_s")
+TRAININGS = re.compile(r"(point_cloud|iteration|iter|step|chkpnt|ckpt)[_-]?", re.I)  # numbers after these are no times
+
 
 def matches(source: Source) -> bool:
-    return source.path.is_dir() and len(_numbered(source)) >= 2
+    return source.path.is_dir() and len(_numbered(source.path)) >= 2
 
 
 def read(source: Source, options: ImportOptions) -> Imported:
     """File number k is at time_zero_s + k * time_unit_s; without time_unit_s, one number per frame of the dataset."""
+    files = _numbered(source.path)
     unit = options.time_unit_s or options.frame_time_s
     if not unit:
         raise DataFormatError(f"{source.path}: give --time-unit, the seconds between two numbers of this PLY sequence")
-    files = _numbered(source)
+    offsets = unit * np.array([number for number, _ in files], np.float64)
+    require_unit(offsets, options, source.path)
     states = [Ply.read(path).splats() for _, path in files]
     counts = {len(s["position"]) for s in states}
     if len(counts) > 1:
@@ -29,10 +36,10 @@ def read(source: Source, options: ImportOptions) -> Imported:
             f"{source.path}: the PLYs hold {min(counts)} to {max(counts)} Gaussians; differences need the same "
             "Gaussians, in the same order, in every file"
         )
-    time_s = options.time_zero_s + unit * np.array([number for number, _ in files], np.float64)
+    _require_times(files, states)
     try:
         trajectory = Trajectory(
-            time_s,
+            options.time_zero_s + offsets,
             *(np.stack([s[name] for s in states]) for name in ("position", "opacity", "scale", "rotation")),
             color=states[len(states) // 2]["color"],
         )
@@ -53,18 +60,48 @@ def read(source: Source, options: ImportOptions) -> Imported:
 def difference_notes(trajectory: Trajectory) -> list[str]:
     if trajectory.velocity is not None:
         return ["velocities as stored"]
-    error = trajectory.difference_error()
+    change = trajectory.difference_change()
+    said = "velocities are differences of positions"
+    if np.isnan(change):
+        return [said]
     return [
-        "velocities are differences of positions"
-        + (
-            ""
-            if np.isnan(error)
-            else f"; spanning twice the step changes them by {error:.1%}"
-            + (", so export half steps" if error > 0.05 else "")
-        )
+        f"{said}; spanning twice the step changes them by {change:.1%}: their error is a third of that where motion is "
+        "smooth, and up to all of it where it has kinks, as networks' has"
+        + ("; better, give `velocity` by differences over 1e-4 s in your own code" if change > 0.05 else "")
     ]
 
 
-def _numbered(source: Source) -> list[tuple[int, object]]:
-    found = [(int(m[1]), p) for p in source.path.iterdir() if (m := re.fullmatch(r"\D*?(\d+)\.ply", p.name))]
-    return sorted(found)
+def clock_notes(trajectory: Trajectory, options: ImportOptions) -> list[str]:
+    """A trajectory's times are seconds by its schema; a note where they last much longer than the clip."""
+    first, last = trajectory.covered_s
+    clip = 0.0 if options.clip_s is None else options.clip_s[1] - options.clip_s[0]
+    if not 0 < 2 * clip < last - first:
+        return []
+    return [f"its times last {last - first:.3g} s, the clip {clip:.3g} s: are they seconds, not shares of the clip?"]
+
+
+def _numbered(folder: Path) -> list[tuple[int, Path]]:
+    """The PLYs NAME<number>.ply of a folder by number; none where they have several names."""
+    found = [(m, p) for p in folder.iterdir() if (m := re.fullmatch(r"(.*?)(\d{1,12})\.ply", p.name))]
+    names = {m[1] for m, _ in found}
+    if len(names) != 1 or re.search(r"\d\.$", *names):  # 0.5 and 0.25 are not the numbers 5 and 25
+        return []
+    files = sorted((int(m[2]), p) for m, p in found)
+    return [] if len({number for number, _ in files}) < len(files) else files
+
+
+def _require_times(files: list[tuple[int, Path]], states: list[dict[str, np.ndarray]]) -> None:
+    """Raises DataFormatError: the numbers are a training's steps, or of several pictures of one time."""
+    path = files[0][1]
+    if TRAININGS.fullmatch(re.sub(r"\d+\.ply$", "", path.name)):
+        raise DataFormatError(
+            f"{path.parent}: PLYs named as '{path.name}' are of several steps of a training, not of several times; if "
+            "they are of times, name them time_00000.ply, time_00001.ply, ..."
+        )
+    same = [np.array_equal(a["position"], b["position"]) for a, b in itertools.pairwise(states)]
+    if any(same) and not all(same):
+        k = same.index(True)
+        raise DataFormatError(
+            f"{path.parent}: '{files[k][1].name}' and '{files[k + 1][1].name}' hold the same positions; does the "
+            "exporter write a file per picture, so that several are of one time? Give one file per time"
+        )

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import datetime
+import re
+import zipfile
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from gof.errors import DataFormatError, MissingDependencyError
+from gof.errors import DataFormatError, GofError, MissingDependencyError
 from gof.gaussians import MovingGaussians
-from gof.npz import read_npz
+from gof.npz import ALWAYS, read_npz
 from gof.ply import Ply
+
+WorldBy = Literal["freetime", "gsplat"]
+# Options that a user gives, by field. An importer's OPTIONS names those that it uses; another one given is an error.
+FLAGS = {
+    "time_unit_s": "--time-unit",
+    "time_zero_s": "--time-zero",
+    "world": "--world",
+    "world_by": "--world-by",
+    "code_date": "--code-date",
+}
 
 
 @dataclass(frozen=True)
@@ -25,12 +38,35 @@ class ImportOptions:
         frame_time_s: seconds between two frames of the clip (dataset clock); FreeTimeGS and PLY sequences need it.
         world: what the method's world was made from: a COLMAP model folder, or a JSON file with a 4x4
             "training_to_world".
+        world_by: whose normalisation of that COLMAP model it was; None = found out, or an error.
+        code_date: year-month-day of the method's code that wrote the file, where its meaning changed.
+        clip_s: first and last second of the dataset's clip, to compare the method's times with.
+
+    Raises:
+        GofError: a time is not a finite number, a unit not above 0, or a date not one.
     """
 
     time_unit_s: float | None = None
     time_zero_s: float = 0.0
     frame_time_s: float | None = None
     world: Path | None = None
+    world_by: WorldBy | None = None
+    code_date: str | None = None
+    clip_s: tuple[float, float] | None = None
+
+    def __post_init__(self):
+        require_positive("--time-unit", self.time_unit_s)
+        require_positive("--frame-time", self.frame_time_s)
+        require_number("--time-zero", self.time_zero_s)
+        if self.code_date is not None:
+            try:
+                datetime.date.fromisoformat(self.code_date)
+            except ValueError as e:
+                raise GofError(f"--code-date {self.code_date}: write a date as 2024-09-15") from e
+
+    def given(self) -> list[str]:
+        """The fields of FLAGS that differ from their defaults."""
+        return [name for name in FLAGS if getattr(self, name) not in (None, 0.0)]
 
 
 @dataclass(frozen=True)
@@ -78,14 +114,16 @@ class Source:
             np.dtype,
             *dtypes,
         ]
+        _check_unpacked_size(self.path)
         try:
             with torch.serialization.safe_globals(allowed):
                 return torch.load(self.path, map_location="cpu", weights_only=True)
         except Exception as e:
             if "weights_only" in str(e) or "Unsupported" in str(e) or "GLOBAL" in str(e):
+                named = re.search(r"GLOBAL ([\w.]+)", str(e))  # torch's own advice is to execute them
                 raise DataFormatError(
-                    f"{self.path}: holds objects besides tensors and numbers, and reading those would execute code "
-                    f"from the file, which gof never does ({str(e).splitlines()[0][:200]}); export tensors only"
+                    f"{self.path}: holds {named[1] if named else 'objects'} besides tensors and numbers, and reading "
+                    "that would execute code from the file, which gof never does; export tensors only"
                 ) from e
             raise DataFormatError(
                 f"{self.path}: not a readable PyTorch file ({type(e).__name__}: {str(e)[:120]})"
@@ -109,6 +147,10 @@ def array(value: Any, name: str, shape: tuple[int | None, ...], path: Path) -> n
         DataFormatError: no numbers, another shape, NaN or Inf (names the field).
     """
     if hasattr(value, "detach"):
+        if value.is_nested or value.is_quantized or value.is_meta or str(value.layout) != "torch.strided":
+            raise DataFormatError(f"{path}: '{name}' is a sparse, nested, quantised or empty tensor; save a dense one")
+        if value.is_complex():
+            raise DataFormatError(f"{path}: '{name}' holds complex numbers")
         tensor = value.detach().cpu()
         needed, held = tensor.numel() * tensor.element_size(), tensor.untyped_storage().nbytes()
         if needed > held:
@@ -129,4 +171,55 @@ def array(value: Any, name: str, shape: tuple[int | None, ...], path: Path) -> n
         )
     if not np.isfinite(value).all():
         raise DataFormatError(f"{path}: '{name}' holds NaN or Inf; did the training diverge?")
+    if value.ndim and not len(value):
+        raise DataFormatError(f"{path}: '{name}' has no rows; the file holds no Gaussian")
     return value
+
+
+def require_positive(flag: str, value: float | None) -> None:
+    """Raises GofError: an option that is given is not a finite number above 0."""
+    if value is not None and not 0 < value < np.inf:
+        raise GofError(f"{flag} {value:g}: must be a finite number above 0")
+
+
+def require_number(flag: str, value: float | None) -> None:
+    """Raises GofError: an option that is given is not a finite number."""
+    if value is not None and not np.isfinite(value):
+        raise GofError(f"{flag} {value:g}: must be a finite number")
+
+
+def require_unit(times: np.ndarray, options: ImportOptions, path: Path) -> None:
+    """Make sure that times which are taken for seconds can be: that they last about as long as the clip.
+
+    Args:
+        times: of the Gaussians, or first and last.
+    Raises:
+        DataFormatError: nobody gave a unit, and they last much longer or shorter (says which units could be meant).
+    """
+    if options.time_unit_s is not None or options.clip_s is None:
+        return
+    clip = options.clip_s[1] - options.clip_s[0]
+    first, last = np.percentile(times, [1, 99])
+    if clip <= 0 or 0.6 * clip < last - first < 1.7 * clip:
+        return
+    shares = -0.3 < first and last < 1.3 and last - first > 0.4
+    raise DataFormatError(
+        f"{path}: its times run from {first:.3g} to {last:.3g}, the clip lasts {clip:.3g} s; give --time-unit, the "
+        "seconds of one unit of its time"
+        + (f": {clip:g} if they are shares of the clip, as in the D-NeRF layout, 1 if seconds" if shares else "")
+    )
+
+
+def _check_unpacked_size(path: Path) -> None:
+    """torch.save packs nothing: an archive that unpacks to more than its size is no work of its own."""
+    if not zipfile.is_zipfile(path):
+        return
+    try:
+        with zipfile.ZipFile(path) as archive:
+            total = sum(member.file_size for member in archive.infolist())
+    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as e:
+        raise DataFormatError(f"{path}: not a readable PyTorch file ({e})") from e
+    if total > max(2 * path.stat().st_size, ALWAYS):
+        raise DataFormatError(
+            f"{path}: unpacks to {total} bytes from {path.stat().st_size}, and PyTorch's own files are not packed"
+        )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from gof.errors import DataFormatError
 from gof.io.importers.authors import is_capture
-from gof.io.importers.source import Imported, ImportOptions, Source
+from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
 EXPORT = (
     "its positions come from a network that only its own code runs; export positions at the frame times and half steps "
@@ -12,13 +14,26 @@ EXPORT = (
 )
 
 
+SAMPLED = (
+    "its positions are known at the frames alone; stack them and add their seconds, as a gof-trajectory npz "
+    "(docs/importers.md)"
+)
+OPTIONS = tuple(FLAGS)  # what was said of a file that cannot be read does not matter
+
+
 def reason(source: Source) -> str | None:
     path = source.path
-    if path.is_dir() and ((path / "deform").is_dir() or any(path.glob("point_cloud/iteration_*/deformation.pth"))):
-        return f"a deformation method (4DGS of Wu et al. or Grid4D): {EXPORT}"
+    if path.is_dir() and ((path / "deform").is_dir() or _of_wu(path)):
+        return f"a deformation method (4DGS of Wu et al., Grid4D or Deformable-3DGS): {EXPORT}"
+    if path.is_dir() and (path / "params.npz").is_file():
+        return f"a folder of Dynamic3DGaussians: {SAMPLED}"
     if path.is_file() and path.suffix == ".ply":
         if source.ply.has("f_dc_0", "scale_0", "rot_0") and not source.ply.has("t_mu"):
             return "a plain 3DGS PLY has neither time nor velocity; give the folder of all its times"
+    if path.is_file() and path.suffix == ".npz" and {"means3D", "unnorm_rotations"} <= set(source.npz):
+        return f"params.npz of Dynamic3DGaussians: {SAMPLED}"
+    if path.is_file() and path.suffix == ".npz" and "position" in source.npz and "schema" not in source.npz:
+        return "a gof-trajectory without its field 'schema'; add schema = 'gof-trajectory/1' (docs/importers.md)"
     if source.is_checkpoint:
         content = source.checkpoint
         if is_capture(content, 14):
@@ -29,9 +44,17 @@ def reason(source: Source) -> str | None:
             )
         if isinstance(content, tuple) and len(content) == 2 and all(isinstance(c, dict) for c in content):
             return f"deform.pth of Grid4D: {EXPORT}"
-        if isinstance(content, dict) and any(k.startswith("deformation_net") for k in content):
+        names = [k for k in content if isinstance(k, str)] if isinstance(content, dict) else []
+        if any(k.startswith("deformation_net") for k in names):
             return f"deformation.pth of 4DGS (Wu et al.): {EXPORT}"
+        if any(k.startswith(("gaussian_warp", "branch_w")) for k in names):
+            return f"deform.pth of Deformable-3DGS: {EXPORT}"
     return None
+
+
+def _of_wu(folder: Path) -> bool:
+    """Its training's folder, or that of one iteration."""
+    return (folder / "deformation.pth").is_file() or any(folder.glob("point_cloud/iteration_*/deformation.pth"))
 
 
 def matches(source: Source) -> bool:

@@ -6,17 +6,24 @@ S[:3, :3] - S[:3, 3] S[:3, 3]^T / S[3, 3], the same at all times.
 
 from __future__ import annotations
 
+import ast
+from datetime import date
+from pathlib import Path
+
 import numpy as np
 
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.harmonics import plain_color
 from gof.io.importers.authors import is_capture
-from gof.io.importers.source import Imported, ImportOptions, Source, array
+from gof.io.importers.source import Imported, ImportOptions, Source, array, require_unit
 from gof.ply import exp, quaternions, sigmoid
 from gof.rotations import quaternions_wxyz
 
-LENGTH, LENGTH_3D = 19, 12
+OPTIONS = ("time_unit_s", "time_zero_s", "code_date")
+LENGTH = 19
+FLIPPED_SINCE = date(2024, 9, 15)  # its commit 900c592; before, the same numbers turned 4-space another way
+LONGEST_SETTINGS = 100_000  # characters of a training's `cfg_args` that are read
 MARGINAL_CUT = 0.05  # its renderer skips a Gaussian while its temporal window is below this
 
 
@@ -36,9 +43,14 @@ def read(source: Source, options: ImportOptions) -> Imported:
     scale = np.concatenate([array(state[4], "scaling", (n, 3), path), array(state[14], "scaling_t", (n, 1), path)], 1)
     left = quaternions(array(state[5], "rotation", (n, 4), path), path)
     right = quaternions(array(state[15], "rotation_r", (n, 4), path), path)
-    covariance = covariance_4d(exp(scale), left, right)
+    settings = _training_settings(path.parent / "cfg_args")
+    flipped, flip_note = _is_flipped(settings, options)
+    covariance = covariance_4d(exp(scale), left, right, flipped)
     velocity, spatial, variance_t = condition_on_time(covariance)
     std, rotation = principal_axes(spatial)
+    window, window_note = _prefilter(settings)
+    t_mu = array(state[13], "t", (n, 1), path)[:, 0].astype(np.float64)
+    require_unit(t_mu, options, path)
     unit = options.time_unit_s or 1.0
     color, colour_note = _peak_color(
         np.concatenate([array(state[2], "f_dc", (n, 1, 3), path), array(state[3], "f_rest", (n, None, 3), path)], 1)
@@ -46,8 +58,8 @@ def read(source: Source, options: ImportOptions) -> Imported:
     gaussians = TransientGaussians(
         position=xyz,
         velocity=velocity / unit,
-        t_mu=array(state[13], "t", (n, 1), path)[:, 0].astype(np.float64) * unit + options.time_zero_s,
-        t_sigma=np.sqrt(variance_t) * unit,
+        t_mu=t_mu * unit + options.time_zero_s,
+        t_sigma=np.sqrt(variance_t + window) * unit,
         scale=std,
         rotation=rotation,
         opacity=sigmoid(array(state[6], "opacity", (n, 1), path)[:, 0]),
@@ -61,21 +73,60 @@ def read(source: Source, options: ImportOptions) -> Imported:
         [
             f"iteration {iteration}; one unit of its time taken as {unit:g} s",
             f"its renderer drops Gaussians while their window is below {MARGINAL_CUT}; here they keep a small weight",
+            flip_note,
+            window_note,
             *colour_note,
         ],
     )
 
 
-def covariance_4d(scale: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _training_settings(path: Path) -> dict[str, object]:
+    """The numbers of a training's `cfg_args`, "Namespace(name=value, ...)"; read, never executed. Empty without one."""
+    if not path.is_file() or path.stat().st_size > LONGEST_SETTINGS:
+        return {}
+    try:
+        call = ast.parse(path.read_text(encoding="utf-8"), mode="eval").body
+        return {k.arg: ast.literal_eval(k.value) for k in call.keywords if _is_number(k.value)}
+    except (SyntaxError, ValueError, TypeError, AttributeError, RecursionError, MemoryError):
+        return {}
+
+
+def _is_number(node: ast.expr) -> bool:
+    return isinstance(node.operand if isinstance(node, ast.UnaryOp) else node, ast.Constant)
+
+
+def _is_flipped(settings: dict[str, object], options: ImportOptions) -> tuple[bool, str]:
+    """Whether the 4D rotation is meant as since 2024-09-15, and in words why."""
+    if options.code_date is not None:
+        flipped = date.fromisoformat(options.code_date) >= FLIPPED_SINCE
+        return flipped, f"its 4D rotation read as of code {'since' if flipped else 'before'} {FLIPPED_SINCE}"
+    if "prefilter_var" in settings:  # an option of 2026
+        return True, f"its 4D rotation read as of code since {FLIPPED_SINCE}, by its cfg_args"
+    return True, (
+        f"its 4D rotation taken as of code since {FLIPPED_SINCE}; if the code that trained is older, every velocity "
+        "here is wrong: give --code-date"
+    )
+
+
+def _prefilter(settings: dict[str, object]) -> tuple[float, str]:
+    """What widens the temporal window when it is drawn, in its time squared, and where that is known from."""
+    value = settings.get("prefilter_var", settings and -1.0)
+    if isinstance(value, (int, float)) and np.isfinite(value):
+        return max(float(value), 0.0), f"prefilter_var {value:g}, by cfg_args beside it"
+    return 0.0, "no cfg_args beside it: taken as trained without prefilter_var, which would widen every life time"
+
+
+def covariance_4d(scale: np.ndarray, left: np.ndarray, right: np.ndarray, flipped: bool = True) -> np.ndarray:
     """(N, 4, 4) covariance of standard deviations (N, 4) turned by the pair of quaternions (N, 4), (N, 4).
 
-    The rotation of 4-space x -> l x r, in the component order x, y, z, t.
+    The rotation of 4-space x -> l x r, in the component order x, y, z, t; `flipped`: in the order t, z, y, x.
     """
     a, b, c, d = (left / np.linalg.norm(left, axis=1, keepdims=True)).astype(np.float64).T
     p, q, r, s = (right / np.linalg.norm(right, axis=1, keepdims=True)).astype(np.float64).T
     L = np.stack([a, -b, -c, -d, b, a, -d, c, c, d, a, -b, d, -c, b, a], -1).reshape(-1, 4, 4)
     R = np.stack([p, q, r, s, -q, p, -s, r, -r, s, p, -q, -s, -r, q, p], -1).reshape(-1, 4, 4)
-    axes = (L @ R)[:, ::-1, ::-1] * scale[:, None, :]
+    turn = (L @ R)[:, ::-1, ::-1] if flipped else L @ R
+    axes = turn * scale[:, None, :]
     return axes @ axes.transpose(0, 2, 1)
 
 
