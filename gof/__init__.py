@@ -3,4 +3,4 @@
 Importing `gof` is cheap: heavy libraries (Dr.Jit, torch, OpenCV) are loaded by the module that uses them.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import resource
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -88,5 +88,16 @@ class StageLog:
         """
         start = time.perf_counter() - before_s
         yield settings
-        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        self.record(name, time.perf_counter() - start, peak_mb, settings)
+        self.record(name, time.perf_counter() - start, peak_memory_mb(), settings)
+
+
+def peak_memory_mb() -> float:
+    """The most memory this process has held so far, in MB."""
+    if sys.platform == "win32":
+        import psutil
+
+        return psutil.Process().memory_info().peak_wset / 2**20
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10  # macOS counts bytes, Linux kilobytes

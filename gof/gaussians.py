@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class MovingGaussians(Protocol):
     def state_at(self, time_s: float) -> TransientGaussians:
         """Gaussians whose `at(time_s)` and velocities are those of that time, row by row the same ones at all times."""
 
-    def transformed(self, matrix: np.ndarray) -> Self:
+    def transformed(self, matrix: np.ndarray) -> MovingGaussians:
         """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay."""
 
     def save(self, path: str | Path, source: str = "") -> Path:

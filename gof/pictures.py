@@ -66,8 +66,10 @@ def _size(data: bytes, path: Path) -> tuple[int, int]:
     from PIL import Image
 
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data)) as opened:
-            return opened.size
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(io.BytesIO(data)) as opened:
+                return opened.size
     except Image.DecompressionBombError as e:
         raise DataFormatError(f"{path}: {e}") from e
     except Exception as e:  # each of its formats has errors of its own for damage

@@ -183,7 +183,7 @@ class ZarrArray:
 
 
 def _described(description: dict) -> tuple:
-    """What a zarr.json says: shape, chunks, dtype, fill value, packing, level, separator, attributes. Raises ValueError..."""
+    """The fields of a `ZarrArray` as a zarr.json says them. Raises ValueError and its like: not read here."""
     if (description["zarr_format"], description["node_type"]) != (3, "array"):
         raise ValueError(f"format {description['zarr_format']}, {description['node_type']}; expected an array of 3")
     names = {"grid": description["chunk_grid"]["name"], "key": description["chunk_key_encoding"]["name"]}

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import argparse
 import ast
+import re
 import sys
-import tomllib
 import zipfile
 from pathlib import Path
 
@@ -32,11 +32,10 @@ def constant(path: Path, name: str):
 
 def version() -> str:
     """The project's version, if all that name one agree. Raises SystemExit that says which does not."""
+    manifest = (SOURCE / "blender_manifest.toml").read_text(encoding="utf-8")
     project = constant(ROOT / "gof" / "__init__.py", "__version__")
     named = {
-        "blender_manifest.toml: version": tomllib.loads((SOURCE / "blender_manifest.toml").read_text(encoding="utf-8"))[
-            "version"
-        ],
+        "blender_manifest.toml: version": re.search(r'^version = "(.*)"$', manifest, re.MULTILINE)[1],
         "__init__.py: bl_info['version']": ".".join(map(str, constant(SOURCE / "__init__.py", "bl_info")["version"])),
         "worker/generate.py: GENERATOR_VERSION": constant(SOURCE / "worker" / "generate.py", "GENERATOR_VERSION"),
     }

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from gof import extras
 from gof.costs import StageLog
 from gof.errors import GofError
 from gof.progress import progress_bar
@@ -44,6 +45,7 @@ def cluster(scheduler: str | None, workers: int, tls: Path | None = None) -> Ite
     Raises:
         GofError: the scheduler does not answer, or the folder has no such files.
     """
+    extras.load("distributed", "generate", "making a dataset")
     import dask
     from distributed import Client, Scheduler, SpecCluster, Worker
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof import extras
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.files import path_in
@@ -53,8 +54,7 @@ class ViewSource:
 
     def plate_depth(self, camera: int) -> np.ndarray:
         """(H, W) float32 camera depth of the fire-free view, metres; inf where nothing is."""
-        import OpenEXR
-
+        OpenEXR = extras.load("OpenEXR", "generate", "reading depth")
         plate = Path(self.dataset.name(camera, "static"))
         path = path_in(self.dataset.path, plate.with_suffix(".exr").as_posix())
         try:

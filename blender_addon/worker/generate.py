@@ -42,7 +42,7 @@ from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from .reporter import Reporter, leave, peak_mb
 
-GENERATOR_VERSION = "0.1.0"
+GENERATOR_VERSION = "0.2.0"
 
 
 def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from gof import extras
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
 from gof.evaluate.leaderboard import COLUMNS, LOWER, EvaluatedResult, Row, best_rows, pareto, used_columns
@@ -21,6 +22,7 @@ from gof.io.importers import ImportOptions, read_result
 
 COLORS = ("#1769aa", "#c2410c", "#15803d", "#7e22ce", "#be123c", "#0e7490", "#854d0e", "#4b5563")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "star", "x", "triangle-down", "hexagon")
+PLOTLY = ("leaderboard", "a chart of score against time")  # the extra, and what for
 CHARTS = ("l2", "cos_sim", "psnr_flame", "ssim_flame")  # scores that are drawn against the time they took
 
 
@@ -90,8 +92,7 @@ def pareto_figures(rows: Sequence[Row]) -> list[str]:
 
 
 def _pareto_figure(key: str, shown: Sequence[Row], constant: float | None) -> str:
-    import plotly.graph_objects as go
-
+    go = extras.load("plotly.graph_objects", *PLOTLY)
     column = COLUMNS[key]
     points = [(row.train_s, getattr(row, key)) for row in shown]
     front = [points[i] for i in pareto(points, column.better)]
@@ -134,7 +135,6 @@ def _pareto_figure(key: str, shown: Sequence[Row], constant: float | None) -> st
 def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str) -> str:
     """The page; everything is inside it."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
-    from plotly.offline import get_plotlyjs
 
     charts = pareto_figures(rows)
     keys, best = used_columns(rows), best_rows(rows)
@@ -150,5 +150,5 @@ def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str) -> 
         rows_of_others=any(row.other_footage for row in rows),
         streams=streams,
         charts=charts,
-        plotlyjs=get_plotlyjs() if charts else "",
+        plotlyjs=extras.load("plotly.offline", *PLOTLY).get_plotlyjs() if charts else "",
     )

@@ -9,6 +9,7 @@ from gof.errors import DataFormatError
 from gof.evaluate import evaluate
 from gof.evaluate.emission import EXPONENT, FlameGrid, score_on_emission, velocity_at
 from gof.fields import VelocityField, VelocitySequence
+from gof.zarr_array import ZarrArray
 from gof_blender.pure.io.velocity_store import VelocityWriter, scalar
 from tests.evaluate.analytic import make_gaussians
 from tests.evaluate.synthetic_flame import flame_dataset, plume
@@ -149,27 +150,21 @@ def test_without_flame_and_with_bad_grids(tmp_path, column):
 @pytest.mark.long
 def test_in_evaluate(tmp_path):
     """A dataset without the grid says so with null; with it the truth scores well, and the table shows it."""
-    import zarr
-
     truth = flame_dataset(tmp_path / "data")
     dataset = Dataset.open(tmp_path / "data")
     assert evaluate(truth, dataset, images=False).dve.on_emission is None
     r = np.linalg.norm(dataset.velocity.at(0.0).cell_centers()[..., :2], axis=-1)
-    array = zarr.create_array(
-        str(tmp_path / "data/grids/flame.zarr"),
-        shape=(9, 32, 32, 32),
-        chunks=(1, 64, 64, 64),
-        dtype="float32",
-        fill_value=0,
-        attributes={
-            "schema": "gof-grid",
-            "version": 1,
-            "quantity": "flame",
-            "index_to_world": dataset.velocity.index_to_world.tolist(),
-            "time_s": dataset.velocity.times_s.tolist(),
-        },
-    )
-    array[:] = np.broadcast_to(np.where(r < 0.15, 0.7, 0), (9, 32, 32, 32))
+    attributes = {
+        "schema": "gof-grid",
+        "version": 1,
+        "quantity": "flame",
+        "index_to_world": dataset.velocity.index_to_world.tolist(),
+        "time_s": dataset.velocity.times_s.tolist(),
+    }
+    path = tmp_path / "data/grids/flame.zarr"
+    array = ZarrArray.create(path, (9, 32, 32, 32), (1, 64, 64, 64), "float32", attributes)
+    for frame in range(9):
+        array.write(frame, np.broadcast_to(np.where(r < 0.15, 0.7, 0), (32, 32, 32)))
     scores = evaluate(truth, dataset, images=False)
     on = scores.dve.on_emission
     assert 0.1 < on.uncovered < 0.6 and on.n == 9 * 1024  # the column goes on where no Gaussian is
