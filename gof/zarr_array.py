@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.files import read_json, write_json
+from gof.files import path_in, read_json, write_json
 
 TYPES = ("float16", "float32", "float64")
 PACKINGS = ("gzip", "zstd")
@@ -57,7 +57,7 @@ class ZarrArray:
         """
         path = Path(path)
         try:
-            return cls(path, *_described(read_json(path / "zarr.json")))
+            return cls(path, *_described(read_json(path_in(path, "zarr.json"))))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as e:
             raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e}); {REMEDY}") from e
 
@@ -171,7 +171,7 @@ class ZarrArray:
         return self.path / self.separator.join(["c", *map(str, number)])
 
     def _chunk(self, number: tuple[int, ...]) -> np.ndarray:
-        file = self._file(number)
+        file = path_in(self.path, self._file(number).relative_to(self.path).as_posix())  # no link to somewhere else
         try:
             data = _unpacked(file.read_bytes(), self.packing, math.prod(self.chunks) * self.dtype.itemsize)
             return np.frombuffer(data, self.dtype).reshape(self.chunks)

@@ -26,6 +26,7 @@ import numpy as np
 
 from gof.errors import DataFormatError, require_finite
 from gof.fields import CHUNK, VelocitySequence, open_array
+from gof.files import is_name
 from gof.records import read_record, write_record
 from gof.zarr_array import ZarrArray
 
@@ -80,6 +81,8 @@ class FireDescription:
 
     def __post_init__(self):
         times = np.asarray(self.time_s, float)
+        if not is_name(self.name):
+            raise DataFormatError(f"fire {self.name[:80]!r}: folders are named after it; give it a plain name")
         if len(times) == 0 or not np.isfinite(times).all() or times[0] != 0 or (np.diff(times) <= 0).any():
             raise DataFormatError(f"fire '{self.name}': time_s must start at 0 and increase")
 

@@ -12,6 +12,7 @@ import tyro
 from gof.capture.controller import Board, BoardError, candidate_ports, find_boards, only_board
 from gof.capture.protocol import State, Status
 from gof.files import write_json
+from gof.options import require_number
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class BoardConfig:
 def main(argv: list[str]) -> int:
     """Run one board action. Raises BoardError or ProtocolError with what to do."""
     config = tyro.cli(BoardConfig, prog="gof capture board", args=argv)
+    require_number("--seconds", config.seconds, least=0)
     outcome = _find() if config.action == "find" and config.port is None else _act(config)
     if config.json:
         write_json(config.json, outcome)

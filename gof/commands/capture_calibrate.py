@@ -12,6 +12,7 @@ from gof.capture.charuco import Charuco
 from gof.errors import GofError
 from gof.footage import distinct_names, stated_frames, stored_frames
 from gof.lens import CamerasFile
+from gof.options import require_number, require_positive
 from gof.progress import progress_bar
 from gof.records import write_record
 
@@ -43,6 +44,9 @@ def main(argv: list[str]) -> int:
         raise GofError(f"{config.out}: exists; remove it or choose another --out")
     if not config.footage:
         raise GofError("name the footage of the target, one video or folder of photos per camera")
+    require_number("--views", config.views, least=1)
+    require_positive("--square-mm", config.target.square_mm)
+    require_positive("--marker-mm", config.target.marker_mm)
     config.target.pattern()  # impossible sizes are said before anything is read
     cameras = []
     for name, path in zip(distinct_names(config.footage), config.footage, strict=True):

@@ -9,6 +9,7 @@ import tyro
 
 from gof.capture.template import BoardTemplate, draw_svg
 from gof.files import atomic_path, write_json
+from gof.options import require_positive
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class DrawConfig:
 def main(argv: list[str]) -> int:
     """Write the SVG of a template."""
     config = tyro.cli(DrawConfig, prog="gof capture draw", args=argv)
+    require_positive("--marker-mm", config.marker_mm)
     template = BoardTemplate.load(config.template)
     with atomic_path(config.out) as temporary:
         temporary.write_text(draw_svg(template, config.marker_mm))

@@ -14,6 +14,7 @@ from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
 from gof.capture.times import FILE, Readout, SyncedVideo
 from gof.errors import GofError
+from gof.options import require_all_positive, require_number, require_positive
 from gof.records import write_record
 
 
@@ -51,6 +52,9 @@ class SyncConfig:
 def main(argv: list[str]) -> int:
     """Decode all videos; fails, and writes nothing, only when no camera can be decoded."""
     config = tyro.cli(SyncConfig, prog="gof capture sync", args=argv)
+    require_positive("--tick-us", config.tick_us)
+    require_all_positive("--fps", config.fps)
+    require_number("--row-time-us", config.row_time_us, least=0)
     target = config.out / FILE
     if target.exists() and not config.overwrite:
         raise GofError(f"{target}: already there; choose another --out, or replace it with --overwrite")

@@ -10,6 +10,7 @@ import tyro
 from gof.capture.charuco import Charuco, draw_pdf, draw_svg, page
 from gof.errors import GofError
 from gof.files import atomic_path, write_json
+from gof.options import require_positive
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class TargetConfig:
 def main(argv: list[str]) -> int:
     """Write the drawing."""
     config = tyro.cli(TargetConfig, prog="gof capture target", args=argv)
+    require_positive("--square-mm", config.target.square_mm)
+    require_positive("--marker-mm", config.target.marker_mm)
     kind = config.out.suffix.lower()
     if kind not in (".pdf", ".svg"):
         raise GofError(f"{config.out}: the drawing is a .pdf or an .svg file")

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from gof.commands.foreign_options import ForeignOptions
 from gof.dataset import Dataset
+from gof.errors import GofError
 from gof.evaluate import Extras, Scores, evaluate
 from gof.evaluate.controls import BOUNDS
 from gof.evaluate.published import THEIRS
@@ -80,6 +81,9 @@ class EvaluateConfig:
 def main(argv: list[str]) -> int:
     """The command line of `gof evaluate`."""
     config = tyro.cli(EvaluateConfig, prog="gof evaluate", args=argv)
+    if config.disparity is not None and not config.published:
+        raise GofError("--disparity is for --published's error of depth; give --published too, or leave it out")
+    foreign = config.foreign.options()  # numbers that are none are named before anything is read
     dataset = Dataset.open(config.truth)
     with progress_bar("evaluate") as progress:
         scores = evaluate(
@@ -89,7 +93,7 @@ def main(argv: list[str]) -> int:
             config.opacity,
             config.images,
             progress,
-            config.foreign.options(),
+            foreign,
             config.align,
             Extras(config.weights, config.depth, dis if config.published else None, config.disparity),
             config.flame_only,

@@ -18,6 +18,9 @@ from gof.ingest.pipeline import Ingested, PlateKind, make_dataset
 from gof.ingest.place import PoseOptions, Solver
 from gof.ingest.published import PublishedFootage, is_published
 from gof.lens import Turn
+from gof.options import require_number, require_positive
+
+MOST_FOV_DEG = 170.0
 
 
 @dataclass
@@ -75,7 +78,13 @@ class IngestConfig:
 
 
 def ingest(config: IngestConfig) -> Ingested:
-    """Make the dataset. Raises GofError as `make_dataset`."""
+    """Make the dataset. Raises GofError as `make_dataset`, or for a number that is none."""
+    require_number("--fov", config.fov, above=0, most=MOST_FOV_DEG)
+    for flag, value in (("--fps", config.fps), ("--marker-m", config.marker_m), ("--baseline-m", config.baseline_m)):
+        require_positive(flag, value)
+    require_number("--width", config.width, least=16)
+    require_number("--frames", config.frames, least=1)
+    require_number("--start", config.start, least=0)
     footage = open_footage(config)
     pose_options = PoseOptions(
         solver=config.poses,

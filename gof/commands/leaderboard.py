@@ -12,6 +12,7 @@ from gof.dataset import Dataset
 from gof.evaluate.leaderboard import COLUMNS, Leaderboard, Row, collect, rows_of, to_csv, to_markdown, used_columns
 from gof.evaluate.leaderboard_page import stream_plots, to_html
 from gof.files import atomic_path
+from gof.options import require_number
 from gof.records import write_record
 from gof.terminal import console
 
@@ -48,6 +49,7 @@ class LeaderboardConfig:
 def main(argv: list[str]) -> int:
     """The command line of `gof leaderboard`."""
     config = tyro.cli(LeaderboardConfig, prog="gof leaderboard", args=argv)
+    require_number("--time", config.time)
     results = collect(config.folders)
     rows = rows_of(results)
     streams = stream_plots(results, Dataset.open(config.truth), config.time) if config.truth else []

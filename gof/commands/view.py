@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 
 from gof.dataset import Dataset
+from gof.options import require_number
 from gof.report.viewer import Viewer
 
 
@@ -28,6 +29,7 @@ class ViewConfig:
 def main(argv: list[str]) -> int:
     """`gof view RESULT [--dataset D] [--port N]`; ends with Ctrl-C."""
     config = tyro.cli(ViewConfig, prog="gof view", args=argv)
+    require_number("--port", config.port, least=0, most=65535)
     dataset = None if config.dataset is None else Dataset.open(config.dataset)
     viewer = Viewer(config.result, dataset, config.host, config.port)
     print(f"http://localhost:{viewer.server.get_port()}  (Ctrl-C ends it)", flush=True)

@@ -9,7 +9,7 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io.importers import Imported, freetime
-from gof.io.importers.source import require_number
+from gof.options import require_number
 
 
 def convert(

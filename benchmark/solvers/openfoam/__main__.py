@@ -9,6 +9,7 @@ from pathlib import Path
 import tyro
 
 from gof.errors import GofError
+from gof.files import path_in
 from gof_benchmark.solvers.openfoam.run import bake
 from gof_benchmark.solvers.openfoam.shipped import find_fire
 
@@ -39,7 +40,7 @@ def main(argv: list[str] | None = None) -> int:
     config = tyro.cli(Bake, prog="python -m gof_benchmark.solvers.openfoam", args=argv)
     try:
         for fire in [find_fire(name) for name in config.fires]:
-            print(bake(fire, config.out / fire.name, config.keep_raw).path)
+            print(bake(fire, path_in(config.out, fire.name), config.keep_raw).path)
     except GofError as e:
         print(f"openfoam: {e}", file=sys.stderr)
         return 1

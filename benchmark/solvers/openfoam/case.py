@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from gof.errors import DataFormatError
+from gof.files import is_name
 from gof_benchmark.solvers.openfoam import chemistry
 from gof_benchmark.solvers.openfoam.chemistry import AMBIENT_K, AMBIENT_PA, FUELS, OXYGEN_IN_AIR, Fuel, FuelName
 from gof_benchmark.solvers.openfoam.dictionary import named, render, unnamed, write_dictionary
@@ -106,6 +107,8 @@ class FoamFire:
     emission: Literal["polynomial", "planck"] = "polynomial"
 
     def __post_init__(self):
+        if not is_name(self.name):
+            raise DataFormatError(f"fire {self.name[:80]!r}: its folder is named after it; give it a plain name")
         box = np.array([self.domain_low_m, self.core_low_m, self.core_high_m, self.domain_high_m])
         wrong = [
             (not self.burners, "burners: at least one"),

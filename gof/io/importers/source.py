@@ -15,6 +15,7 @@ import numpy as np
 from gof.errors import DataFormatError, GofError, MissingDependencyError
 from gof.gaussians import MovingGaussians
 from gof.npz import ALWAYS, read_npz
+from gof.options import require_number, require_positive
 from gof.ply import Ply
 
 WorldBy = Literal["freetime", "gsplat"]
@@ -174,18 +175,6 @@ def array(value: Any, name: str, shape: tuple[int | None, ...], path: Path) -> n
     if value.ndim and not len(value):
         raise DataFormatError(f"{path}: '{name}' has no rows; the file holds no Gaussian")
     return value
-
-
-def require_positive(flag: str, value: float | None) -> None:
-    """Raises GofError: an option that is given is not a finite number above 0."""
-    if value is not None and not 0 < value < np.inf:
-        raise GofError(f"{flag} {value:g}: must be a finite number above 0")
-
-
-def require_number(flag: str, value: float | None) -> None:
-    """Raises GofError: an option that is given is not a finite number."""
-    if value is not None and not np.isfinite(value):
-        raise GofError(f"{flag} {value:g}: must be a finite number")
 
 
 def require_unit(times: np.ndarray, options: ImportOptions, path: Path) -> None:

@@ -1,0 +1,151 @@
+"""Numbers that no option can mean: NaN, infinite, below zero, zero. Each is refused by its name, before any work."""
+
+import dataclasses
+import importlib
+import typing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gof.cli import COMMANDS, main
+from gof.dataset import Dataset
+from gof.errors import DataFormatError, GofError
+from gof.fields import VelocityField, VelocitySequence
+from gof.options import require_number
+from tests.conftest import random_gaussians
+
+NO = ("nan", "inf", "-inf", "-3", "0")
+WRONG = {  # command and what it needs, by option: values that it cannot have
+    "evaluate RESULT --truth DATASET": {"--time-unit": NO, "--time-zero": NO[:3]},
+    "convert RESULT OUT.ftgs.ply": {
+        "--frame-time": NO,
+        "--time-unit": NO,
+        "--time-zero": NO[:3],
+        "--start": NO[:3],
+        "--end": NO[:3],
+    },
+    "leaderboard RESULT": {"--time": NO[:3]},
+    "view RESULT": {"--port": ("-1", "65536", "1000000")},
+    "report DATASET --dataset DATASET": {"--camera": ("-1", "99")},
+    "reconstruct DATASET --out OUT": {
+        "--gaussians": ("-1", "0"),
+        "--iterations": ("-1", "0"),
+        "--voxels": ("-1", "0"),
+        "--longest-side": ("-1", "0"),
+        "--seed": ("-1",),
+    },
+    "background DATASET --out OUT": {
+        "--steps": ("-1", "0"),
+        "--gaussians": ("-1", "0"),
+        "--longest-side": ("-1", "0"),
+        "--seed": ("-1",),
+    },
+    "ingest DATASET DATASET --out OUT --fps 30": {
+        "--fov": (*NO, "180"),
+        "--marker-m": NO,
+        "--baseline-m": NO,
+        "--width": ("-1", "0"),
+        "--frames": ("-1", "0"),
+        "--start": ("-1",),
+    },
+    "ingest DATASET DATASET --out OUT --fov 40": {"--fps": NO},
+    "capture sync DATASET --out OUT": {"--tick-us": NO, "--fps": NO, "--row-time-us": NO[:4]},
+    "capture draw OUT.svg": {"--marker-mm": NO},
+    "capture target OUT.svg": {"--square-mm": NO, "--marker-mm": NO, "--columns": ("-1", "0"), "--rows": ("-1", "0")},
+    "capture calibrate DATASET --out OUT.json": {"--views": ("-1", "0"), "--square-mm": NO, "--marker-mm": NO},
+    "capture board monitor": {"--seconds": NO[:4]},
+    "generate demo --out OUT": {"--workers": ("-1", "0")},
+}
+
+
+@pytest.mark.parametrize("command", WRONG)
+def test_numbers_that_cannot_be_are_refused_by_name(command, tiny_dataset, tmp_path, capsys):
+    random_gaussians(30).save(tmp_path / "result.npz")
+    words = {"RESULT": tmp_path / "result.npz", "DATASET": tiny_dataset, "OUT": tmp_path / "out"}
+    base = [str(words.get(word, word)).replace("OUT", str(tmp_path / "out")) for word in command.split()]
+    for option, values in WRONG[command].items():
+        for value in values:
+            assert main([*base, f"{option}={value}"]) == 1, (option, value)
+            said = capsys.readouterr().err
+            known_otherwise = ("ChArUco", "scores.json", "cameras 0 to")  # sizes of a pattern; --camera of a report
+            assert option in said or any(word in said for word in known_otherwise), (option, value, said)
+    assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
+
+
+def test_every_number_of_every_command_is_in_the_list():
+    """A float that a command takes and nobody checks would be found here."""
+    listed = {(name.split()[0], option) for name, options in WRONG.items() for option in options}
+    for name, command in COMMANDS.items():
+        modules = [command.module]
+        if name == "capture":
+            modules = [
+                f"gof.commands.{p.stem}"
+                for p in Path(importlib.import_module("gof.commands").__file__).parent.glob("capture_*.py")
+            ]
+        for module in map(importlib.import_module, modules):
+            for config in vars(module).values():
+                if dataclasses.is_dataclass(config) and isinstance(config, type):
+                    for field, kind in typing.get_type_hints(config).items():
+                        if float in (kind, *typing.get_args(kind)) and config.__module__.startswith("gof.commands"):
+                            assert (name, "--" + field.replace("_", "-")) in listed, (name, field)
+
+
+def test_a_range_is_said():
+    with pytest.raises(GofError, match="--x -1: must be 0 or more and at most 5"):
+        require_number("--x", -1, least=0, most=5)
+    with pytest.raises(GofError, match="--x nan: must be a finite number"):
+        require_number("--x", float("nan"))
+    require_number("--x", None, above=0)
+
+
+def test_options_that_would_be_ignored_are_refused(tiny_dataset, tmp_path, capsys):
+    result = random_gaussians(30).save(tmp_path / "result.npz")
+    for command, word in (
+        (["evaluate", result, "--truth", tiny_dataset, "--disparity", tmp_path], "--published"),
+        (["reconstruct", tiny_dataset, "--out", tmp_path / "o", "--flow-weights", tmp_path], "--flow memfof"),
+        (["convert", result, tmp_path / "a.npz", "--start", "0"], ".ftgs.ply only"),
+        (["evaluate", result, "--truth", tiny_dataset, "--world", tmp_path / "nothing"], "--world"),
+    ):
+        assert main([str(part) for part in command]) == 1
+        assert word in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- names and links beside them
+
+
+@pytest.mark.parametrize("name", ["..", "../../escape", "/tmp/escape", "a\0b", "con", "-rf", ""])
+def test_a_foam_fires_name_is_a_name(name):
+    """It becomes a folder: OUT/<name>."""
+    from gof_benchmark.solvers.grids import FireDescription
+    from gof_benchmark.solvers.openfoam.shipped import find_fire
+
+    fire = find_fire("pool_methane")
+    with pytest.raises(DataFormatError, match="plain name"):
+        dataclasses.replace(fire, name=name)
+    with pytest.raises(DataFormatError, match="plain name"):
+        FireDescription(name, "none", (0.0, 0.1), "none")
+
+
+def test_a_chunk_of_a_store_is_no_link_to_elsewhere(tmp_path):
+    """Its bytes would be taken for velocities; inside the store a link may stand."""
+    fields = [VelocityField.from_array(np.full((4, 5, 6, 3), 0.5 + k), (-1, -1, 0), 0.5, 0.01 * k) for k in range(2)]
+    for store in ("here", "there"):
+        VelocitySequence.create(tmp_path / f"{store}.zarr", fields)
+    chunk = next(p for p in (tmp_path / "here.zarr").rglob("*") if p.is_file() and p.name != "zarr.json")
+    twin = tmp_path / "there.zarr" / chunk.relative_to(tmp_path / "here.zarr")
+    chunk.unlink()
+    chunk.symlink_to(twin)
+    with pytest.raises(DataFormatError, match="points outside"):
+        for time_s in (0.0, 0.01):
+            np.asarray(VelocitySequence.open(tmp_path / "here.zarr").at(time_s).velocity)
+
+
+def test_the_dataset_of_a_damaged_store_is_named(tiny_dataset):
+    """And a description that is a link."""
+    store = tiny_dataset / "velocity.zarr"
+    inside = store / "velocity" if (store / "velocity").exists() else store
+    (inside / "zarr.json").rename(tiny_dataset.parent / "zarr.json")
+    (inside / "zarr.json").symlink_to(tiny_dataset.parent / "zarr.json")
+    with pytest.raises(DataFormatError, match="points outside"):
+        Dataset.open(tiny_dataset).velocity.at(0.0)
