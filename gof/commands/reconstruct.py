@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from gof.dataset import Dataset
+from gof.errors import GofError
 from gof.files import write_json
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.optical_flow import FlowName
@@ -56,6 +57,8 @@ class ReconstructConfig:
     """Leave a part of the method out, as in the paper's ablations (see gof.reconstruct.ablations)."""
     seed: int = 0
     """Random seed of the seeding and of the order of pictures."""
+    anyway: bool = False
+    """Go on where cameras, clocks, plates or this machine's memory look impossible."""
     json: Path | None = None
     """Also write the summary to this file."""
 
@@ -71,6 +74,8 @@ def main(argv: list[str]) -> int:
     config = tyro.cli(ReconstructConfig, prog="gof reconstruct", args=argv)
     from gof.reconstruct.pipeline import reconstruct  # after --help and mistyped options: loading Dr.Jit takes seconds
 
+    if config.flow_weights is not None and config.flow != "memfof":
+        raise GofError(f"--flow-weights are those of --flow memfof, not of {config.flow}; leave them out")
     dataset = Dataset.open(config.dataset)
     settings = ReconstructionSettings.of(
         dataset,
@@ -82,7 +87,7 @@ def main(argv: list[str]) -> int:
         ablation=config.ablation,
         seed=config.seed,
     )
-    result = reconstruct(dataset, settings, config.out, config.until, config.flow_weights)
+    result = reconstruct(dataset, settings, config.out, config.until, config.flow_weights, config.anyway)
     if result is None:
         pictures = config.out / "stages"
         print(f"stopped after {config.until}: pictures in {pictures}; the same command without --until goes on")

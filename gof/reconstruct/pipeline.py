@@ -24,7 +24,7 @@ from gof.errors import GofError
 from gof.files import only_run_in
 from gof.gaussians import TransientGaussians
 from gof.progress import progress_bar
-from gof.reconstruct import ablations, stage_images
+from gof.reconstruct import ablations, memory, sanity, stage_images
 from gof.reconstruct.checkpoint import Spent, read_spent
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
@@ -71,6 +71,7 @@ def reconstruct(
     out: Path,
     until: Until = "result",
     flow_weights: Path | None = None,
+    anyway: bool = False,
 ) -> Reconstruction | None:
     """Run the stages up to `until`; a finished result is kept, an interrupted optimisation resumed.
 
@@ -78,11 +79,13 @@ def reconstruct(
         dataset: as it was opened, at full size.
         out: folder of the reconstruction, for these settings alone.
         flow_weights: folder of a MEMFOF checkpoint, for the flow "memfof".
+        anyway: go on where cameras, clocks, plates or memory look impossible.
     Returns:
         None when stopped before the result.
     Raises:
-        GofError: `out` holds a reconstruction made with other settings, another run is at work there, or the dataset
-            has a single training frame; or see the stages.
+        GofError: `out` holds a reconstruction made with other settings, another run is at work there, the dataset has a
+            single training frame, its cameras cannot have filmed one flame (`gof.reconstruct.sanity`), or this machine
+            has too little memory; or see the stages.
         LeakError: the dataset's plates, or what lies in `out`, were made from a frame that is held out.
     """
     refuse_leaks(dataset)
@@ -95,6 +98,8 @@ def reconstruct(
         small = shrink(dataset, settings.longest_side)
         flow = flow_method(settings.flow, flow_weights)
         run = _Run(small, settings, METHODS[settings.method], flow, out, StageLog(out / "costs.json"))
+        _require_motion(small)
+        _require_possible(run, anyway)
         return _run_stages(run, until)
 
 
@@ -116,8 +121,6 @@ class _Run:
 
 
 def _run_stages(run: _Run, until: Until) -> Reconstruction | None:
-    _require_motion(run.dataset)
-    _announce(run)
     observation = _observe(run)
     _say_what_from(run, observation)
     if until == "motion":
@@ -141,12 +144,25 @@ def _require_motion(dataset: Dataset) -> None:
         )
 
 
-def _announce(run: _Run) -> None:
-    """Say how long it will take, before the time is spent."""
+def _require_possible(run: _Run, anyway: bool) -> None:
+    """Say how long it will take and how much memory, and what is doubtful, before the time is spent.
+
+    Raises GofError: something is impossible, or the memory is not there, and nobody said to go on.
+    """
     steps = run.settings.iterations
     camera = run.dataset.cameras[0]
     seconds = steps * step_ms(run.settings.gaussians, camera.width * camera.height) / 1e3
-    print(f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores", file=sys.stderr)
+    needed = memory.needed_bytes(run.dataset, run.settings.gaussians, run.settings.voxels)
+    print(
+        f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores, and {memory.in_words(needed)}",
+        file=sys.stderr,
+    )
+    found = sanity.doubts(run.dataset)
+    for doubt in found:
+        print(f"warning: {doubt.text}", file=sys.stderr)
+    if not anyway:
+        sanity.refuse_impossible(found, run.dataset)
+        memory.require(needed)
 
 
 # ---- Motion: what the cameras saw, and how it moves in their pictures ------------------------------------------------

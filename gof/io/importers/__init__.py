@@ -9,9 +9,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gof.errors import DataFormatError, GofError
+from gof.gaussians import MovingGaussians, TransientGaussians
 from gof.io.importers import authors, freetime, own, ply_sequence, spacetime, unreadable, yang
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
+from gof.precision import require_digits
 
 # in the order in which they are asked; `unreadable` explains what is recognised and has no velocities
 METHODS = {
@@ -24,6 +28,7 @@ METHODS = {
     "unreadable": unreadable,
 }
 
+ROUNDED = 0.1  # of a life or a size, that the float32 of a result may round off
 KNOWN = (
     "results and trajectories of gof (.npz, .ply), checkpoints and PLYs of the paper's code, checkpoints of 4DGS (Yang "
     "et al.), FreeTimeGS (.pt, canonical_4d.npz, .ftgs.ply), PLYs of SpacetimeGaussians, and folders of 3DGS PLYs "
@@ -77,7 +82,9 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     name, options = detect(source), options or ImportOptions()
     try:
         _refuse_unused(name, options)
-        return METHODS[name].read(source, options)
+        imported = METHODS[name].read(source, options)
+        _require_digits(imported.gaussians)
+        return imported
     except GofError as e:
         raise e if str(source.path) in str(e) or "scale_bounds" in str(e) else type(e)(f"{source.path}: {e}") from e
 
@@ -89,6 +96,18 @@ def _refuse_unused(name: str, options: ImportOptions) -> None:
             f"{' and '.join(unused)} would change nothing here: read as '{name}', which says so itself or has no such "
             "thing (docs/importers.md); leave it out"
         )
+
+
+def _require_digits(gaussians: MovingGaussians) -> None:
+    """Raises GofError: times or places so far from zero that float32 has rounded lives or sizes away."""
+    if not isinstance(gaussians, TransientGaussians) or not gaussians.dynamic.any():
+        return
+    moving = gaussians[gaussians.dynamic]
+    lives = moving.t_sigma[np.isfinite(moving.t_sigma)]
+    remedy = "Keep clock and world near zero; what was rounded off is lost"
+    if len(lives):
+        require_digits("the result's clock", moving.t_mu, float(np.median(lives)), remedy, most=ROUNDED)
+    require_digits("the result's world", moving.position, float(np.median(moving.scale)), remedy, most=ROUNDED)
 
 
 def _newest_checkpoint(folder: Path) -> Path:

@@ -1,0 +1,238 @@
+"""What cannot be is named before the work, with figures; what is merely unusual is not."""
+
+import shutil
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from gof.cli import main
+from gof.dataset import Dataset
+from gof.errors import GofError
+from gof.reconstruct import memory
+from gof.reconstruct.sanity import doubts
+from tests.conftest import look_at
+from tests.reconstruct.rising_flame import DT, edit, write_flame
+
+
+@pytest.fixture(scope="module")
+def flame(tmp_path_factory):
+    return write_flame(tmp_path_factory.mktemp("sane") / "flame", frames=16, dt=0.05)
+
+
+def said(folder) -> str:
+    return "; ".join(("STOP " if doubt.stops else "warn ") + doubt.text for doubt in doubts(Dataset.open(folder)))
+
+
+def changed(flame, tmp_path, change):
+    """A copy whose dataset.json is changed in place: change(meta)."""
+    return edit(shutil.copytree(flame, tmp_path / "changed"), change)
+
+
+def turn(folder, camera, how, kinds=("rgb", "static")):
+    """Change a camera's picture files in place: how(picture)."""
+    files = [*(folder / f"cameras/{camera}/rgb").glob("*.png")] if "rgb" in kinds else []
+    files += [folder / f"static/{camera}.png"] if "static" in kinds else []
+    for path in files:
+        cv2.imwrite(str(path), how(cv2.imread(str(path))))
+    return folder
+
+
+def test_a_good_rig_is_not_doubted_and_it_takes_no_time(flame):
+    start = time.perf_counter()
+    assert said(flame) == ""
+    assert time.perf_counter() - start < 5
+
+
+@pytest.mark.parametrize(
+    ("what", "change", "words"),
+    [
+        ("focal 1e9", lambda c: c["K"][0].__setitem__(0, 1e9), "STOP camera 'cam_1' would see"),
+        ("focal 1e-6", lambda c: c["K"][0].__setitem__(0, 1e-6), "STOP camera 'cam_1' would see 180"),
+        ("row time", lambda c: c.update(row_time_s=1e6), "STOP camera 'cam_1' would take"),
+        ("row time a bit", lambda c: c.update(row_time_s=0.06 / 96), "warn camera 'cam_1' would take"),
+        ("row time < 0", lambda c: c.update(row_time_s=-1e-3), "STOP camera 'cam_1': row_time_s"),
+        ("clock", lambda c: c.update(time_s=[100 + 0.05 * k for k in range(16)]), "when no other camera filmed"),
+        ("clock a bit", lambda c: c.update(time_s=[0.2 + 0.05 * k for k in range(16)]), "4.0 frames"),
+        ("focal x 2", lambda c: [c["K"][k].__setitem__(k, 2 * c["K"][k][k]) for k in (0, 1)], "focal length or pose"),
+    ],
+    ids=lambda value: value if isinstance(value, str) and " " in value else "",
+)
+def test_impossible_cameras_are_named(flame, tmp_path, what, change, words):
+    assert words in said(changed(flame, tmp_path, lambda meta: change(meta["cameras"][1])))
+
+
+def test_an_upside_down_camera_is_named(flame, tmp_path):
+    """Its pictures and its plate turned by 180 degrees: no pixel of any file is wrong in itself."""
+    text = said(turn(shutil.copytree(flame, tmp_path / "down"), "cam_1", lambda p: p[::-1, ::-1]))
+    assert "STOP" in text and "upside down" in text and "'cam_1'" in text.partition("spread otherwise")[2]
+
+
+def test_plates_of_other_cameras_are_named(flame, tmp_path):
+    folder = shutil.copytree(flame, tmp_path / "swapped")
+    first, second = (folder / f"static/cam_{c}.png" for c in (0, 1))
+    a, b = first.read_bytes(), second.read_bytes()
+    first.write_bytes(b)
+    second.write_bytes(a)
+    assert said(folder).count("are the plates swapped?") == 2
+    turned = turn(shutil.copytree(flame, tmp_path / "turned"), "cam_2", lambda p: p[::-1, ::-1], kinds=("static",))
+    assert "plate turned by 180 degrees" in said(turned)
+
+
+def test_a_pose_of_elsewhere_is_named(flame, tmp_path):
+    def invert(meta):
+        meta["cameras"][1]["world_to_camera"] = np.linalg.inv(meta["cameras"][1]["world_to_camera"]).tolist()
+
+    assert "STOP" in said(changed(flame, tmp_path, invert))
+
+    def opengl(meta):
+        for camera in meta["cameras"]:
+            camera["world_to_camera"] = (np.diag([1, -1, -1, 1]) @ camera["world_to_camera"]).tolist()
+
+    assert "behind camera" in said(changed(flame, tmp_path / "gl", opengl))
+
+
+def test_three_times_the_same_view_is_no_rig(flame, tmp_path):
+    """A view, copied, its camera turned about the flame by a hundredth of a degree."""
+    folder = shutil.copytree(flame, tmp_path / "narrow")
+    for c in (1, 2):
+        shutil.rmtree(folder / f"cameras/cam_{c}")
+        shutil.copytree(folder / "cameras/cam_0", folder / f"cameras/cam_{c}")
+        shutil.copy(folder / "static/cam_0.png", folder / f"static/cam_{c}.png")
+
+    def narrow(meta):
+        first = np.array(meta["cameras"][0]["world_to_camera"])
+        for c in (1, 2):
+            a = np.deg2rad(0.01 * c)
+            about = np.eye(4)
+            about[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
+            meta["cameras"][c]["world_to_camera"] = (first @ about).tolist()
+
+    assert "STOP the cameras see the flame from directions at most 0.02" in said(edit(folder, narrow))
+
+
+def test_a_clock_that_is_off_by_frames_is_doubted(tmp_path):
+    """The times say nothing; the flame does: one camera shows it a quarter of a turn later."""
+
+    def pulse(images, late=0):
+        shown = images.copy()
+        rows = np.arange(96)[:, None, None]
+        for k in range(len(images)):
+            for c in range(3):
+                phase = (k - (late if c == 1 else 0)) * 1.3
+                bright = 0.5 + 0.5 * np.sin(rows / 9 + phase)
+                plate = images[:, c].min(0)
+                shown[k, c] = plate + (images[k, c] - plate) * bright
+        return shown
+
+    together = write_flame(tmp_path / "together", frames=16, change=pulse)
+    apart = write_flame(tmp_path / "apart", frames=16, change=lambda images: pulse(images, late=2))
+    assert said(together) == ""
+    assert "camera 'cam_1' changes otherwise" in said(apart)
+
+
+# ---------------------------------------------------------------- false alarms
+
+
+def test_unusual_rigs_are_not_doubted(tmp_path):
+    """Two cameras; two 8 degrees apart; landscape; four; rolled on its side; rolling shutter; over the border; a clock
+    half a frame off."""
+    rigs = {
+        "two": {"cameras": 2},
+        "four": {"cameras": 4},
+        "rolling": {"row_time_s": 1e-4},
+        "border": {"focal_px": 260.0},
+        "half": {"late": {1: DT / 2}},
+    }
+    for name, options in rigs.items():
+        assert said(write_flame(tmp_path / name, **options)) == "", name
+
+
+def test_two_cameras_8_degrees_apart(tmp_path, monkeypatch):
+    import tests.reconstruct.rising_flame as flame
+
+    def close(n, radius=3.0, target=(0, 0, 1.0), **size):
+        angles = np.deg2rad([-4, 4])
+        places = [np.add(target, [radius * np.sin(a), -radius * np.cos(a), 0]) for a in angles]
+        return [look_at(f"cam_{i}", place, target, **size) for i, place in enumerate(places)]
+
+    monkeypatch.setattr(flame, "arc", close)
+    assert said(write_flame(tmp_path / "close", cameras=2)) == ""
+
+
+def test_fire_left_in_a_plate_and_a_lost_camera_are_not_doubted(flame, tmp_path):
+    """A third of the flame's light stays in one plate; another camera gives no picture for some frames."""
+    folder = shutil.copytree(flame, tmp_path / "left")
+    plate = cv2.imread(str(folder / "static/cam_0.png")).astype(float)
+    burning = np.median([cv2.imread(str(p)) for p in (folder / "cameras/cam_0/rgb").glob("*.png")], axis=0)
+    cv2.imwrite(str(folder / "static/cam_0.png"), np.maximum(plate, plate + 0.33 * (burning - plate)).astype(np.uint8))
+    for k in (2, 3, 7):
+        cv2.imwrite(str(folder / f"cameras/cam_2/rgb/{k:06d}.png"), np.zeros((96, 48, 3), np.uint8))
+    assert "STOP" not in said(folder)
+
+
+# ---------------------------------------------------------------- digits
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda m: m.update(time_s=[1.76e9 + t for t in m["time_s"]]), "Subtract 1760000000 s"),
+        (lambda m: m.update(time_s=[5e4 + 0.2 * t for t in m["time_s"]]), "the dataset's clock reaches 5e+04"),
+        (
+            lambda m: [_moved(c, [5e5, 4.2e6, 100]) for c in m["cameras"]],
+            "the flame's place in the world reaches 4.2e+06",
+        ),
+    ],
+    ids=["Unix time", "seconds since midnight", "UTM"],
+)
+def test_clocks_and_worlds_far_from_zero_are_named(flame, tmp_path, change, words):
+    text = said(changed(flame, tmp_path, change))
+    assert "STOP" in text and words in text
+
+
+def test_clocks_and_worlds_a_little_from_zero_are_not(flame, tmp_path):
+    def little(meta):
+        meta.update(time_s=[600 + t for t in meta["time_s"]])
+        for camera in meta["cameras"]:
+            _moved(camera, [300.0, -100.0, 0.0])
+
+    assert said(changed(flame, tmp_path, little)) == ""
+
+
+def _moved(camera, shift):
+    pose = np.array(camera["world_to_camera"])
+    pose[:3, 3] -= pose[:3, :3] @ shift
+    camera["world_to_camera"] = pose.tolist()
+
+
+# ---------------------------------------------------------------- the command
+
+
+@pytest.mark.long
+def test_the_command_stops_and_goes_on_anyway(flame, tmp_path, capsys):
+    folder = turn(shutil.copytree(flame, tmp_path / "down"), "cam_1", lambda p: p[::-1, ::-1])
+    small = ["--gaussians", "300", "--voxels", "24", "--iterations", "3", "--until", "motion"]
+    command = ["reconstruct", str(folder), "--out", str(tmp_path / "out"), *small]
+    assert main(command) == 1
+    error = capsys.readouterr().err
+    assert "go on with --anyway" in error and "GB of memory" in error and not (tmp_path / "out/stages").exists()
+    assert main([*command, "--anyway"]) == 0
+    assert "warning: " in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- memory
+
+
+def test_memory_is_predicted_and_refused(flame, capsys, monkeypatch):
+    dataset = Dataset.open(flame)
+    few, many = (memory.needed_bytes(dataset, n, 64) for n in (1000, 1_001_000))
+    assert many - few == pytest.approx(1e6 * memory.A_GAUSSIAN)
+    memory.require(few)
+    assert capsys.readouterr().err == ""
+    with pytest.raises(GofError, match="--longest-side"):
+        memory.require(1e18)
+    monkeypatch.setattr(memory, "_limit", lambda: 1e8)
+    with pytest.raises(GofError, match=r"this machine has 0\.1 GB"):
+        memory.require(few)
