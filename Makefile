@@ -4,9 +4,10 @@
 #   make test    the test suite
 #   make quick   the part of it for a loop while you work: under a minute on two cores
 #   make lint    the rules and the format of the code
-#   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python 3.11
+#   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python
 # JOBS: how many files of tests run side by side.
 # TORCH: which PyTorch to install; a CUDA build of your own is kept if it is in the environment already.
+# Every other package stands with its hash in requirements.lock (tools/lock.py writes it).
 PYTHON ?= python3.11
 TORCH  ?= torch==2.13.0
 OUT    ?= out/demo
@@ -30,12 +31,15 @@ addon:
 
 setup: $(READY)
 
-$(READY): pyproject.toml tools/system_packages.sh
+$(READY): pyproject.toml requirements.lock tools/system_packages.sh
 	bash tools/system_packages.sh
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --quiet --upgrade "pip>=24" "setuptools>=77"
 	$(VENV)/bin/python -c "import torch" 2>/dev/null || $(VENV)/bin/python -m pip install "$(TORCH)"
+	$(VENV)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.lock || \
+		echo "requirements.lock is for Linux x86-64 with Python 3.11 and all its packages at hand; taking newer ones instead"
 	$(VENV)/bin/python -m pip install -e ".[blender,torch,dev]"
+	rm -rf *.egg-info  # older setuptools leave one here; it would hide what is installed
 	touch $@
 
 lint: setup

@@ -6,20 +6,27 @@ A package adds checks of its own by an entry point of the group `gof.checks` tha
 from __future__ import annotations
 
 import importlib.metadata
+import importlib.util
 import os
 import platform
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Literal
 
+from gof import __version__, extras
+from gof.machine import cpu_features, machine
+
 Status = Literal["ok", "missing", "broken"]
 Outcome = tuple[Status, str]
+
+PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "drjit", "pillow", "msgspec", "zstandard")
+# Settings of the environment that change what runs.
+VARIABLES = ("GOF_RENDER_BACKEND", "DRJIT_LIBLLVM_PATH", "OMP_NUM_THREADS", "OPENBLAS_CORETYPE", "CUDA_VISIBLE_DEVICES")
 
 # Folder with optional model weights, for this check; commands take each folder by an option.
 WEIGHTS_VARIABLE = "GOF_WEIGHTS"
@@ -69,40 +76,72 @@ class Finding:
 
 
 def check_python() -> Outcome:
-    version = platform.python_version()
-    if sys.version_info[:2] != (3, 11):
-        return "broken", f"{version}; bpy's wheels need Python 3.11. Make the environment again with python3.11"
-    return "ok", version
+    return "ok", f"{platform.python_version()} ({platform.python_implementation()}), gof {__version__}"
+
+
+def check_system() -> Outcome:
+    here, libc = machine(), " ".join(platform.libc_ver())
+    cpu = f"{here['processor']} ({' '.join(cpu_features()) or 'features unknown'}), {here['cores']} cores"
+    variables = [f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ]
+    return "ok", ", ".join([here["system"], *filter(None, [libc]), cpu, here["memory"], *variables])
 
 
 def check_packages() -> Outcome:
-    """Versions of what must fit together; numpy 2 breaks bpy."""
-    found, missing = [], []
-    for name in ("numpy", "scipy", "opencv-contrib-python-headless", "drjit", "mitsuba", "OpenEXR", "zarr", "torch"):
+    """Versions of what scoring, importing, rendering and reconstructing need; numpy 2 breaks bpy."""
+    found, missing = {}, []
+    for name in PACKAGES:
         try:
-            found.append(f"{name.split('-')[0]} {importlib.metadata.version(name)}")
+            found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             missing.append(name)
     if missing:
-        return "broken", f"not installed: {', '.join(missing)}. Run: pip install 'gaussians-on-fire[blender,torch]'"
-    import numpy
+        return "broken", f"not installed: {', '.join(missing)}. Run: pip install gaussians-on-fire"
+    if not found["numpy"].startswith("1.") and importlib.util.find_spec("bpy"):
+        return "broken", f"numpy {found['numpy']}; bpy 4.5 needs numpy below 2. Run: pip install 'numpy>=1.26.4,<2'"
+    return "ok", ", ".join(f"{name.split('-')[0]} {version}" for name, version in found.items())
 
-    if numpy.__version__.startswith("2"):
-        return "broken", f"numpy {numpy.__version__}; bpy 4.5 needs numpy below 2. Run: pip install 'numpy>=1.26.4,<2'"
-    return "ok", ", ".join(found)
+
+def check_extras() -> Outcome:
+    """Which extras are whole; of those begun, what they lack."""
+    lacks = extras.missing()
+    there = ", ".join(name for name, missing in lacks.items() if not missing) or "none"
+    absent = "; ".join(f"{name} lacks {', '.join(missing)}" for name, missing in lacks.items() if missing)
+    return ("missing", f"{there}. {absent}: pip install 'gaussians-on-fire[NAME]'") if absent else ("ok", there)
+
+
+def check_torch() -> Outcome:
+    code = (
+        "import torch; print(torch.__version__, 'for CUDA', torch.version.cuda, 'with', torch.get_num_threads(), "
+        "'threads,', torch.backends.cpu.get_cpu_capability())"
+    )
+    done = child(["-c", code])
+    if done.returncode == 0:
+        return "ok", done.stdout.strip()
+    if "No module named 'torch'" in done.stderr:
+        return "missing", "pip install 'gaussians-on-fire[torch]', or a build of your own"
+    return "broken", f"import torch fails: {last_line(done.stderr)}"
+
+
+# What a kernel was compiled with: LLVM's version and library, and Dr.Jit's lanes.
+KERNEL = """
+import drjit as dr, drjit.detail as d
+from drjit.llvm import Float
+from pathlib import Path
+x = dr.sum(dr.minimum(dr.arange(Float, 1000), 10))
+assert float(x[0]) == 45 + 10 * 990, x
+version = ".".join(map(str, getattr(d, "llvm_version", lambda: ("of an unknown version",))()))
+maps = Path("/proc/self/maps")
+found = {line.split()[-1] for line in maps.read_text().splitlines() if "LLVM" in line} if maps.exists() else ()
+print(f"libLLVM {version} {' '.join(found)}, {dr.thread_count()} threads")
+"""
 
 
 def check_drjit() -> Outcome:
     """Compile and run one kernel, in a child: an unsuitable libLLVM aborts the process."""
-    code = (
-        "import drjit as dr; from drjit.llvm import Float; x = dr.sum(dr.minimum(dr.arange(Float, 1000), 10))\n"
-        "assert float(x[0]) == 45 + 10 * 990, x; import drjit.detail as d; print(getattr(d, 'llvm_version', lambda: "
-        "'')())"
-    )
-    done = child(["-c", code])
-    library = os.environ.get("DRJIT_LIBLLVM_PATH", "found by itself")
+    done = child(["-c", KERNEL])
     if done.returncode == 0:
-        return "ok", f"CPU kernels compile and run (libLLVM {done.stdout.strip() or library})"
+        kind = os.environ.get("GOF_RENDER_BACKEND", "llvm")
+        return "ok", f"CPU kernels compile and run ({done.stdout.strip()}); the renderer takes {kind}"
     if ("LLVM" in done.stderr and "could not be found" in done.stderr) or "dlopen" in done.stderr:
         return (
             "broken",
@@ -126,22 +165,6 @@ def check_cuda() -> Outcome:
     )
 
 
-def check_openexr() -> Outcome:
-    """Write and read back a small EXR."""
-    import numpy as np
-    import OpenEXR
-
-    with tempfile.TemporaryDirectory() as folder:
-        path, pixels = f"{folder}/a.exr", np.arange(12, dtype=np.float32).reshape(3, 4)
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        OpenEXR.File(header, {"Z": pixels}).write(path)
-        with OpenEXR.File(path) as file:
-            same = np.array_equal(file.channels()["Z"].pixels, pixels)
-    if not same:
-        return "broken", "a written picture reads back differently; reinstall OpenEXR"
-    return "ok", f"round trip exact (OpenEXR {importlib.metadata.version('OpenEXR')})"
-
-
 def check_disk() -> Outcome:
     free = shutil.disk_usage(".").free / 2**30
     if free < 2:
@@ -160,10 +183,12 @@ def check_weights(name: str) -> Callable[[], Outcome]:
 
 
 CHECKS = (
-    Check("Python", "bpy's wheels exist for one version", check_python, 10),
+    Check("Python", "3.10 or newer; 3.11 for the extra `blender`", check_python, 10),
+    Check("system", "for a bug report", check_system, 15),
     Check("packages", "versions that fit together", check_packages, 20),
+    Check("extras", "optional: docs/install.md says what each is for", check_extras, 25),
     Check("Dr.Jit", "the renderer and the optimisation", check_drjit, 30),
-    Check("OpenEXR", "linear pictures and depth", check_openexr, 40),
+    Check("PyTorch", "optional: checkpoints, learned scores, rasterize() for PyTorch", check_torch, 35),
     Check("disk", "datasets and results", check_disk, 70),
     Check("CUDA", "optional: speed", check_cuda, 80),
     *(Check(f"weights/{name}", "optional: better models", check_weights(name), 90) for name in WEIGHTS),
@@ -190,7 +215,9 @@ def examine(checks: list[Check]) -> list[Finding]:
 
 def child(arguments: list[str]) -> subprocess.CompletedProcess:
     """Python with these arguments in a process of its own, which may crash; at most five minutes."""
-    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, errors="replace", timeout=300)
+    return subprocess.run(
+        [sys.executable, *arguments], capture_output=True, encoding="utf-8", errors="replace", timeout=300
+    )
 
 
 def last_line(text: str) -> str:

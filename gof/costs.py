@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -93,11 +92,13 @@ class StageLog:
 
 def peak_memory_mb() -> float:
     """The most memory this process has held so far, in MB."""
-    if sys.platform == "win32":
+    status = Path("/proc/self/status")
+    if status.is_file():  # getrusage would count what the process that started this one had in memory
+        return int(status.read_text(encoding="utf-8").partition("VmHWM:")[2].split()[0]) / 2**10
+    try:
+        import resource
+    except ModuleNotFoundError:  # Windows
         import psutil
 
         return psutil.Process().memory_info().peak_wset / 2**20
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10  # macOS counts bytes, Linux kilobytes
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # macOS counts bytes

@@ -9,7 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,11 +19,13 @@ try:
     import fcntl
 except ModuleNotFoundError:  # Windows
     fcntl = None
+    import msvcrt
 
 LONGEST_NAME, LONGEST_PATH = 200, 1000  # bytes; room is left for what is put around a name, and for the folder
 HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")  # in JSON; alone it can be neither printed nor written
 # Windows opens these as devices, in any case, with any ending.
 DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])(\..*)?", re.I)
+LOCKED_BYTE = 2**30
 NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EROFS, errno.EACCES)
 
@@ -63,7 +65,8 @@ def path_in(folder: Path, path: str) -> Path:
         raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there")
     try:
         inside = (folder / path).resolve().is_relative_to(folder.resolve())
-        (folder / path).exists()  # asks the file system whether there can be such a name
+        with suppress(FileNotFoundError, NotADirectoryError):
+            (folder / path).stat()  # asks the file system whether there can be such a name
     except (OSError, RuntimeError) as e:  # too long, links in a circle
         raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there ({e})") from e
     if not inside:
@@ -169,11 +172,13 @@ def _opened_lock(path: Path) -> IO[str]:
 
 
 def _lock(lock: IO[str], folder: Path) -> None:
-    if fcntl is None:
-        return
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as e:
+        if fcntl:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        else:  # a byte behind the end, as nobody else can read what is locked
+            lock.seek(LOCKED_BYTE)
+            msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
+    except (BlockingIOError, PermissionError) as e:
         lock.seek(0)
         raise GofError(
             f"{folder}: another run is at work there (process {lock.read().strip() or 'unknown'}); wait for it, or "

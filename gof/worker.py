@@ -35,12 +35,12 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
     start = time.perf_counter()
     tail: list[str] = []
     figures: dict[str, Any] = {}
-    log_file = open(log, "a") if log else None
+    log_file = open(log, "a", encoding="utf-8") if log else None
     child = subprocess.Popen(
         argv,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        text=True,
+        encoding="utf-8",
         errors="replace",
         start_new_session=True,
         env=os.environ | {WORKER_VARIABLE: "1"},
@@ -59,9 +59,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
                     log_file.write(line)
         status = child.wait()
     except BaseException:
-        # The whole group: a worker may have started helpers of its own.
-        os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
+        _end(child)
         raise
     finally:
         peak.stop()
@@ -71,6 +69,19 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
         where = f" (full log: {log})" if log else ""
         raise GofError(f"{title} failed with status {status}{where}:\n{''.join(tail)}")
     return StageCost(title, time.perf_counter() - start, peak.mb, figures)
+
+
+def _end(child: subprocess.Popen) -> None:
+    """End a child and the helpers that it may have started."""
+    if hasattr(os, "killpg"):
+        os.killpg(child.pid, signal.SIGKILL)
+    else:  # Windows has no groups
+        import psutil
+
+        for process in psutil.Process(child.pid).children(recursive=True):
+            process.kill()
+        child.kill()
+    child.wait()
 
 
 def _progress_of(line: str) -> dict[str, Any] | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.metadata
+import importlib.util
 import tempfile
 from pathlib import Path
 
@@ -10,7 +12,26 @@ from gof_blender.pure import spec
 from gof_blender.pure.clip import Clip
 from gof_blender.pure.spec import Domain, SceneSpec
 
+GENERATE = "for `gof generate` and `gof demo`: pip install 'gaussians-on-fire[blender]' with Python 3.11"
 SMALLEST = SceneSpec("doctor", clip=Clip(frames=1, warm_up_frames=2), domain=Domain(resolution=16), background="studio")
+
+
+def check_openexr() -> Outcome:
+    """Write and read back a small EXR."""
+    if importlib.util.find_spec("OpenEXR") is None:
+        return "missing", GENERATE
+    import numpy as np
+    import OpenEXR
+
+    with tempfile.TemporaryDirectory() as folder:
+        path, pixels = f"{folder}/a.exr", np.arange(12, dtype=np.float32).reshape(3, 4)
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {"Z": pixels}).write(path)
+        with OpenEXR.File(path) as file:
+            same = np.array_equal(file.channels()["Z"].pixels, pixels)
+    if not same:
+        return "broken", "a written picture reads back differently; reinstall OpenEXR"
+    return "ok", f"round trip exact (OpenEXR {importlib.metadata.version('OpenEXR')})"
 
 
 def check_blender() -> Outcome:
@@ -18,7 +39,7 @@ def check_blender() -> Outcome:
     if done.returncode:
         why = last_line(done.stderr)
         if "No module named" in why:
-            return "broken", "the bpy package is not installed. Run: pip install 'gaussians-on-fire[blender]'"
+            return "missing", GENERATE
         return (
             "broken",
             f"import bpy fails: {why}. A missing lib*.so comes from apt-get install (see tools/system_packages.sh)",
@@ -28,6 +49,8 @@ def check_blender() -> Outcome:
 
 def check_mantaflow() -> Outcome:
     """A real bake of three frames in a throw-away folder, with the worker that the generator uses."""
+    if importlib.util.find_spec("bpy") is None:
+        return "missing", GENERATE
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "spec.json"
         spec.save(SMALLEST, path)
@@ -39,6 +62,7 @@ def check_mantaflow() -> Outcome:
 
 
 CHECKS = (
+    Check("OpenEXR", "linear pictures and depth of datasets", check_openexr, 40),
     Check("Blender", "scenes, cameras, rendering", check_blender, 50),
     Check("Mantaflow", "fire simulation and its velocities", check_mantaflow, 60),
 )

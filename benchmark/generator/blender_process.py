@@ -138,4 +138,4 @@ def _killed_on_error(process: subprocess.Popen) -> Iterator[None]:
 
 
 def _last_lines(log: Path) -> str:
-    return "\n".join(log.read_text(errors="replace").splitlines()[-15:])
+    return "\n".join(log.read_text(encoding="utf-8", errors="replace").splitlines()[-15:])

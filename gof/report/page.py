@@ -15,10 +15,10 @@ from gof.errors import DataFormatError
 from gof.evaluate.scores import Scores
 from gof.files import atomic_path, path_in
 from gof.gaussians import TransientGaussians
+from gof.machine import machine, versions
 from gof.reconstruct.captions import Captions
 from gof.report import animation as pictures
 from gof.report.chart import l2_chart
-from gof.report.machine import machine, versions
 from gof.report.preview import Preview
 from gof.report.velocity import legend
 from gof.report.verdicts import verdicts

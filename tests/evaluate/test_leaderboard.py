@@ -95,7 +95,8 @@ def test_streamlines_follow_a_known_flow():
     for line in lines:
         r = np.hypot(*(line - n / 2).T)
         assert np.ptp(r) < 0.05 * max(r.max(), 4) and r.max() < 22
-        turn = np.cross(line[:-1] - n / 2, np.diff(line, axis=0))
+        (x0, y0), (dx, dy) = (line[:-1] - n / 2).T, np.diff(line, axis=0).T
+        turn = x0 * dy - y0 * dx
         assert (turn >= -1e-9).all() and turn.sum() > 0
     assert streamlines(np.zeros((n, n, 2)), density) == []
     picture = np.asarray(draw(density, np.stack([-y, x], -1), scale=4))

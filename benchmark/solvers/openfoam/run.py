@@ -179,7 +179,7 @@ def _lines(installation: Installation, case: Path, program: str, *arguments: str
         preexec_fn=die_with_parent if sys.platform == "linux" else None,
     )
     try:
-        with open(log, "a") as file:
+        with open(log, "a", encoding="utf-8") as file:
             for line in child.stdout:
                 file.write(line)
                 last = [*last[-30:], line]

@@ -10,7 +10,7 @@ import json
 import os
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,8 @@ def path_in(folder: Path, path: str) -> Path:
         raise FileFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there")
     try:
         inside = (folder / path).resolve().is_relative_to(folder.resolve())
-        (folder / path).exists()  # asks the file system whether there can be such a name
+        with suppress(FileNotFoundError, NotADirectoryError):
+            (folder / path).stat()  # asks the file system whether there can be such a name
     except (OSError, RuntimeError) as error:  # too long, links in a circle
         raise FileFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there ({error})") from None
     if not inside:

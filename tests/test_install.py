@@ -1,0 +1,186 @@
+"""What an installation is: cheap to start, of what it says, with what it needs and nothing more."""
+
+import ast
+import importlib.metadata
+import json
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import gof
+from gof import extras
+from gof.errors import MissingDependencyError
+
+ROOT = Path(__file__).parents[1]
+NAME = "gaussians-on-fire"
+# Where a package's import name is not its own.
+IMPORTS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "serial": "pyserial", "dask": "distributed"}
+IMPORTS |= {"tornado": "distributed", "websockets": "viser", "flip_evaluator": "flip-evaluator"}
+
+
+# ---------------------------------------------------------------- cheap
+
+
+@pytest.mark.skipif(os.name != "posix", reason="counts the seconds of a child")
+@pytest.mark.parametrize("code", ["import gof", "from gof.cli import main; main(['--help'])"])
+def test_starting_takes_no_fifth_of_a_second(code):
+    """Seconds of the processor, the least of five: other programs run here too."""
+    ask = f"import resource\n{code}\nprint(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]))"
+    runs = [subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True) for _ in range(5)]
+    assert min(float(run.stdout.splitlines()[-1]) for run in runs) < 0.2
+
+
+def test_an_absent_library_is_named_with_its_extra():
+    with pytest.raises(
+        MissingDependencyError, match=r"a picture needs nowhere: pip install 'gaussians-on-fire\[view\]'"
+    ):
+        extras.load("nowhere.at_all", "view", "a picture")
+    assert extras.load("json", "view", "a picture") is json
+
+
+def test_extras_know_what_they_lack(monkeypatch):
+    needs = ["numpy>=1", "nothing-here>=1; extra == 'a'", "numpy; extra == 'b'", 'numpy[x]<9; extra == "a"']
+    monkeypatch.setattr(importlib.metadata, "requires", lambda name: needs)
+    assert extras.missing() == {"a": ["nothing-here"], "b": []}
+
+
+# ---------------------------------------------------------------- as it says
+
+
+def test_the_installed_version_is_that_of_the_code():
+    assert importlib.metadata.version(NAME) == gof.__version__
+
+
+@pytest.mark.checkout
+def test_every_place_has_the_version():
+    assert f"\nversion: {gof.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## {gof.__version__} " in (ROOT / "CHANGELOG.md").read_text()
+
+
+def needed(extra=None):
+    """Names that the metadata ask for, without extras or with one."""
+    lines = importlib.metadata.requires(NAME)
+    if extra is None:
+        return {re.match(r"[\w.-]+", line)[0] for line in lines if "extra ==" not in line}
+    return {re.match(r"[\w.-]+", line)[0] for line in lines if re.search(rf"extra == .{extra}\b", line)}
+
+
+def unguarded(tree):
+    """Imported names with their lines; not those in `try: ... except ImportError` (a missing one is answered there)."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Try) and any("Error" in ast.dump(h.type) for h in node.handlers if h.type):
+            caught = " ".join(ast.dump(handler.type) for handler in node.handlers)
+            if "ImportError" in caught or "ModuleNotFoundError" in caught:
+                continue
+        if isinstance(node, ast.If) and getattr(node.test, "id", None) == "TYPE_CHECKING":
+            continue
+        if isinstance(node, ast.Import):
+            yield from ((alias.name.split(".")[0], node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.module.split(".")[0], node.lineno
+        yield from unguarded(node)
+
+
+# Files of `gof` that open with a question whether an extra's library is there: their other imports of it are safe.
+ASKED = {
+    "torch": (
+        "gof/evaluate/perceptual.py",
+        "gof/evaluate/video.py",
+        "gof/ingest/depth.py",
+        "gof/io/importers/source.py",
+    )
+    + ("gof/reconstruct/optical_flow.py", "gof/render/torch_api.py"),
+    "transformers": ("gof/ingest/depth.py",),
+    "memfof": ("gof/reconstruct/optical_flow.py",),
+    "pyserial": ("gof/capture/controller.py",),
+    "viser": ("gof/report/viewer.py", "gof/report/own_pages.py"),
+    "msvcrt": ("gof/files.py",),
+}
+
+
+@pytest.mark.checkout
+def test_gof_imports_what_an_installation_without_extras_has():
+    """A method's author scores with it in the environment that trained, where no extra is installed."""
+    base, wrong = needed(), []
+    for path in sorted((ROOT / "gof").rglob("*.py")):
+        for name, line in unguarded(ast.parse(path.read_text(encoding="utf-8"))):
+            place = path.relative_to(ROOT).as_posix()
+            package = IMPORTS.get(name, name)
+            if name in sys.stdlib_module_names or name == "gof" or package in base or place in ASKED.get(package, ()):
+                continue
+            wrong.append(f"{place}:{line} imports {name}")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.checkout
+def test_what_is_needed_is_imported_somewhere():
+    """A dependency that nobody imports costs every installation for nothing."""
+    imported = set()
+    for path in (ROOT / "gof").rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        names = [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+        names += [n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module]
+        imported |= {IMPORTS.get(name.split(".")[0], name.split(".")[0]) for name in names}
+    assert not needed() - imported
+
+
+def test_blenders_pins_belong_to_its_extra():
+    lines = {re.match(r"[\w.-]+", line)[0]: line for line in importlib.metadata.requires(NAME) if "extra" not in line}
+    assert "bpy" not in lines and "<3" in lines["numpy"] and "<5" in lines["opencv-contrib-python-headless"]
+    assert {"bpy", "opencv-contrib-python-headless"} <= needed("blender")
+    assert importlib.metadata.metadata(NAME)["Requires-Python"] == ">=3.10"
+
+
+@pytest.mark.checkout
+@pytest.mark.long
+def test_nothing_is_newer_than_the_oldest_python(tmp_path):
+    """Syntax, modules, names and arguments, by vermin; that it says no is shown with what it found before 0.2.0."""
+    pytest.importorskip("vermin")
+    command = [sys.executable, "-c", "import vermin; vermin.main()", "--no-tips", "--violations", "-t=3.10-"]
+    done = subprocess.run([*command, "gof", "benchmark", "tools"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    newer = ("from typing import Self", "import tomllib", "import warnings\nwarnings.catch_warnings(action='ignore')")
+    for code in newer:
+        (tmp_path / "newer.py").write_text(code)
+        assert subprocess.run([*command, str(tmp_path)], capture_output=True).returncode == 1, code
+
+
+# ---------------------------------------------------------------- what is in the files
+
+FOLDERS = {"gof": "gof", "benchmark": "gof_benchmark", "blender_addon": "gof_blender"}
+INFO = {"METADATA", "RECORD", "WHEEL", "entry_points.txt", "top_level.txt", "licenses/LICENSE"}
+INFO |= {"licenses/blender_addon/LICENSE"}
+MADE = {"PKG-INFO", "setup.cfg"} | {
+    f"gaussians_on_fire.egg-info/{name}"
+    for name in ("PKG-INFO", "SOURCES.txt", "dependency_links.txt", "entry_points.txt", "requires.txt", "top_level.txt")
+}
+
+
+@pytest.mark.checkout
+@pytest.mark.long
+def test_wheel_and_sdist_hold_the_tracked_files_and_no_others(tmp_path):
+    from tools import install_matrix
+
+    if not (ROOT / ".git").exists():
+        pytest.skip("asks git which files are ours")
+    stray = ROOT / "gof" / "__pycache__" / "stray.pyc"
+    stray.parent.mkdir(exist_ok=True)
+    stray.write_bytes(b"of this machine")
+    wheel, sdist = install_matrix.build(tmp_path)
+    stray.unlink()
+    tracked = set(install_matrix.tracked())
+    with zipfile.ZipFile(wheel) as archive:
+        found = set(archive.namelist())
+    ours = {tuple(path.split("/", 1)) for path in tracked if "/" in path}
+    expected = {f"{FOLDERS[folder]}/{path}" for folder, path in ours if folder in FOLDERS}
+    expected |= {f"gaussians_on_fire-{gof.__version__}.dist-info/{name}" for name in INFO}
+    assert found == expected
+    with tarfile.open(sdist) as archive:
+        found = {member.name.split("/", 1)[1] for member in archive if member.isfile()}
+    assert found == {path for path in tracked if not path.startswith(".")} | MADE
