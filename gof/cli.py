@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import importlib
 import os
+import re
 import sys
 from functools import cache
 from importlib.metadata import entry_points
@@ -17,6 +18,11 @@ ALIASES = {"static": "ingest"}  # old name -> new name, for one version
 
 # What a user's disk can do to a run.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
+
+# Libraries say it in their own ways where Python's MemoryError does not come through.
+NO_MEMORY = re.compile(
+    r"out of memory|not enough memory|can(not|'t) allocate memory|failed to (map segment|allocate)|bad_alloc", re.I
+)
 
 HELP = """\
 gof {version} - Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
@@ -100,6 +106,11 @@ def run(name: str, argv: list[str]) -> int:
             "need less, see --help",
             file=sys.stderr,
         )
+        return 1
+    except (ImportError, RuntimeError) as e:
+        if not NO_MEMORY.search(str(e)):
+            raise
+        print(f"gof {name}: not enough memory ({printable(str(e))[:200]}); close other programs", file=sys.stderr)
         return 1
     except BrokenPipeError:
         raise

@@ -46,6 +46,7 @@ class Motion:
         step_s: over which velocities are differences where a state has none. A network in float32 knows no less than
             about 1e-7 of its distance from the origin; let it compute in float64, or take a longer step.
         matrix: (4, 4) similarity from the function's world to this one.
+        source: what errors call it.
     """
 
     function: Callable[[float], State]
@@ -53,6 +54,7 @@ class Motion:
     times_s: np.ndarray | None = None
     step_s: float = 1e-4
     matrix: np.ndarray | None = None
+    source: str = "the function"
 
     def __len__(self) -> int:
         return len(self.dynamic)
@@ -75,7 +77,9 @@ class Motion:
         """
         first, last = self.covered_s
         if not first - 1e-6 <= time_s <= last + 1e-6:
-            raise DataFormatError(f"time {time_s:g} s is outside the {first:g}..{last:g} s that the function knows")
+            raise DataFormatError(
+                f"{self.source}: time {time_s:g} s is outside the {first:g}..{last:g} s that it knows"
+            )
         state = self.function(time_s)
         n = len(state.position)
         velocity = self._difference(time_s) if state.velocity is None else state.velocity
@@ -92,7 +96,7 @@ class Motion:
                 dynamic=np.ones(n, bool) if state.dynamic is None else state.dynamic,
             )
         except (DataFormatError, NonFiniteError) as e:
-            raise type(e)(f"the function's state at {time_s:g} s: {e}") from e
+            raise type(e)(f"{self.source}: state at {time_s:g} s: {e}") from e
         return found if self.matrix is None else found.transformed(self.matrix)
 
     def transformed(self, matrix: np.ndarray) -> Motion:

@@ -111,6 +111,31 @@ def test_options_that_would_be_ignored_are_refused(tiny_dataset, tmp_path, capsy
         assert word in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("Unable to allocate 11.2 GiB"),
+        ImportError("_ckdtree.so: failed to map segment from shared object"),
+        RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 80 bytes"),
+        RuntimeError("jit_malloc(): out of memory! Could not allocate 16 bytes"),
+    ],
+    ids=str,
+)
+def test_memory_that_ends_is_named_whoever_says_so(error, monkeypatch, capsys):
+    """In the words of numpy, the loader, PyTorch and Dr.Jit. Other errors of a library stay what they are."""
+    from gof.commands import doctor
+
+    def fail(argv):
+        raise error
+
+    monkeypatch.setattr(doctor, "main", fail)
+    assert main(["doctor"]) == 1
+    assert "gof doctor: not enough memory" in capsys.readouterr().err
+    error = RuntimeError("something else")
+    with pytest.raises(RuntimeError, match="something else"):
+        main(["doctor"])
+
+
 # ---------------------------------------------------------------- names and links beside them
 
 

@@ -22,7 +22,7 @@ from gof_blender.pure.io import FileFormatError, gaussians_file
 from gof_blender.pure.spec import SceneSpec
 from tests.conftest import arc, random_gaussians
 
-NEED_BLENDER_OR_TORCH = ("pictures .exr", "checkpoint .pth")
+NEED_BLENDER_OR_TORCH = ("pictures .exr", "checkpoint .pth", "4DGS of Yang, cfg_args")
 
 
 @pytest.mark.long
@@ -283,7 +283,7 @@ def test_cameras_that_are_none(tmp_path):
         align_cameras(far, target)
     (tmp_path / "world.json").write_text('{"training_to_world": [[NaN,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}')
     with pytest.raises(DataFormatError, match="NaN"):
-        world_from_training(tmp_path / "world.json")
+        world_from_training(tmp_path / "world.json", None, np.zeros((3, 3)))
 
 
 @pytest.mark.parametrize("clip", [{"frames": 10**18}, {"warm_up_frames": 10**18}])

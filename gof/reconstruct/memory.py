@@ -10,20 +10,33 @@ from gof.dataset import Dataset
 from gof.errors import GofError
 
 GB = 1e9
-# Bytes, fitted to measured runs (docs/reconstruction.md, "Memory").
-BASE, A_TRAINING_PIXEL, A_GAUSSIAN, A_VOXEL = 0.4e9, 60.0, 1600.0, 400.0
-HULL = 0.15  # of the cells of the flame's box that stand in the hull
+# Bytes at the peaks of finding the flow field and of optimising, fitted to measured runs (docs/reliability.md).
+FIELD, FIELD_PIXEL, FIELD_VOXEL = 200e6, 48.6, 152.0
+FITTING, FITTING_PIXEL, FITTING_VOXEL, GAUSSIAN = 315e6, 82.0, 21.0, 1680.0
+HULL = 0.07  # of the cube of voxels along the longest side of the flame's box, that stand in its hull
+ADDRESSES = 0.8e9  # what libraries map and never touch, which `ulimit -v` counts too
 
 
-def needed_bytes(dataset: Dataset, gaussians: int, voxels: int) -> float:
-    """What `gof reconstruct` takes of memory at its peak, about.
+def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int) -> float:
+    """What `gof reconstruct` takes of memory at its peak, within about 15 %.
 
     Args:
-        dataset: at the size that is reconstructed.
-        gaussians: in all frames together.   voxels: along the longest side of the flame's box.
+        training_pixels: of all training pictures together, at the size that is reconstructed.
+        frames: for training.   gaussians: in all frames together.
+        voxels: along the longest side of the flame's box.
     """
-    pixels = len(dataset.train_frames) * sum(camera.width * camera.height for camera in dataset.cameras)
-    return BASE + A_TRAINING_PIXEL * pixels + A_GAUSSIAN * gaussians + A_VOXEL * HULL * voxels**3
+    hull = HULL * voxels**3 * frames
+    return max(
+        FIELD + FIELD_PIXEL * training_pixels + FIELD_VOXEL * hull,
+        FITTING + FITTING_PIXEL * training_pixels + FITTING_VOXEL * hull + GAUSSIAN * gaussians,
+    )
+
+
+def needed_for(dataset: Dataset, gaussians: int, voxels: int) -> float:
+    """The same for a dataset, at the size that is reconstructed."""
+    frames = len(dataset.train_frames)
+    pixels = frames * sum(camera.width * camera.height for camera in dataset.cameras)
+    return needed_bytes(pixels, frames, gaussians, voxels)
 
 
 def in_words(needed: float) -> str:
@@ -31,10 +44,10 @@ def in_words(needed: float) -> str:
 
 
 def require(needed: float) -> None:
-    """Refuse what this machine cannot hold, and warn where others' programs stand in the way.
+    """Refuse what this machine cannot hold, and warn where other programs stand in the way.
 
     Raises:
-        GofError: it has less in all.
+        GofError: it has less in all, or this process may not take so much.
     """
     memory = psutil.virtual_memory()
     remedy = "--longest-side, --gaussians or --voxels with less, or a dataset of fewer frames, need less"
@@ -51,10 +64,10 @@ def require(needed: float) -> None:
 
 
 def _limit() -> float:
-    """Bytes that this process may take (`ulimit -v`), infinite without a limit."""
+    """Bytes that this process may use under `ulimit -v`, infinite without one."""
     try:
         import resource
     except ModuleNotFoundError:  # Windows
         return float("inf")
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return float("inf") if limit == resource.RLIM_INFINITY else float(limit)
+    return float("inf") if limit == resource.RLIM_INFINITY else max(limit - ADDRESSES, 0.0)

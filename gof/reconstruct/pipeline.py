@@ -152,7 +152,7 @@ def _require_possible(run: _Run, anyway: bool) -> None:
     steps = run.settings.iterations
     camera = run.dataset.cameras[0]
     seconds = steps * step_ms(run.settings.gaussians, camera.width * camera.height) / 1e3
-    needed = memory.needed_bytes(run.dataset, run.settings.gaussians, run.settings.voxels)
+    needed = memory.needed_for(run.dataset, run.settings.gaussians, run.settings.voxels)
     print(
         f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores, and {memory.in_words(needed)}",
         file=sys.stderr,

@@ -579,7 +579,7 @@ def test_a_function_of_time_is_a_result(tmp_path):
         {"opacity": np.full(n, 3.0)},
         {"position": np.full((n, 3), np.nan)},
     ):
-        with pytest.raises(GofError, match="state at 0.5 s"):
+        with pytest.raises(GofError, match="the function: state at 0.5 s"):
             Motion(lambda t, wrong=wrong: state(t, velocity=np.zeros((n, 3)), **wrong)).state_at(0.5)
 
 
@@ -756,6 +756,22 @@ def test_own_files(tmp_path, gaussians):
 
 
 # ---------------------------------------------------------------- worlds
+
+
+def test_results_that_float32_has_rounded_away_are_named(tmp_path):
+    """Unix time and UTM coordinates: lives and sizes of nothing; a day's seconds and a kilometre are still read."""
+    g = replace(
+        random_gaussians(30), t_sigma=np.full(30, 0.02), scale=np.full((30, 3), 0.01), dynamic=np.ones(30, bool)
+    )
+    for change, what in (({"t_mu": g.t_mu + 1.76e9}, "clock"), ({"position": g.position + [5e5, 4.2e6, 100]}, "world")):
+        path = replace(g, **change).save(tmp_path / f"{what}.npz")
+        with pytest.raises(GofError, match=f"the result's {what} reaches"):
+            read_result(path)
+    for change in ({"t_mu": g.t_mu + 600}, {"position": g.position + [1000.0, 0, 0]}):
+        read_result(replace(g, **change).save(tmp_path / "fine.npz"))
+    lookalikes.yang(tmp_path / "chkpnt1.pth")
+    with pytest.raises(GofError, match="the result's clock"):
+        read_result(tmp_path / "chkpnt1.pth", ImportOptions(time_unit_s=0.35, time_zero_s=1.76e9))
 
 
 def test_cameras_of_one_folder_are_named_by_their_files(tmp_path):

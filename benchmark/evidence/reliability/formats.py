@@ -86,6 +86,49 @@ def _free_time_npz(folder: Path) -> None:
     )
 
 
+def _free_time_world(folder: Path) -> None:
+    """FreeTimeGS beside the COLMAP model that its world was normalised from."""
+    _free_time_npz(folder)
+    (folder / "colmap").mkdir()
+    _colmap(folder / "colmap")
+
+
+def _spacetime(folder: Path) -> None:
+    from gof.ply import splat_columns, write
+
+    rng = np.random.default_rng(0)
+    columns = splat_columns(_gaussians(9).arrays())
+    names = ["trbf_center", "trbf_scale", *(f"motion_{i}" for i in range(9)), *(f"omega_{i}" for i in range(4))]
+    write(folder / "point_cloud.ply", columns | {name: rng.normal(size=9) for name in names}, [])
+
+
+def _yang(folder: Path) -> None:
+    import torch
+
+    n, zeros = 8, torch.zeros
+    turns = torch.randn(n, 4), torch.randn(n, 4)
+    shared = (1, torch.randn(n, 3), zeros(n, 1, 3), zeros(n, 15, 3), zeros(n, 3), turns[0], zeros(n, 1), zeros(n))
+    learned = (zeros(n, 1), zeros(n, 1), zeros(n, 1), {"state": {}, "param_groups": []}, 1.0)
+    state = (*shared, *learned, torch.rand(n, 1), zeros(n, 1), turns[1], True, zeros(0), 2)
+    torch.save((state, 7), folder / "chkpnt7.pth")
+    (folder / "cfg_args").write_text("Namespace(sh_degree=3, source_path='a', prefilter_var=0.02, gaussian_dim=4)")
+
+
+def _rig(folder: Path) -> None:
+    """The sample dataset with something that burns, so that its cameras can be doubted."""
+    import cv2
+
+    _dataset(folder)
+    for camera in (0, 1):
+        for frame in range(2):
+            path = folder / f"cameras/cam_{camera}/{frame:06d}.png"
+            picture = cv2.imread(str(path))
+            picture[20 + 2 * frame : 40, 8:20] = (20, 120, 255)
+            cv2.imwrite(str(path), picture)
+    file = folder / "dataset.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"splits": {"train": [0, 1], "test": []}}))
+
+
 def _trajectory(folder: Path) -> None:
     from gof.trajectory import Trajectory
 
@@ -405,13 +448,32 @@ def _read_in_blender(name: str) -> Callable[[Path], Any]:
     return read
 
 
-def _read_foreign(name: str = "") -> Callable[[Path], Any]:
+def _read_foreign(name: str = "", time_unit_s: float | None = 0.5) -> Callable[[Path], Any]:
     def read(folder: Path):
         from gof.io.importers import ImportOptions, read_result
 
-        return read_result(folder / name, ImportOptions(time_unit_s=0.5)).gaussians
+        return read_result(folder / name, ImportOptions(time_unit_s=time_unit_s)).gaussians
 
     return read
+
+
+def _read_in_colmap_world(folder: Path):
+    from gof.io.importers import ImportOptions, read_result
+
+    options = ImportOptions(time_unit_s=0.5, world=folder / "colmap", world_by="freetime")
+    return read_result(folder / "canonical_4d.npz", options).gaussians
+
+
+def _read_spacetime(folder: Path):
+    motion = _read_foreign("point_cloud.ply")(folder)
+    return [motion.state_at(time_s) for time_s in (0.0, 0.3)]
+
+
+def _doubt(folder: Path):
+    from gof.dataset import Dataset
+    from gof.reconstruct.sanity import doubts
+
+    return [doubt.text for doubt in doubts(Dataset.open(folder))]
 
 
 def _read_dataset(folder: Path):
@@ -453,7 +515,8 @@ def _read_colmap(folder: Path):
     from gof.io.importers.normalisation import world_from_training
     from gof.similarity import decompose
 
-    return read_cameras(folder), decompose(world_from_training(folder))
+    places = np.random.default_rng(0).normal(size=(9, 3))
+    return read_cameras(folder), decompose(world_from_training(folder, "gsplat", places)[0])
 
 
 def _read_poses(folder: Path):
@@ -514,7 +577,11 @@ def formats() -> dict[str, Format]:
             lambda f: freetime.save(_gaussians(), f / "r.ftgs.ply", 0, 1), _read_foreign("r.ftgs.ply"), share=2
         ),
         "FreeTimeGS .npz": Format(_free_time_npz, _read_foreign("canonical_4d.npz"), share=2),
-        "trajectory .npz": Format(_trajectory, _read_foreign("t.npz"), share=2),
+        "FreeTimeGS in a COLMAP world": Format(_free_time_world, _read_in_colmap_world, "**/*.[nt][px]*", named=False),
+        "SpacetimeGaussians .ply": Format(_spacetime, _read_spacetime),
+        "4DGS of Yang, cfg_args": Format(_yang, _read_foreign("chkpnt7.pth")),
+        "a rig, doubted": Format(_rig, _doubt, "**/*.[jp][sn]*"),
+        "trajectory .npz": Format(_trajectory, _read_foreign("t.npz", None), share=2),
         "sequence of .ply": Format(_still_plys, _read_foreign()),
         "checkpoint .pth": Format(_checkpoint, _read_foreign("chkpnt7.pth"), share=2),
         "dataset.json": Format(_dataset, _read_dataset, "dataset.json", share=2),

@@ -201,9 +201,9 @@ def require_unit(times: np.ndarray, options: ImportOptions, path: Path) -> None:
 
 def _check_unpacked_size(path: Path) -> None:
     """torch.save packs nothing: an archive that unpacks to more than its size is no work of its own."""
-    if not zipfile.is_zipfile(path):
-        return
     try:
+        if not zipfile.is_zipfile(path):
+            return
         with zipfile.ZipFile(path) as archive:
             total = sum(member.file_size for member in archive.infolist())
     except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as e:

@@ -44,9 +44,8 @@ def read(source: Source, options: ImportOptions) -> Imported:
     ]
     first, count = options.clip_s[0] if options.clip_s else options.time_zero_s, 101
     times = np.linspace(first, options.clip_s[1] if options.clip_s else first + unit, count)
-    return Imported(
-        Motion(_state(ply, unit, options.time_zero_s, lite), times_s=times), "spacetime", source.path, notes
-    )
+    motion = Motion(_state(ply, unit, options.time_zero_s, lite), times_s=times, source=str(source.path))
+    return Imported(motion, "spacetime", source.path, notes)
 
 
 def _state(ply: Ply, unit: float, zero_s: float, lite: bool):

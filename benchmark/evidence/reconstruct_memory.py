@@ -1,0 +1,57 @@
+"""The memory of `gof reconstruct`, predicted and measured.
+
+Each row is a run of 120 steps in a process of its own, whose largest resident size the system tells.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from gof.dataset import Dataset
+from gof.reconstruct.memory import needed_for
+from gof.reconstruct.shrink import shrink
+
+STEPS = 120
+
+
+@dataclass
+class Config:
+    """Predicted and measured peak memory of reconstructions of a dataset."""
+
+    dataset: tyro.conf.Positional[Path]
+    runs: tuple[tuple[int, int, int], ...] = ((320, 60_000, 72), (320, 5_000, 72), (320, 250_000, 72))
+    """Longest side, Gaussians and voxels of each run."""
+
+
+def measured_bytes(dataset: Path, side: int, gaussians: int, voxels: int) -> int:
+    """Peak resident size of one run. Raises RuntimeError: it failed."""
+    with tempfile.TemporaryDirectory() as out:
+        command = [sys.executable, "-m", "gof", "reconstruct", str(dataset), "--out", out, "--iterations", str(STEPS)]
+        command += ["--longest-side", str(side), "--gaussians", str(gaussians), "--voxels", str(voxels)]
+        child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        _, status, used = os.wait4(child.pid, 0)
+    if status:
+        raise RuntimeError(f"{' '.join(command)} ended with {status}")
+    return used.ru_maxrss * 1024
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the table."""
+    config = tyro.cli(Config, prog="python -m gof_benchmark.evidence.reconstruct_memory", args=argv)
+    print("| longest side | Gaussians | voxels | predicted, MB | measured, MB | off |\n|---|---|---|---|---|---|")
+    for side, gaussians, voxels in config.runs:
+        predicted = needed_for(shrink(Dataset.open(config.dataset), side), gaussians, voxels)
+        measured = measured_bytes(config.dataset, side, gaussians, voxels)
+        off = predicted / measured - 1
+        print(f"| {side} | {gaussians} | {voxels} | {predicted / 1e6:.0f} | {measured / 1e6:.0f} | {off:+.0%} |")
+
+
+if __name__ == "__main__":
+    main()
