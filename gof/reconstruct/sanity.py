@@ -31,7 +31,7 @@ ANGLE_DEG = 0.5, 3.0  # at the flame between the two cameras farthest apart: too
 READOUT = 3.0, 1.05  # of a frame's time, that a picture's lines may take
 COVERED = 0.5, 0.75  # share of a mask that has something standing in front of it
 SPREAD = 0.0, 0.8  # correlation of light over the planes
-CHANGE = 0.4  # correlation of its change over time; good captures have 0.86 and more
+CHANGE = 0.4  # correlation of its change over time; good captures have 0.90 and more
 CHANGES = 0.1  # relative; what changes less says nothing about clocks
 PLATE = 0.02, 0.5  # display values of difference, and by how much less another plate differs
 
