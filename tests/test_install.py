@@ -184,3 +184,27 @@ def test_wheel_and_sdist_hold_the_tracked_files_and_no_others(tmp_path):
     with tarfile.open(sdist) as archive:
         found = {member.name.split("/", 1)[1] for member in archive if member.isfile()}
     assert found == {path for path in tracked if not path.startswith(".")} | MADE
+
+
+# ---------------------------------------------------------------- the lock
+
+
+def locked() -> dict[str, str]:
+    lines = [line for line in (ROOT / "requirements.lock").read_text().splitlines() if not line.startswith("#")]
+    found = [re.fullmatch(r"([a-z0-9.-]+)==(\S+) --hash=sha256:[0-9a-f]{64}", line) for line in lines]
+    assert all(found), "a version and a hash on every line"
+    return {match[1]: match[2] for match in found}
+
+
+@pytest.mark.checkout
+def test_the_lock_has_what_is_asked_for_in_versions_that_are_allowed():
+    """As the Makefile installs; torch itself is left out, and what its CUDA builds bring."""
+    requirements = pytest.importorskip("packaging.requirements")
+    lock, wanted = locked(), needed() | needed("blender") | needed("dev") | needed("leaderboard") | needed("view")
+    assert "torch" not in lock and ".[blender,torch,dev]" in (ROOT / "Makefile").read_text()
+    assert {name.lower() for name in wanted} - {NAME} <= set(lock)
+    for line in importlib.metadata.requires(NAME):
+        one = requirements.Requirement(line)
+        if one.name.lower() in lock:
+            assert one.specifier.contains(lock[one.name.lower()]), line
+    assert lock["numpy"].startswith("1.26"), "bpy needs it"

@@ -1,4 +1,4 @@
-"""The licences of what is installed: of this package with each extra, from the metadata of the packages themselves.
+"""What is installed with each extra: how much of it, and under which licences; from the packages' own metadata.
 
     python tools/licences.py     the table of docs/install.md
 
@@ -89,12 +89,17 @@ def objections(packages: dict[str, importlib.metadata.Distribution | None]) -> l
     return wrong
 
 
+def size_mb(distribution: importlib.metadata.Distribution) -> float:
+    """Of its files as they were installed, before Python compiles them."""
+    return sum(file.size or 0 for file in distribution.files or []) / 2**20
+
+
 def extras() -> list[str]:
     return importlib.metadata.metadata(NAME).get_all("Provides-Extra") or []
 
 
 def main() -> int:
-    print("| extra | packages it adds | not MIT, BSD or Apache |\n|---|---|---|")
+    print("| extra | packages it adds | MB | not MIT, BSD or Apache |\n|---|---|---|---|")
     base = brought_by(NAME)
     for extra in ["", *extras()]:
         packages = brought_by(NAME, [extra])
@@ -102,7 +107,8 @@ def main() -> int:
         others = [f"{name} ({licence(d)})" for name, d in added.items() if d and COPYLEFT.search(licence(d))]
         others += [f"{name} ({INSIDE[name][0]} inside)" for name in added if name in INSIDE]
         absent = [f"{name} (not installed here)" for name, d in added.items() if d is None]
-        print(f"| {extra or '(none)'} | {len(added)} | {', '.join(sorted(others + absent)) or '-'} |")
+        size = sum(size_mb(d) for d in added.values() if d)
+        print(f"| {extra or '(none)'} | {len(added)} | {size:.0f} | {', '.join(sorted(others + absent)) or '-'} |")
     return 0
 
 
