@@ -92,14 +92,19 @@ def stamp(folder: Path, paths: Iterable[str]) -> str:
 
     Their content is not read: that would take minutes for a clip.
     """
-    digest = hashlib.sha256()
+    state = hashlib.sha256()
     for path in sorted(paths):
         try:
             status = (folder / path).stat()
-            digest.update(f"{path!r} {status.st_size} {status.st_mtime_ns}\n".encode())
+            state.update(f"{path!r} {status.st_size} {status.st_mtime_ns}\n".encode())
         except OSError:
-            digest.update(f"{path!r} absent\n".encode())
-    return digest.hexdigest()[:16]
+            state.update(f"{path!r} absent\n".encode())
+    return state.hexdigest()[:16]
+
+
+def digest(path: Path) -> str:
+    """Sixteen hex digits that change with the content of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 # ---------------------------------------------------------------- writing

@@ -94,6 +94,20 @@ def test_weights_belong_to_the_settings(dataset, tmp_path):
     assert str(tmp_path) not in (tmp_path / "out" / "settings.json").read_text()
 
 
+def test_the_learned_prior_belongs_to_the_settings(dataset, tmp_path, monkeypatch):
+    """A half-finished reconstruction does not go on with weights that another version of gof ships."""
+    opened = Dataset.open(dataset)
+    before = ReconstructionSettings.of(opened, EFFORT)
+    other = tmp_path / "prior.npz"
+    other.write_bytes(b"other weights")
+    monkeypatch.setattr("gof.reconstruct.settings.WEIGHTS", other)
+    before.claim(tmp_path / "out")
+    with pytest.raises(GofError, match="flow_prior_weights differ"):
+        ReconstructionSettings.of(opened, EFFORT).claim(tmp_path / "out")
+    unused = ReconstructionSettings.of(opened, EFFORT, flow_prior=False)
+    assert unused.flow_prior_weights is None
+
+
 def test_a_background_of_another_dataset_or_with_other_options_is_not_returned(dataset, tmp_path):
     from gof.reconstruct.background import BackgroundOptions, BackgroundSettings
 

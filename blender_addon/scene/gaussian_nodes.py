@@ -16,9 +16,9 @@ from .gaussian_material import EXTENT
 from .nodes import Nodes, pick
 
 NAME = "Transient Gaussians"
-LAYOUT = 1  # raise it when the inputs change: clouds of an older add-on keep their own node group
+LAYOUT = 2  # raise it when the inputs change: clouds of an older add-on keep their own node group
 MODES = ("points", "ellipsoids", "arrows", "streaks")
-COLORS = ("image", "speed", "age", "lifetime", "error")
+COLORS = ("image", "speed", "age", "lifetime", "error", "doubt")
 VECTORS = ("velocity", "true velocity", "error")
 ICOSAHEDRON_RADIUS = EXTENT / 0.7947  # its faces touch the ball of EXTENT; the material does the rounding
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
@@ -30,7 +30,7 @@ INPUTS = (  # name, kind, default, least, largest, description
     ("Time Scale", FLOAT, 1.0, -1e3, 1e3, "1 plays as fast as it was filmed, 0.1 ten times slower"),
     ("Opacity Cut", FLOAT, CUT_OFF, 0.0, 1.0, "Gaussians fainter than this are not drawn"),
     ("Share", FLOAT, 1.0, 0.0, 1.0, "Share of the Gaussians that is drawn; fewer arrows are easier to read"),
-    ("Color By", WHOLE, 0, 0, 4, "0 image colour, 1 speed, 2 age, 3 lifetime, 4 velocity error"),
+    ("Color By", WHOLE, 0, 0, 5, "0 image colour, 1 speed, 2 age, 3 lifetime, 4 velocity error, 5 velocity doubt"),
     ("Color Min", FLOAT, 0.0, -1e6, 1e6, "Value at the dark end of the colour map (m/s or s)"),
     ("Color Max", FLOAT, 1.0, -1e6, 1e6, "Value at the bright end of the colour map (m/s or s)"),
     ("Emission", FLOAT, 1.0, 0.0, 1e6, "Brightness of the flame; 1 looks as in the footage"),
@@ -145,7 +145,7 @@ def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
     lifetime = nodes.math("DIVIDE", 1.0, nodes.math("MAXIMUM", nodes.named("gs_inverse_t_sigma", "FLOAT"), 1e-9))
     speed = nodes.vector("LENGTH", velocity, output="Value")
     error = nodes.vector("DISTANCE", velocity, nodes.named("gs_true_velocity", "FLOAT_VECTOR"), output="Value")
-    value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error)
+    value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error, nodes.named("gs_velocity_sd", "FLOAT"))
     span = nodes.math("MAXIMUM", nodes.math("SUBTRACT", given["Color Max"], given["Color Min"]), 1e-9)
     ramp = nodes.add(
         "ShaderNodeValToRGB", {"Fac": nodes.math("DIVIDE", nodes.math("SUBTRACT", value, given["Color Min"]), span)}

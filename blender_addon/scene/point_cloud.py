@@ -95,7 +95,7 @@ def color_by(thing: bpy.types.Object, color: str) -> None:
 
 
 def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
-    """Values at the ends of the colour map: m/s from 0 on for speed and error, s for age and lifetime.
+    """Values at the ends of the colour map: m/s from 0 on for speed, error and doubt, s for age and lifetime.
 
     The largest 2 % are left out: a few runaways would make all others look the same.
     """
@@ -106,6 +106,9 @@ def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
         if color == "age":  # what is seen of a Gaussian is the time around its brightest moment
             return float(-2 * np.median(lifetime)), float(2 * np.median(lifetime))
         return float(np.percentile(lifetime, 2)), float(np.percentile(lifetime, 98))
+    if color == "doubt":
+        said = column(mesh, "gs_velocity_sd", 1) if "gs_velocity_sd" in mesh.attributes else np.ones(1, np.float32)
+        return 0.0, float(np.percentile(said, 98))
     velocity = column(mesh, "gs_velocity", 3)
     if color == "error":
         velocity = velocity - (column(mesh, "gs_true_velocity", 3) if "gs_true_velocity" in mesh.attributes else 0)
@@ -142,6 +145,11 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
     add_column(mesh, "gs_euler", euler_angles(cloud.rotation))
     add_column(mesh, "gs_opacity", cloud.opacity)
     add_column(mesh, "gs_light", light)
+    if cloud.velocity_sd is not None:
+        # No infinity enters the node graph: where nobody says how sure a velocity is, it may be wrong by all of itself.
+        speed = np.linalg.norm(cloud.velocity, axis=1)
+        doubt = np.where(np.isfinite(cloud.velocity_sd), cloud.velocity_sd, speed)
+        add_column(mesh, "gs_velocity_sd", doubt * alive)
     if cloud.begin is not None:
         add_column(mesh, "gs_begin", cloud.begin)
         add_column(mesh, "gs_end", cloud.end)

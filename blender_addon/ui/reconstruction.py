@@ -25,6 +25,7 @@ COLORS = [
     ("age", "Age", "Seconds since its brightest moment"),
     ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
     ("error", "Velocity Error", "m/s against the true velocity; first use the panel Score"),
+    ("doubt", "Velocity Doubt", "m/s, standard deviation of a component; 0 where the file does not say"),
 ]
 VECTORS = [
     ("velocity", "Velocity", "As reconstructed"),

@@ -8,8 +8,9 @@ from typing import Any, ClassVar, Literal
 
 from gof.dataset import Dataset
 from gof.errors import GofError
-from gof.files import stamp
+from gof.files import digest, stamp
 from gof.reconstruct.ablations import Ablation
+from gof.reconstruct.flow_prior import WEIGHTS
 from gof.reconstruct.optical_flow import FlowName
 from gof.reconstruct.presets import Effort, MethodName
 from gof.records import claim
@@ -28,6 +29,7 @@ class ReconstructionSettings:
         method: see `gof.reconstruct.presets.METHODS`.
         flow: see `gof.reconstruct.optical_flow`.
         flow_prior: whether the fused flow is corrected (`gof.reconstruct.flow_prior`), where the method has it.
+        flow_prior_weights: which weights correct it, as `gof.files.digest` of their file.
         ablation: the part that is left out, see `gof.reconstruct.ablations`.
         flow_weights: which checkpoint the flow "memfof" has, as `gof.files.stamp` of its folder.
         seed: of the seeding and of the order of pictures.
@@ -48,6 +50,7 @@ class ReconstructionSettings:
     flow: FlowName = "dis"
     flow_weights: str | None = None
     flow_prior: bool = True
+    flow_prior_weights: str | None = None
     ablation: Ablation = "none"
     seed: int = 0
 
@@ -61,7 +64,10 @@ class ReconstructionSettings:
     ) -> ReconstructionSettings:
         """Settings for a dataset with the effort of a preset; `choices` are the fields that `Effort` does not have."""
         weights = flow_weights and stamp(flow_weights, ("config.json", "model.safetensors"))
-        return cls(dataset.identity(), **asdict(effort), flow_weights=weights, **choices)
+        prior = digest(WEIGHTS) if choices.get("flow_prior", True) else None
+        return cls(
+            dataset.identity(), **asdict(effort), flow_weights=weights, flow_prior_weights=prior, **choices
+        )
 
     def claim(self, folder: Path) -> None:
         """Write them into a new reconstruction's folder, or make sure that the folder's are the same.

@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -238,6 +239,35 @@ result["share again"] = state(thing)[1].tolist()
     assert len(found["cut"]) == (opacity >= 0.3).sum() > 0 and min(found["cut"]) >= 0.3
     assert 0.3 < len(found["share"]) / len(found["cut"]) < 0.7 and found["share"] == found["share again"]
     assert set(found["share"]) < set(found["cut"])
+
+
+def test_colour_by_how_sure_the_velocity_is(tmp_path):
+    """Dark where the velocity is sure; where nobody says how sure, as bright as its speed; nothing breaks without."""
+    result = replace(random_gaussians(60), t_sigma=np.full(60, np.inf), dynamic=np.ones(60, bool))
+    result.save(tmp_path / "silent.npz")
+    doubt = np.linspace(0, 1, 60)
+    doubt[7] = np.inf
+    replace(result, velocity_sd=doubt).save(tmp_path / "unsure.npz")
+    found = in_blender(
+        LOOK
+        + """
+for name in ("unsure", "silent"):
+    bpy.ops.gof.import_result(filepath=str(folder / f"{name}.npz"))
+    thing = bpy.context.object
+    scene.gof.reconstruction.color = "doubt"
+    cloud = point_cloud.inputs(thing)
+    cloud["Opacity Cut"] = 0.0
+    data = drawn(thing)[0]
+    result[name] = [values(data, "gs_color", 4)[:, :3].tolist(), cloud["Color Max"]]
+""",
+        tmp_path,
+    )
+    shown = np.array(found["unsure"][0])
+    speed = np.linalg.norm(result.velocity[7])
+    assert found["unsure"][1] == pytest.approx(np.percentile(np.append(np.delete(doubt, 7), speed), 98), rel=1e-5)
+    assert shown[0, 1] < 0.02 and shown[0, 2] > shown[0, 0], "the dark end of the map is violet"
+    assert shown[-1, 0] > 0.9 and shown[-1, 2] < 0.1, "the bright end is yellow"
+    assert np.ptp(np.array(found["silent"][0]), axis=0).max() < 1e-6
 
 
 @pytest.mark.parametrize(

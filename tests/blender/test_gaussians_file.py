@@ -1,5 +1,7 @@
 """The add-on's result reader against the library's writer, and against broken files."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,16 @@ def test_reads_what_the_library_writes(tmp_path, suffix, color_shape):
     assert np.allclose(cloud.color, color, atol=1e-6)
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".ply"])
+def test_reads_how_sure_the_velocity_is(tmp_path, suffix):
+    silent = gaussians()
+    assert load(silent.save(tmp_path / f"silent{suffix}")).velocity_sd is None
+    doubt = np.linspace(0, 2, N).astype(np.float32)
+    doubt[5] = np.inf
+    cloud = load(replace(silent, velocity_sd=doubt).save(tmp_path / f"unsure{suffix}"))
+    assert np.array_equal(cloud.velocity_sd, doubt)
+
+
 def test_reads_big_endian_doubles(tmp_path):
     wanted = gaussians()
     vertex, _ = read_ply(wanted.save(tmp_path / "a.ply"))
@@ -70,6 +82,7 @@ def with_value(shape, value, fill=0.5):
     [
         ({"schema": None}, "schema is 'none'"),
         ({"schema": "gof-trajectory/1"}, "gof-trajectory/1"),
+        ({"v_sd": with_value(N, -0.1)}, r"'velocity_sd' must be >= 0; rows \[2\]"),
         ({"v": None}, r"\['v'\] are missing"),
         ({"rgb": None}, "rgb or sh"),
         ({"x0": with_value((N, 3), np.nan)}, r"'position' must be finite .*rows \[2\]"),

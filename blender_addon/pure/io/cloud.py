@@ -30,6 +30,7 @@ class GaussianCloud:
     opacity: np.ndarray  # (N,) in [0, 1]
     color: np.ndarray  # (N, 3) display values, as seen from all sides (the constant term of spherical harmonics)
     dynamic: np.ndarray  # (N,) bool
+    velocity_sd: np.ndarray | None = None  # (N,) m/s of each component, inf = nobody says; None: nobody says of any
     begin: np.ndarray | None = None  # (N,) s
     end: np.ndarray | None = None  # (N,) s
 
@@ -75,9 +76,10 @@ def checked(values: dict[str, np.ndarray], path: Path) -> GaussianCloud:
             raise FileFormatError(f"{path}: '{field.name}' holds {array.dtype}, expected numbers")
         with np.errstate(over="ignore"):
             values[field.name] = array = array.astype(bool if field.name == "dynamic" else np.float32)
-        unbounded = field.name == "t_sigma"
+        unbounded = field.name in ("t_sigma", "velocity_sd")
         _require(np.isfinite(array) | (unbounded & np.isposinf(array)), field.name, "finite (NaN or Inf found)", path)
     _require(values["t_sigma"] > 0, "t_sigma", "> 0", path)
+    _require(values.get("velocity_sd", np.zeros(n)) >= 0, "velocity_sd", ">= 0", path)
     _require(values["scale"] > 0, "scale", "> 0", path)
     _require((values["opacity"] >= 0) & (values["opacity"] <= 1), "opacity", "in [0, 1]", path)
     length = np.sqrt((values["rotation"].astype(np.float64) ** 2).sum(1, keepdims=True))

@@ -31,6 +31,7 @@ NPZ_NAMES = {
     "opacity": "alpha",
     "dynamic": "dynamic",
 }
+UNSURE = "v_sd"  # only in files that say how sure the velocity is
 OWN_PROPERTIES = ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")
 
 
@@ -112,6 +113,8 @@ def _read_npz(path: Path, step: int) -> dict[str, np.ndarray]:
     else:
         raise FileFormatError(f"{path}: 'sh' has shape {found['sh'].shape}, expected (N, K, 3)")
     values = {field: found[key] for field, key in NPZ_NAMES.items()} | {"color": color}
+    if UNSURE in found:
+        values["velocity_sd"] = found[UNSURE]
     return {field: array[::step] if array.ndim else array for field, array in values.items()}
 
 
@@ -136,6 +139,8 @@ def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:
             "t_sigma": np.full(n, np.inf),
             "dynamic": np.zeros(n, bool),
         }
+    if ply.has(UNSURE):
+        values["velocity_sd"] = columns(rows, UNSURE)[:, 0]
     try:
         return values | {
             "velocity": columns(rows, "vx", "vy", "vz"),
