@@ -6,6 +6,7 @@ import socket
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from gof.dataset import Dataset
@@ -18,6 +19,7 @@ from gof.rotations import quaternions_wxyz, rotation_matrices
 
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 ARROWS = 3000  # lines a browser draws without stuttering
+COLORS = ("as filmed", "speed", "doubt of the speed")
 STEP_S = 0.03  # pause between two looks at the slider and at the file
 
 
@@ -25,7 +27,8 @@ def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray
     """What is visible at a time.
 
     Returns:
-        centers (N, 3) m, covariances (N, 3, 3) m², rgbs (N, 3) in [0, 1], opacities (N, 1), velocities (N, 3) m/s.
+        centers (N, 3) m, covariances (N, 3, 3) m², rgbs (N, 3) in [0, 1], opacities (N, 1), velocities (N, 3) m/s, and
+        doubts (N,) m/s: standard deviation of a component of the velocity, inf where nobody says.
     """
     position, opacity = gaussians.at(time_s)
     seen = opacity >= INVISIBLE
@@ -36,7 +39,15 @@ def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray
         "rgbs": np.clip(plain_color(gaussians.color[seen]), 0, 1),
         "opacities": opacity[seen, None],
         "velocities": np.where(gaussians.dynamic[seen, None], gaussians.velocity[seen], 0),
+        "doubts": np.where(gaussians.dynamic[seen], gaussians.velocity_sd[seen], 0),
     }
+
+
+def mapped(values: np.ndarray, largest: float) -> np.ndarray:
+    """(N, 3) colours in [0, 1], dark violet for 0 to yellow for `largest` and above (inf too)."""
+    share = np.clip(values / max(largest, 1e-12), 0, 1)
+    rgb = cv2.applyColorMap(np.uint8(255 * share)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
+    return rgb.astype(np.float32) / 255
 
 
 def time_span(result: MovingGaussians, dataset: Dataset | None) -> tuple[float, float]:
@@ -104,6 +115,7 @@ class Viewer:
         self.play = gui.add_checkbox("play", True)
         self.slow = gui.add_slider("slow motion", 1.0, 50.0, 1.0, 10.0)
         self.arrows = gui.add_checkbox("velocity", False)
+        self.color = gui.add_dropdown("colour", COLORS)
         self.text = gui.add_markdown("")
         self.first_s, self.length_s = first, last - first
         self._stand()
@@ -133,22 +145,27 @@ class Viewer:
 
     def show(self, time_s: float) -> None:
         """Draw the state at `time_s`, unless it is on the screen already."""
-        state = (time_s, self.arrows.value, self._stamp)
+        state = (time_s, self.arrows.value, self.color.value, self._stamp)
         if state == self._shown:
             return
         self._shown = state
         seen = splats(self.result.state_at(time_s), time_s)
-        velocity = seen.pop("velocities")
+        velocity, doubt = seen.pop("velocities"), seen.pop("doubts")
+        speed = np.linalg.norm(velocity, axis=-1)
+        largest = float(np.percentile(speed, 98)) if len(speed) else 0.0
+        if self.color.value != COLORS[0]:
+            seen["rgbs"] = mapped(speed if self.color.value == COLORS[1] else doubt, largest)
         scene = self.server.scene
         scene.add_gaussian_splats("/flame", **seen)
         moving = np.flatnonzero(velocity.any(-1))[:: max(1, len(velocity) // ARROWS)]
         step = 0.02 * self.length_s  # an arrow is the way of a fiftieth of the clip
         ends = np.stack([seen["centers"][moving], seen["centers"][moving] + step * velocity[moving]], 1)
         scene.add_line_segments("/velocity", ends, np.array([80, 200, 255], np.uint8), visible=self.arrows.value)
-        speed = np.average(np.linalg.norm(velocity, axis=-1), weights=seen["opacities"][:, 0]) if len(velocity) else 0.0
+        mean = np.average(speed, weights=seen["opacities"][:, 0]) if len(speed) else 0.0
+        legend = "" if self.color.value == COLORS[0] else f" · violet 0, yellow {largest:.2f} m/s and more"
         self.text.content = (
             f"**{self._file.name}** · {1e3 * (time_s - self.first_s):.1f} ms · {len(velocity):,} of "
-            f"{len(self.result):,} Gaussians visible · mean speed {speed:.2f} m/s"
+            f"{len(self.result):,} Gaussians visible · mean speed {mean:.2f} m/s{_how_sure(doubt)}{legend}"
         )
 
     def _stand(self) -> None:
@@ -187,6 +204,12 @@ class Viewer:
         self._file = newest(self.path)
         self._stamp = _stamp(self._file)
         return read_result(self._file, ImportOptions()).gaussians
+
+
+def _how_sure(doubt: np.ndarray) -> str:
+    """The usual doubt in words; nothing where nobody says."""
+    said = doubt[np.isfinite(doubt) & (doubt > 0)]
+    return f" ± {np.median(said):.2f} in each component" if len(said) else ""
 
 
 def _require_address(host: str, port: int) -> None:

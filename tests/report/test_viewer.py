@@ -1,13 +1,14 @@
 """The browser view: what it draws against closed forms, what it opens, and a real server."""
 
 import urllib.request
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
-from gof.report.viewer import Viewer, newest, splats, time_span
+from gof.report.viewer import COLORS, Viewer, mapped, newest, splats, time_span
 from tests.conftest import random_gaussians
 
 
@@ -30,6 +31,15 @@ def test_colours_from_spherical_harmonics_are_their_mean():
     coefficients[:, 0] = (g.color - 0.5) * np.sqrt(4 * np.pi)
     values = {name: getattr(g, name) for name in g.__dataclass_fields__} | {"color": coefficients}
     np.testing.assert_allclose(splats(TransientGaussians(**values), 0.0)["rgbs"], flat, atol=1e-6)
+
+
+def test_colour_maps_run_from_violet_to_yellow():
+    violet, green, yellow, none = mapped(np.array([0, 0.5, 1.7, np.inf]), 1.0)
+    np.testing.assert_allclose(violet, [0.267, 0.005, 0.329], atol=0.01)  # the ends and the middle of viridis
+    np.testing.assert_allclose(green, [0.128, 0.567, 0.551], atol=0.01)
+    np.testing.assert_allclose(yellow, [0.993, 0.906, 0.144], atol=0.01)
+    np.testing.assert_array_equal(none, yellow)
+    assert np.isfinite(mapped(np.zeros(3), 0.0)).all()
 
 
 def test_a_running_reconstruction_shows_its_latest_snapshot(tmp_path):
@@ -57,9 +67,12 @@ def test_a_real_server_shows_times_and_new_snapshots(tmp_path):
         assert f"{1e3 * (last - first):.1f} ms" in viewer.text.content
         page = urllib.request.urlopen(f"http://127.0.0.1:{viewer.server.get_port()}", timeout=20).read()
         assert b"<html" in page.lower()
-        random_gaussians(20).save(tmp_path / "result.npz", source="test")
+        assert "±" not in viewer.text.content, "nobody says how sure these velocities are"
+        replace(random_gaussians(20), velocity_sd=np.full(20, 0.25)).save(tmp_path / "result.npz", source="test")
         viewer.refresh()
+        viewer.color.value = COLORS[2]
         viewer.show(last)
+        assert "± 0.25" in viewer.text.content and "yellow" in viewer.text.content
         assert "result.npz" in viewer.text.content and "of 20" in viewer.text.content
     finally:
         viewer.server.stop()
