@@ -12,10 +12,9 @@ from gof.gaussians import TransientGaussians
 from gof.reconstruct.core_speed import core_speed
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.pace import GRAVITY, LAW
 from gof.reconstruct.voxels import FlameVoxels
 
-GRAVITY = 9.81
-LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuous flame (NBSIR 79-1910)
 HALF_WIDTH = (
     0.38  # of sqrt(radius x length), where the speed has fallen to a half; chosen on the demo and one pool fire
 )

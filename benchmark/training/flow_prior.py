@@ -5,8 +5,9 @@
 
 Runs the motion and fusion stages on every dataset in WORK/dev, prints what the prior does for a flame it has not seen
 (each fire left out in turn, and the datasets given with --test), and writes the weights. Scores as in
-`gof_benchmark.field_score`; `within` is the share of the light whose velocity is within one standard deviation
-of the truth, component by component (0.68 where errors are normal and the doubt is right).
+`gof_benchmark.field_score`; `pace` is the estimated mean speed over the true one; `within` is the share of the light
+whose velocity is within one standard deviation of the truth, component by component (0.68 where errors are normal and
+the doubt is right). `--without SOLVER` shows what is left when a solver's fires are not trained on.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import itertools
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -23,9 +25,11 @@ import tyro
 from gof.dataset import Dataset
 from gof.files import atomic_path
 from gof.progress import progress_bar
+from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
 from gof.reconstruct.observation import observe
+from gof.reconstruct.pace import Pace
 from gof.reconstruct.presets import METHODS
 from gof.reconstruct.shrink import shrink
 from gof_benchmark.field_score import score
@@ -43,6 +47,8 @@ class TrainConfig:
     """Where the weights go."""
     test: tuple[Path, ...] = ()
     """Datasets that are only scored, never trained on."""
+    without: Literal["nothing", "openfoam", "mantaflow"] = "nothing"
+    """A solver whose fires are only scored, never trained on."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +56,10 @@ class Samples:
     """Lit voxels of one or many flames, (N, ...) float32.
 
     Attributes:
-        features, vectors: of `FlameDescriber.describe`.     truth: m/s.
+        features, vectors: of `FlameDescriber.describe`.
+        truth: true velocity over its flame's true pace.
         weight: how much the voxel counts; every flame has the same sum.
-        scale: 1 / its flame's mean square speed, s2/m2.     core: its flame's mean core speed, m/s.
+        scale: 1 / its flame's mean square of `truth`.
     """
 
     features: torch.Tensor
@@ -60,31 +67,30 @@ class Samples:
     truth: torch.Tensor
     weight: torch.Tensor
     scale: torch.Tensor
-    core: torch.Tensor
 
     @classmethod
-    def of(cls, field: FlowField, dataset: Dataset, rng: np.random.Generator, most: int = 40_000) -> Samples:
+    def of(cls, describer: FlameDescriber, truth: np.ndarray, rng: np.random.Generator, most: int = 40_000) -> Samples:
         """At most so many voxels of a flame.
+
+        Args:
+            truth: (F, V, 3) true velocity over its pace.
 
         A voxel counts by its emission and by the root of it, half and half: the scores look at the former, the seeds
         sit at the latter.
         """
-        describer = FlameDescriber.of(field)
-        assert describer is not None, f"{dataset.path}: nothing moves"
-        e = field.emission
+        e = describer.field.emission
         weight = e / e.sum() + np.sqrt(e) / np.sqrt(e).sum()
         weight /= weight.sum()
         share = min(1.0, most / np.count_nonzero(e))
-        parts, energy = [], 0.0
-        for f, frame in enumerate(field.frames):
-            truth = dataset.velocity.at(frame.time_s).sample(field.voxels.center)
-            energy += float((weight[f][:, None] * truth**2).sum())
+        energy = float((weight[..., None] * truth.astype(np.float64) ** 2).sum())
+        parts = []
+        for f, frame in enumerate(describer.field.frames):
             chosen = np.flatnonzero((frame.emission > 0) & (rng.random(len(frame.emission)) < share))
             features, vectors = describer.describe(f)
-            parts.append((features[chosen], vectors[chosen], truth[chosen], weight[f][chosen] / share))
-        features, vectors, truth, weight = (np.concatenate(p) for p in zip(*parts, strict=True))
+            parts.append((features[chosen], vectors[chosen], truth[f][chosen], weight[f][chosen] / share))
+        features, vectors, chosen_truth, weight = (np.concatenate(p) for p in zip(*parts, strict=True))
         n = len(features)
-        arrays = (features, vectors, truth, weight * n, np.full(n, 1 / energy), np.full(n, describer.core_mean))
+        arrays = (features, vectors, chosen_truth, weight * n, np.full(n, 1 / energy))
         return cls(*(torch.tensor(array, dtype=torch.float32) for array in arrays))
 
     @classmethod
@@ -105,20 +111,31 @@ class Flame:
 
     Attributes:
         burns: which fire it shows; two datasets may show the same grids of another solver.
+        solver: "openfoam" or "mantaflow".
+        pace: true mean speed of its gas, weighted by light, m/s.
     """
 
     burns: str
+    solver: str
     dataset: Dataset
     field: FlowField
+    axis: FlameAxis
+    pace: float
     samples: Samples
 
     @classmethod
     def of(cls, path: Path) -> Flame:
         dataset = shrink(Dataset.open(path), LONGEST_SIDE)
         field = seen_flow_field(observe(dataset), METHODS["gof"], VOXELS)
+        describer = FlameDescriber.of(field)
+        assert describer is not None, f"{path}: nothing moves"
         fire = json.loads((path / "spec.json").read_text(encoding="utf-8"))["fire"]
+        solver = "openfoam" if "grids" in fire else "mantaflow"
         burns = Path(fire["grids"]).parent.name if "grids" in fire else path.name
-        return cls(burns, dataset, field, Samples.of(field, dataset, np.random.default_rng(0)))
+        truth = np.stack([dataset.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames])
+        pace = mean_speed(truth, field.emission)
+        samples = Samples.of(describer, truth / pace, np.random.default_rng(0))
+        return cls(burns, solver, dataset, field, describer.axis, pace, samples)
 
     def score(self, field: FlowField) -> str:
         """L2, CosSim and speed ratio of a flow field of this dataset, mean over frames."""
@@ -134,6 +151,11 @@ class Flame:
             inside += (frame.emission[:, None] * near).sum() / 3
             total += frame.emission.sum()
         return inside / total
+
+
+def mean_speed(velocity: np.ndarray, emission: np.ndarray) -> float:
+    """Of velocity (F, V, 3), weighted by emission (F, V)."""
+    return float((emission * np.linalg.norm(velocity, axis=-1)).sum() / emission.sum())
 
 
 Layers = list[tuple[torch.Tensor, torch.Tensor]]
@@ -156,7 +178,7 @@ class Scaling:
 
 
 def train_velocity(flames: list[Samples], seed: int = 0, members: int = 4, steps: int = 700) -> tuple[Scaling, Network]:
-    """The ensemble that gives the velocity, by AdamW with noise on the features."""
+    """The ensemble that gives the velocity over the pace, by AdamW with noise on the features."""
     torch.manual_seed(seed)
     samples = Samples.joined(flames)
     scaling = Scaling.of(samples)
@@ -184,15 +206,15 @@ def velocity_loss(
 def train_doubt(
     scaling: Scaling, flames: list[Samples], errors: list[torch.Tensor], seed: int = 0, steps: int = 500
 ) -> Network:
-    """One network for the log of the standard deviation, over the core's speed, by maximum likelihood.
+    """One network for the log of the standard deviation, over the pace, by maximum likelihood.
 
     Args:
-        errors: per flame (N, 3) m/s, of ensembles that had not been trained on it: an ensemble is surer of what it
-            knows than it may be of a new flame.
+        errors: per flame (N, 3), over the pace, of ensembles and lines that had not been fitted to it: they are surer
+            of what they know than they may be of a new flame.
     """
     torch.manual_seed(seed)
     samples = Samples.joined(flames)
-    variance = (torch.cat(errors) ** 2).mean(-1) / samples.core**2
+    variance = (torch.cat(errors) ** 2).mean(-1)
     layers = new_layers([len(FEATURES), 12, 1], 1)
 
     def loss(batch: torch.Tensor) -> torch.Tensor:
@@ -236,15 +258,19 @@ def plain(layers: Layers) -> Network:
     return [(weight.detach().numpy(), bias.detach().numpy()) for weight, bias in layers]
 
 
-def held_out_error(scaling: Scaling, network: Network, samples: Samples) -> torch.Tensor:
-    """(N, 3) m/s of an ensemble on a flame that it was not trained on."""
+def held_out_error(scaling: Scaling, network: Network, samples: Samples, pace: float = 1.0) -> torch.Tensor:
+    """(N, 3) of an ensemble on a flame that it was not trained on, over the pace that was estimated for it.
+
+    Args:
+        pace: estimated over true one.
+    """
     coefficients = evaluate_network(network, scaling(samples.features).numpy()).mean(0)
     velocity = np.einsum("nk,nki->ni", coefficients, samples.vectors.numpy())
-    return torch.tensor(velocity) - samples.truth
+    return torch.tensor(velocity) - samples.truth / pace
 
 
-def prior_of(scaling: Scaling, velocity: Network, doubt: Network) -> FlowPrior:
-    return FlowPrior(scaling.mean.numpy(), scaling.deviation.numpy(), velocity, doubt)
+def prior_of(scaling: Scaling, velocity: Network, doubt: Network, pace: Pace) -> FlowPrior:
+    return FlowPrior(scaling.mean.numpy(), scaling.deviation.numpy(), velocity, doubt, pace)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -252,35 +278,63 @@ def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(TrainConfig, prog="python -m gof_benchmark.training.flow_prior", args=argv)
     torch.set_num_threads(1)  # the networks are too small to share
     paths = sorted(path.parent for path in (config.work / "dev").glob("*/dataset.json"))
-    flames = []
+    everything = []
     with progress_bar("motion") as progress:
         for path in paths:
-            flames.append(Flame.of(path))
-            progress(len(flames), len(paths))
-    samples = [flame.samples for flame in flames]
-    others = [[j for j, other in enumerate(flames) if other.burns != flame.burns] for flame in flames]
-    without = [train_velocity([samples[j] for j in known]) for known in others]
-    errors = [held_out_error(*ensemble, flame) for ensemble, flame in zip(without, samples, strict=True)]
+            everything.append(Flame.of(path))
+            progress(len(everything), len(paths))
+    flames = [flame for flame in everything if flame.solver != config.without]
 
-    print(f"{'flame not trained on':<32} {'seen: L2 CosSim speed':<24} {'with the prior':<22} within")
+    print(f"{'flame not trained on':<32} {'seen: L2 CosSim speed':<24} {'with the prior':<22} pace  within")
 
     def show(name: str, flame: Flame, prior: FlowPrior) -> None:
         found = prior.correct(flame.field)
-        print(
-            f"{name:<32} {flame.score(flame.field):<24} {flame.score(found):<22} {flame.within(found):.2f}", flush=True
-        )
+        pace = prior.pace.of(flame.axis) / flame.pace
+        scores = f"{flame.score(flame.field):<24} {flame.score(found):<22} {pace:.2f}  {flame.within(found):.2f}"
+        print(f"{name:<32} {scores}", flush=True)
 
-    for i, flame in enumerate(flames):
-        scaling, velocity = without[i]
-        doubt = train_doubt(scaling, [samples[j] for j in others[i]], [errors[j] for j in others[i]])
-        show(flame.dataset.path.name, flame, prior_of(scaling, velocity, doubt))
-    scaling, velocity = train_velocity(samples)
-    prior = prior_of(scaling, velocity, train_doubt(scaling, samples, errors))
+    others = [[other for other in flames if other.burns != flame.burns] for flame in flames]
+    without = [LeftOut.of(flame, known) for flame, known in zip(flames, others, strict=True)]
+    errors = {flame.dataset.path: left.error for flame, left in zip(flames, without, strict=True)}
+
+    def doubt_of(known: list[Flame], scaling: Scaling) -> Network:
+        return train_doubt(scaling, [f.samples for f in known], [errors[f.dataset.path] for f in known])
+
+    for flame, known, left in zip(flames, others, without, strict=True):
+        doubt = doubt_of(known, left.scaling)
+        show(flame.dataset.path.name, flame, prior_of(left.scaling, left.velocity, doubt, left.pace))
+    scaling, velocity = train_velocity([flame.samples for flame in flames])
+    prior = prior_of(scaling, velocity, doubt_of(flames, scaling), fitted_pace(flames))
+    for flame in everything:
+        if flame.solver == config.without:
+            show(flame.dataset.path.name, flame, prior)
     for path in config.test:
         show(str(path), Flame.of(path), prior)
     with atomic_path(config.out) as temporary:
         prior.save(temporary)
+    print(f"pace: metric {prior.pace.metric.round(2)}, unitless {prior.pace.unitless.round(2)}")
     print(f"weights -> {config.out}")
+
+
+def fitted_pace(flames: list[Flame]) -> Pace:
+    return Pace.fit([flame.axis for flame in flames], [flame.pace for flame in flames])
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What is learned of a flame from others alone, and how wrong it is there; error as `held_out_error`."""
+
+    pace: Pace
+    scaling: Scaling
+    velocity: Network
+    error: torch.Tensor
+
+    @classmethod
+    def of(cls, flame: Flame, others: list[Flame]) -> LeftOut:
+        pace = fitted_pace(others)
+        scaling, velocity = train_velocity([other.samples for other in others])
+        error = held_out_error(scaling, velocity, flame.samples, pace.of(flame.axis) / flame.pace)
+        return cls(pace, scaling, velocity, error)
 
 
 if __name__ == "__main__":

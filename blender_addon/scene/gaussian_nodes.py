@@ -145,7 +145,8 @@ def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
     lifetime = nodes.math("DIVIDE", 1.0, nodes.math("MAXIMUM", nodes.named("gs_inverse_t_sigma", "FLOAT"), 1e-9))
     speed = nodes.vector("LENGTH", velocity, output="Value")
     error = nodes.vector("DISTANCE", velocity, nodes.named("gs_true_velocity", "FLOAT_VECTOR"), output="Value")
-    value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error, nodes.named("gs_velocity_sd", "FLOAT"))
+    doubt = nodes.named("gs_velocity_sd", "FLOAT")
+    value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error, doubt)
     span = nodes.math("MAXIMUM", nodes.math("SUBTRACT", given["Color Max"], given["Color Min"]), 1e-9)
     ramp = nodes.add(
         "ShaderNodeValToRGB", {"Fac": nodes.math("DIVIDE", nodes.math("SUBTRACT", value, given["Color Min"]), span)}

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from gof.capture.template import BoardTemplate
+from gof.dataset.description import UNKNOWN_UNIT
 from gof.dataset.poses import FeatureFigures, PointCheck, PoseReport
 from gof.errors import DataFormatError, GofError
 from gof.ingest import adjust, sfm
@@ -240,7 +241,9 @@ def _scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptions) ->
         words = f"metres, from the distance of {options.baseline_m:g} m between first and last camera"
         return options.baseline_m / baseline, words
     if not options.has_length:
-        words = "unknown: the unit is the distance between first and last camera (give --marker-m or --baseline-m)"
+        words = (
+            f"{UNKNOWN_UNIT}: the unit is the distance between first and last camera (give --marker-m or --baseline-m)"
+        )
         return 1 / baseline, words
     if check is None or not check.metres_per_unit:
         raise DataFormatError(

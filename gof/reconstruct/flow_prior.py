@@ -2,14 +2,18 @@
 
 Optical flow follows texture. A flame's texture sits in its slow outer layer, the core has none, and the inflow at the
 foot moves nothing that could be seen, so the fused flow is too slow by a factor that changes over the flame and from
-flame to flame. Two kinds of evidence meet here: the fused flow, and the speed of the core that the light of whole
-layers shows (`core_speed`). A small network, trained on simulated flames of two solvers
-(`benchmark/training/flow_prior.py`; none of them is a scene or a test fire of the benchmark), says how much of which
-holds where.
+flame to flame. Two questions are asked apart:
 
-Everything the network sees is a ratio, and what it gives are the coefficients of five vectors that turn with the flame
-and its axis, so that the result is the same in any unit of length or time, for any heading, and without knowing which
-way is up. Gravity and metres are not used.
+- How fast is the flame as a whole? One number a clip, so there are as many examples as flames: a line (`pace`).
+- How is that speed spread over the flame? Hundreds of thousands of voxels are examples: a small network, which reads
+  the fused flow and the speeds of the core that the light of whole layers shows (`core_speed`), all of it relative.
+
+Both are fitted to simulated flames of two solvers (`benchmark/training/flow_prior.py`; none of them is a scene or a
+test fire of the benchmark). A network that is asked both at once learns its few flames' paces by heart.
+
+What the network gives are the coefficients of five vectors that turn with the flame and its axis, so that the result
+is the same for any heading, and without knowing which way is up. Gravity and metres enter through the pace alone; with
+`metres=False` the result is the same in any unit of length or time.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ from gof.errors import DataFormatError, GofError
 from gof.reconstruct.core_speed import CoreSpeed, core_speed
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField, FrameField
+from gof.reconstruct.pace import Pace
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
 FEATURES = (
@@ -52,12 +57,10 @@ FEATURES = (
     "coarse_brightening_out",
     "brightening_in_time",
     "widening",
-    "slenderness",
-    "frame_time",
-    "seen_speed",
 )
-"""What the network reads of a voxel in a frame. Lengths are over the flame's length or radius, speeds over the mean
-speed of its core, times over the time in which the core crosses a radius; the last three are logarithms."""
+"""What the network reads of a voxel in a frame. Lengths are over the flame's length or radius, seen speeds over the
+mean seen speed, the core's over its own mean, times over the time in which what is seen crosses a radius. Nothing is
+the same all over a clip: by such numbers a network would know its flames again."""
 VECTORS = 5
 LIMIT = 6.0  # features beyond this say no more; a strange flame must not drive the network far outside its training
 FINE, COARSE = 1.5, 4.0  # voxels, std-dev of the brightness whose slopes are features
@@ -82,14 +85,16 @@ class FlowPrior:
     Attributes:
         mean, deviation: (K,) of the training features.
         velocity: the ensemble; its last layer gives `VECTORS` coefficients.
-        doubt: one network; log of the standard deviation of a component of the velocity, over the core's mean speed,
-            learned from flames that the ensemble had not been trained on.
+        doubt: one network; log of the standard deviation of a component of the velocity, over the pace, learned from
+            flames that neither pace nor ensemble had been fitted to.
+        pace: how fast flames are as a whole.
     """
 
     mean: np.ndarray
     deviation: np.ndarray
     velocity: Network
     doubt: Network
+    pace: Pace
 
     @classmethod
     def load(cls, path: Path = WEIGHTS) -> FlowPrior:
@@ -104,7 +109,13 @@ class FlowPrior:
             raise DataFormatError(f"{path}: cannot read the flow prior's weights ({error})") from error
         try:
             features = [str(f) for f in data["features"]]
-            prior = cls(data["mean"], data["deviation"], _network(data, "velocity"), _network(data, "doubt"))
+            prior = cls(
+                data["mean"],
+                data["deviation"],
+                _network(data, "velocity"),
+                _network(data, "doubt"),
+                Pace(data["pace_metric"], data["pace_unitless"]),
+            )
         except KeyError as missing:
             raise DataFormatError(f"{path}: not the weights of a flow prior ({missing} is missing)") from missing
         if features != list(FEATURES):
@@ -120,13 +131,15 @@ class FlowPrior:
             arrays[f"{name}_layers"] = np.array(len(network))
             for i, (weight, bias) in enumerate(network):
                 arrays |= {f"{name}_weight_{i}": weight, f"{name}_bias_{i}": bias}
+        arrays |= {"pace_metric": self.pace.metric, "pace_unitless": self.pace.unitless}
         np.savez_compressed(path, features=np.array(FEATURES), mean=self.mean, deviation=self.deviation, **arrays)
 
-    def correct(self, field: FlowField) -> FlowField:
+    def correct(self, field: FlowField, metres: bool = True) -> FlowField:
         """The same clip with the velocity of the gas, and how sure it is, from the velocity of its texture.
 
         Args:
             field: fused and smoothed flow, as `seen_flow_field` makes it.
+            metres: whether its lengths are metres and its times seconds, so that gravity says how fast hot gas rises.
         Returns:
             a new field; all 0 and without any certainty when nothing in the clip moves or shines.
         Raises:
@@ -139,15 +152,16 @@ class FlowPrior:
                 for frame in field.frames
             ]
             return replace(field, frames=tuple(still))
+        pace = self.pace.of(describer.axis, metres)
         # frame by frame: all features of a clip at once would take gigabytes
-        return replace(field, frames=tuple(self._corrected(describer, f) for f in range(len(field.frames))))
+        return replace(field, frames=tuple(self._corrected(describer, pace, f) for f in range(len(field.frames))))
 
-    def _corrected(self, describer: FlameDescriber, f: int) -> FrameField:
+    def _corrected(self, describer: FlameDescriber, pace: float, f: int) -> FrameField:
         features, vectors = describer.describe(f)
         x = (features - self.mean) / self.deviation
         members = np.einsum("mvk,vki->mvi", evaluate_network(self.velocity, x), vectors)
-        sd = describer.core_mean * np.exp(evaluate_network(self.doubt, x)[0, :, 0])
-        velocity = members.mean(0, dtype=np.float64)
+        sd = pace * np.exp(evaluate_network(self.doubt, x)[0, :, 0])
+        velocity = pace * members.mean(0, dtype=np.float64)
         if not (np.isfinite(velocity).all() and np.isfinite(sd).all()):
             raise GofError("the flow prior gave NaN or Inf; are velocity and emission finite?")
         return replace(describer.field.frames[f], velocity=velocity, velocity_sd=sd.astype(np.float64))
@@ -162,7 +176,7 @@ class FlameDescriber:
     """What the network reads, and the vectors that it weighs.
 
     Attributes:
-        core_mean: light-weighted mean speed of the core, m/s; the unit of all speeds.
+        core: speed of the core in every layer, over its mean over the light.
         mean_velocity: (V, 3) seen, m/s.    mean_brightness: (V,) log, relative to the layer.
         layer_seen: (S,) seen speed along the axis, m/s.
     """
@@ -170,7 +184,6 @@ class FlameDescriber:
     field: FlowField
     axis: FlameAxis
     core: CoreSpeed
-    core_mean: float
     mean_velocity: np.ndarray
     mean_brightness: np.ndarray
     layer_seen: np.ndarray
@@ -190,20 +203,19 @@ class FlameDescriber:
         return cls(
             field=field,
             axis=axis,
-            core=core,
-            core_mean=float((axis.mean_light * core.speed).sum() / axis.mean_light.sum()),
+            core=replace(core, speed=core.speed * axis.mean_light.sum() / (axis.mean_light * core.speed).sum()),
             mean_velocity=momentum / (total + 1e-3 * total.mean())[:, None],
             mean_brightness=_brightness_in_layer(axis, total / len(emission)),
             layer_seen=layers.pooled(momentum @ layers.direction) / (light + 1e-9 * light.max()),
         )
 
     def describe(self, f: int) -> tuple[np.ndarray, np.ndarray]:
-        """Features (V, K) and vectors (V, 5, 3) m/s of frame f.
+        """Features (V, K) and vectors (V, 5, 3) of frame f; lengths of vectors are over the pace of the flame.
 
         The vectors: along the axis, as fast as the core of the layer; outward from the frame's own axis; the seen
         motion across the axis; along the lean of the clip's axis; outward from the clip's axis.
         """
-        axis, layers, layer, speed = self.axis, self.axis.layers, self.axis.layers.nearest, self.core_mean
+        axis, layers, layer, speed = self.axis, self.axis.layers, self.axis.layers.nearest, self.axis.seen_speed
         frame = self.field.frames[f]
         emission = frame.emission
         now = CrossSections.of(layers, self.field.voxels, emission) if emission.any() else axis.sections
@@ -212,10 +224,6 @@ class FlameDescriber:
         across = layers.sideways(frame.velocity)
         fine, coarse = (self._brightening(f, width) for width in (FINE, COARSE))
         length, width = axis.length, axis.radius
-
-        def of_clip(value: float) -> np.ndarray:
-            return np.full(len(layer), value)
-
         features = (
             (layers.along * layers.thickness - axis.foot) / length,
             radius / width,
@@ -229,8 +237,8 @@ class FlameDescriber:
             self.mean_velocity @ layers.direction / speed,
             (self.mean_velocity * outward).sum(1) / speed,
             self.layer_seen[layer] / speed,
-            self.core.speed[layer] / speed,
-            layers.slope(self.core.speed)[layer] * length / speed,
+            self.core.speed[layer],
+            layers.slope(self.core.speed)[layer] * length,
             self.core.agreement[layer],
             _brightness_in_layer(axis, emission),
             self.mean_brightness,
@@ -240,23 +248,14 @@ class FlameDescriber:
             0.3 * width * (coarse * outward_now).sum(1),
             0.3 * self._brightening_in_time(f) * width / speed,
             layers.slope(gaussian_filter1d(axis.sections.radius, 3))[layer],
-            of_clip(np.log(width / length)),
-            of_clip(np.log(self._frame_time * speed / width)),
-            of_clip(np.log(axis.seen_speed / speed)),
         )
         vectors = np.zeros((len(layer), VECTORS, 3))
         vectors[:, 0] = self.core.speed[layer, None] * layers.direction
-        vectors[:, 1] = speed * outward_now
-        vectors[:, 2] = across
+        vectors[:, 1] = outward_now
+        vectors[:, 2] = across / speed
         vectors[:, 3] = self.core.speed[layer, None] * self._lean[layer]
-        vectors[:, 4] = speed * outward
+        vectors[:, 4] = outward
         return np.clip(np.stack(features, -1), -LIMIT, LIMIT).astype(np.float32), vectors.astype(np.float32)
-
-    @property
-    def _frame_time(self) -> float:
-        """s between frames; of a single frame, in which nothing passes, one crossing of the radius."""
-        times = [frame.time_s for frame in self.field.frames]
-        return float(np.median(np.diff(times))) if len(times) > 1 else self.axis.radius / self.core_mean
 
     @property
     def _lean(self) -> np.ndarray:

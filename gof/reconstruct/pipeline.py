@@ -195,7 +195,7 @@ def _flow_field(run: _Run, observation: Observation) -> FlowField:
     with run.log.measure("flow_field") as figures, progress_bar("flow field") as progress:
         field = seen_flow_field(observation, run.method, run.settings.voxels, progress)
         if _uses_flow_prior(run):
-            field = FlowPrior.load().correct(field)
+            field = FlowPrior.load().correct(field, metres=run.dataset.description.in_metres)
         stage_images.save_flow_field(run.out / "stages", field)
         voxels = field.voxels
         figures.update(

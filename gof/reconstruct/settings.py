@@ -65,9 +65,7 @@ class ReconstructionSettings:
         """Settings for a dataset with the effort of a preset; `choices` are the fields that `Effort` does not have."""
         weights = flow_weights and stamp(flow_weights, ("config.json", "model.safetensors"))
         prior = digest(WEIGHTS) if choices.get("flow_prior", True) else None
-        return cls(
-            dataset.identity(), **asdict(effort), flow_weights=weights, flow_prior_weights=prior, **choices
-        )
+        return cls(dataset.identity(), **asdict(effort), flow_weights=weights, flow_prior_weights=prior, **choices)
 
     def claim(self, folder: Path) -> None:
         """Write them into a new reconstruction's folder, or make sure that the folder's are the same.
