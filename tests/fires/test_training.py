@@ -25,7 +25,7 @@ def samples(count: int = 4000, seed: int = 0) -> Samples:
     vectors = torch.randn(count, VECTORS, 3, generator=generator)
     truth = 2 * vectors[:, 0] * (features[:, :1] > 0)
     one = torch.ones(count)
-    return Samples(features, vectors, truth, one, one / (truth**2).sum(-1).mean(), 3 * one)
+    return Samples(features, vectors, truth, one, one / (truth**2).sum(-1).mean())
 
 
 def test_a_velocity_of_zero_costs_two_and_the_truth_nothing():
@@ -50,6 +50,14 @@ def test_what_holds_everywhere_is_learned():
     assert float((error**2).sum() / (unseen.truth**2).sum()) < 0.1
 
 
+def test_a_pace_that_is_too_high_is_an_error():
+    """A network that is right but for a pace of twice the true one is wrong by half of what it says."""
+    scaling, right = train_velocity([samples(seed=1)], members=1, steps=1)
+    unseen = samples(count=50, seed=3)
+    said = held_out_error(scaling, right, unseen) + unseen.truth
+    torch.testing.assert_close(held_out_error(scaling, right, replace(unseen, truth=said), pace=2.0), said / 2)
+
+
 @pytest.mark.long
 def test_doubt_is_the_spread_of_the_errors():
     """Errors that are normal, and wider where the second feature is positive."""
@@ -60,7 +68,7 @@ def test_doubt_is_the_spread_of_the_errors():
     doubt = train_doubt(Scaling.of(Samples.joined(flames)), flames, errors, steps=600)
     unseen = replace(samples(seed=3), features=samples(seed=3).features)
     scaled = Scaling.of(Samples.joined(flames))(unseen.features).numpy()
-    sd = 3 * np.exp(evaluate_network(doubt, scaled)[0, :, 0])
+    sd = np.exp(evaluate_network(doubt, scaled)[0, :, 0])
     wide = unseen.features[:, 1].numpy() > 0.3
     narrow = unseen.features[:, 1].numpy() < -0.3
     assert np.median(sd[wide]) == pytest.approx(1.2, rel=0.15)
