@@ -84,6 +84,22 @@ def test_a_real_capture_has_no_velocity(tiny_dataset):
         _ = Dataset.open(tiny_dataset).velocity
 
 
+@pytest.mark.parametrize(
+    "scale, known",
+    [
+        (None, True),
+        ("metres, from points of known size (spread 1.2%)", True),
+        ("metres, from --cameras", True),
+        ("unknown: the unit is the distance between first and last camera", False),
+        ("that of the data set: first and last camera are 10 of its units apart", False),
+    ],
+)
+def test_whether_lengths_are_metres(tiny_dataset, scale, known):
+    """What `gof ingest` writes of each way to place cameras; a simulated scene says nothing and is in metres."""
+    change(tiny_dataset, provenance={} if scale is None else {"scale": scale})
+    assert Dataset.open(tiny_dataset).description.in_metres == known
+
+
 def test_cameras_with_clocks_of_their_own(tiny_dataset):
     meta = json.loads((tiny_dataset / "dataset.json").read_text())
     own = [0.004 + 0.01 * k for k in range(4)]

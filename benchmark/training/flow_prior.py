@@ -303,6 +303,10 @@ def main(argv: list[str] | None = None) -> None:
     for flame, known, left in zip(flames, others, without, strict=True):
         doubt = doubt_of(known, left.scaling)
         show(flame.dataset.path.name, flame, prior_of(left.scaling, left.velocity, doubt, left.pace))
+    for metres in (True, False):
+        spread = pace_spread(flames, without, metres)
+        unit = "in metres" if metres else "unit unknown"
+        print(f"pace of flames left out, {unit}: {spread:.0%} off (RMS of the log)")
     scaling, velocity = train_velocity([flame.samples for flame in flames])
     prior = prior_of(scaling, velocity, doubt_of(flames, scaling), fitted_pace(flames))
     for flame in everything:
@@ -318,6 +322,13 @@ def main(argv: list[str] | None = None) -> None:
 
 def fitted_pace(flames: list[Flame]) -> Pace:
     return Pace.fit([flame.axis for flame in flames], [flame.pace for flame in flames])
+
+
+def pace_spread(flames: list[Flame], without: list[LeftOut], metres: bool) -> float:
+    """RMS of the log of estimated over true pace, each flame's by a line that was not fitted to it."""
+    pairs = zip(flames, without, strict=True)
+    off = [np.log(left.pace.of(flame.axis, metres) / flame.pace) for flame, left in pairs]
+    return float(np.sqrt(np.mean(np.square(off))))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from gof.records import read_record, write_record
 FILE = "dataset.json"
 FRAME = re.compile(r"\{frame(?::0?([1-9])d)?\}")  # all of Python's format language that file names may use
 PICTURES = ("rgb", "static", "mask", "exr", "flow", "board_mask")  # fields of a camera that name files
-UNKNOWN_UNIT = "unknown"  # how provenance["scale"] begins where lengths are not metres
+METRES = "metres"  # how provenance["scale"] begins, if it is there at all, where lengths are metres
 Row3, Row4 = tuple[float, float, float], tuple[float, float, float, float]
 TEST_EVERY, TEST_FIRST = 8, 4  # every 8th frame is held out (paper, "Results"), from the fifth on
 
@@ -120,8 +120,8 @@ class DatasetDescription:
 
     @property
     def in_metres(self) -> bool:
-        """Whether lengths are metres; poses solved without any known length have a unit of their own."""
-        return not str(self.provenance.get("scale", "")).startswith(UNKNOWN_UNIT)
+        """Whether lengths are metres; poses solved without any known length have a unit of their own, and say so."""
+        return str(self.provenance.get("scale", METRES)).startswith(METRES)
 
     def __post_init__(self):
         count = len(self.time_s)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from gof.capture.template import BoardTemplate
-from gof.dataset.description import UNKNOWN_UNIT
+from gof.dataset.description import METRES
 from gof.dataset.poses import FeatureFigures, PointCheck, PoseReport
 from gof.errors import DataFormatError, GofError
 from gof.ingest import adjust, sfm
@@ -94,7 +94,7 @@ def place_cameras(
     points = _all_points(board, options)
     if given is not None:
         check = adjust.check_points(points, lenses, given)
-        report = PoseReport("--cameras", "metres, from --cameras", tuple(notes), check=check)
+        report = PoseReport("--cameras", f"{METRES}, from --cameras", tuple(notes), check=check)
         return Placed(given, np.zeros((0, 3)), report)
 
     # ---- solvers, and what the checks say of each --------------------------------------------------------------------
@@ -238,18 +238,16 @@ def _scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptions) ->
             "the first and the last camera stand at the same place; depth cannot be seen from one place"
         )
     if options.baseline_m is not None:
-        words = f"metres, from the distance of {options.baseline_m:g} m between first and last camera"
+        words = f"{METRES}, from the distance of {options.baseline_m:g} m between first and last camera"
         return options.baseline_m / baseline, words
     if not options.has_length:
-        words = (
-            f"{UNKNOWN_UNIT}: the unit is the distance between first and last camera (give --marker-m or --baseline-m)"
-        )
+        words = "unknown: the unit is the distance between first and last camera (give --marker-m or --baseline-m)"
         return 1 / baseline, words
     if check is None or not check.metres_per_unit:
         raise DataFormatError(
             "the scale is to come from marked points, but fewer than two with xyz are in two views; use --baseline-m"
         )
-    return check.metres_per_unit, f"metres, from points of known size (spread {check.spread:.1%})"
+    return check.metres_per_unit, f"{METRES}, from points of known size (spread {check.spread:.1%})"
 
 
 def upright_world(world_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from gof.dataset import Splits, held_out
+from gof.dataset.description import METRES
 from gof.dataset.poses import PoseReport
 from gof.errors import DataFormatError, GofError
 from gof.files import write_json
@@ -144,7 +145,7 @@ class PublishedFootage(Footage):
         apart = float(np.linalg.norm(centre[-1] - centre[0]))
         factor, scale = 1.0, f"that of the data set: first and last camera are {apart:.4g} of its units apart"
         if baseline_m is not None:
-            factor, scale = baseline_m / apart, f"metres, from --baseline-m {baseline_m:g}"
+            factor, scale = baseline_m / apart, f"{METRES}, from --baseline-m {baseline_m:g}"
         published[:, :3, 3] *= factor
         world_to_camera, axes = upright_world(published)
         return cls(
