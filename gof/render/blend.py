@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import drjit as dr
 
-from gof.render.backend import Array4f, Float, Int, UInt, frozen, pack, work_units
-from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Footprints, Lists, bin_band, plan_bands
+from gof.render.backend import Array4f, Float, Int, UInt, frozen, kernels, pack, work_units
+from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Lists, bin_band, footprints, plan_bands
+from gof.render.project import Projected
 
 MAX_ALPHA = 0.99  # 1 - alpha stays >= 0.01, so the adjoint's division by it loses at most two digits
 MIN_TRANSMITTANCE = 1e-4  # a pixel whose transmittance would fall below this stops before that Gaussian
@@ -32,31 +33,39 @@ class Trace:
 def blend(
     geometry: list[Float],
     channels: list[Float],
-    shapes: Footprints,
+    projected: Projected,
+    width: int,
+    height: int,
     trace: Trace,
     *,
     deterministic: bool = False,
     pair_budget: int = PAIR_BUDGET,
 ) -> tuple[list[Float], Float]:
-    """Blend the channels of N Gaussians.
+    """Blend the channels of N Gaussians, with the kernels that `gof.render.backend.kernels` names.
 
     Args:
         geometry: mean_x, mean_y, a, b, c, log2_opacity, each (N,) (see `Projected`).
         channels: what to accumulate, each (N,).
-        shapes: where each Gaussian may be seen, in depth order.
+        projected: where each Gaussian is, detached.
+        width, height: of the picture, px.
         trace: filled with counts now and the 2D gradient in the backward pass.
         deterministic: sum gradients in a fixed order; slower, and 16 bytes per pair and four values.
         pair_budget: pairs held at a time.
     Returns:
         (sum w_i channel_i per channel, alpha = sum w_i), each a plane of whole blocks (4 rows x 4 columns), AD.
     """
-    *planes, alpha = dr.custom(_Blend, geometry, channels, shapes, trace, deterministic, pair_budget)
+    operation = _Blend
+    if kernels().name == "native":
+        from gof.render.native.operation import NativeBlend as operation
+    settings = projected, width, height, trace, deterministic, pair_budget
+    *planes, alpha = dr.custom(operation, geometry, channels, *settings)
     return planes, alpha
 
 
 class _Blend(dr.CustomOp):
-    def eval(self, geometry, channels, shapes, trace, deterministic, pair_budget):
-        self.shapes, self.trace, self.deterministic = shapes, trace, deterministic
+    def eval(self, geometry, channels, projected, width, height, trace, deterministic, pair_budget):
+        self.shapes = shapes = footprints(projected, width, height)
+        self.trace, self.deterministic = trace, deterministic
         self.n, self.n_channels = len(geometry[0]), len(channels)
         self.records = pack(geometry + channels, stride(len(geometry) + len(channels)))
         self.bands = plan_bands(shapes, pair_budget)
@@ -73,7 +82,7 @@ class _Blend(dr.CustomOp):
         return [Float(p) for p in self.planes]
 
     def backward(self):
-        grads = [_as_plane(g, len(self.planes[0])) for g in self.grad_out()]
+        grads = [as_plane(g, len(self.planes[0])) for g in self.grad_out()]
         quads = stride(GEOMETRY + self.n_channels) // 4
         flat = None
         for band in self.bands:
@@ -118,7 +127,7 @@ def _fetch(records: Float, gaussian: UInt, n_columns: int) -> list[Float]:
     return [v for q in used for v in dr.gather(Array4f, records, gaussian * quads + q)][:n_columns]
 
 
-def _as_plane(gradient: Float, size: int) -> Float:
+def as_plane(gradient: Float, size: int) -> Float:
     gradient = Float(gradient) if len(gradient) == size else Float(gradient) + dr.zeros(Float, size)
     dr.make_opaque(gradient)
     return gradient

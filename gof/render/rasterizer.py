@@ -11,7 +11,7 @@ from gof.cameras import Camera
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, opaque
-from gof.render.bins import BLOCK, PAIR_BUDGET, footprints
+from gof.render.bins import BLOCK, PAIR_BUDGET
 from gof.render.blend import Trace, blend
 from gof.render.harmonics import harmonics_color
 from gof.render.project import ProjectionOptions, project
@@ -100,10 +100,9 @@ def render_splats(
         detached = dr.detach(p)
         mean2d, radius = Array2f(detached.mean_x, detached.mean_y), detached.radius
         dr.eval(geometry, channels, detached, radius)
-        with dr.suspend_grad():
-            shapes = footprints(detached, width, height)
-        planes, alpha = blend(geometry, channels, shapes, trace, deterministic=deterministic, pair_budget=pair_budget)
-        planes = [_crop(plane, width, height, shapes.columns) for plane in [*planes, alpha]]
+        options = {"deterministic": deterministic, "pair_budget": pair_budget}
+        planes, alpha = blend(geometry, channels, detached, width, height, trace, **options)
+        planes = [_crop(plane, width, height) for plane in [*planes, alpha]]
     *planes, alpha = planes
     dynamic_alpha = planes.pop() if dynamic is not None else None
     depth_sum = planes.pop() if depth else None
@@ -114,13 +113,13 @@ def render_splats(
     return Frame(width, height, color, alpha, depth_sum, dynamic_alpha, mean2d, radius, trace)
 
 
-def _crop(plane: Float, width: int, height: int, columns: int) -> Float:
+def _crop(plane: Float, width: int, height: int) -> Float:
     """Padded plane (whole blocks) to the image."""
-    if width == columns * BLOCK and len(plane) == width * height:
+    if len(plane) == width * height:
         return plane
-    i = dr.arange(UInt, width * height)
+    i, padded = dr.arange(UInt, width * height), -(-width // BLOCK) * BLOCK
     row = i // width
-    return dr.gather(Float, plane, row * (columns * BLOCK) + (i - row * width), mode=dr.ReduceMode.NoConflicts)
+    return dr.gather(Float, plane, row * padded + (i - row * width), mode=dr.ReduceMode.NoConflicts)
 
 
 def splats_at(gaussians: TransientGaussians, camera: Camera, time_s: float, *, shutter: str = "exact") -> Splats:

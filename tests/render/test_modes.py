@@ -14,6 +14,8 @@ from gof.render.scene import columns  # noqa: E402
 from tests.render.drawing import gradients, image, loss_weights, splats, weighted_sum  # noqa: E402
 from tests.render.scenes import camera, gaussians  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("kernels")
+
 
 def draw(g, cam, **kwargs):
     s = splats(g, grad=True)

@@ -11,6 +11,8 @@ pytest.importorskip("drjit")
 
 from gof.render import rasterize, reference  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("kernels")
+
 NAMES = ("means", "quats", "scales", "opacities", "colors")
 
 
