@@ -67,9 +67,9 @@ class Training:
 
     def __init__(self, n: int, width: int, height: int):
         import drjit as dr
-        from drjit.opt import Adam
 
         from gof.render import Target
+        from gof.render.adam import Adam
         from gof.render.backend import Array3f, Array4f, Float, floats
         from gof.render.scene import columns
 

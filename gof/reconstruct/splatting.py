@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 import numpy as np
-from drjit.opt import Adam
 
 from gof.cameras import Camera
 from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.morton import morton_order
 from gof.render import Splats, Target, l1_ssim, render_splats
+from gof.render.adam import Adam
 from gof.render.backend import Array3f, Array4f, Float
 from gof.render.rasterizer import Frame
 from gof.rotations import rotation_matrices
