@@ -153,7 +153,7 @@ def backward(records, lists, start, begin, stop_block, columns, first_row, plane
             _collect(records, previous, x, y, d, w, g_colors, absgrad, sums)
             T, stop, S, d, w = _derive(records, this, alpha, T, stop, S, g_colors, g_alpha, max_alpha)
             previous, this, alpha = this, following, next_alpha
-            if not some(stop < NEVER):
+            if i % 4 == 0 and not some(stop < NEVER):
                 i = end
         _collect(records, previous, x, y, d, w, g_colors, absgrad, sums)
 

@@ -200,6 +200,13 @@ def _pointer(context, builder, kind, array, index):
     return builder.gep(context.make_array(kind)(context, builder, array).data, [index])
 
 
+def _constant_load(builder, pointer):
+    """LLVM may read it later, where it is needed, because no store to another array changes it."""
+    value = builder.load(pointer)
+    value.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return value
+
+
 def _load(builder, pointer, kind):
     return builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4, typ=kind)
 
@@ -210,10 +217,10 @@ def _store(builder, pointer, value):
 
 @intrinsic
 def get(typing, array, index):
-    """array[index]."""
+    """array[index] of an array that the kernel only reads."""
 
     def emit(context, builder, signature, values):
-        return builder.load(_pointer(context, builder, signature.args[0], *values))
+        return _constant_load(builder, _pointer(context, builder, signature.args[0], *values))
 
     return array.dtype(array, types.int64), emit
 
@@ -241,15 +248,16 @@ def store(typing, array, index, x):
 
 
 @intrinsic
-def store_integers(typing, array, index, x):
-    """array[index : index + 16] = x, without its fraction; an array of int32."""
+def store_words(typing, array, index, low, high):
+    """array[index : index + 16] = low | high << 16, of whole numbers from 0 to 65535; an array of uint32."""
 
     def emit(context, builder, signature, values):
-        integers = builder.fptosi(values[2], INTEGERS)
-        _store(builder, _pointer(context, builder, signature.args[0], *values[:2]), integers)
+        low, high = (builder.fptosi(x, INTEGERS) for x in values[2:])
+        words = builder.or_(low, builder.shl(high, ir.Constant(INTEGERS, [16] * LANES)))
+        _store(builder, _pointer(context, builder, signature.args[0], *values[:2]), words)
         return context.get_dummy_value()
 
-    return types.void(array, types.int64, x), emit
+    return types.void(array, types.int64, low, high), emit
 
 
 @intrinsic
@@ -363,7 +371,7 @@ def _with_numbers(context, builder, kind, blocks, array, index):
         _pointer(context, builder, kind, array, builder.add(index, ir.Constant(index.type, k)))
         for k in range(len(blocks))
     )
-    return blocks, [_spread(builder, builder.load(pointer)) for pointer in pointers]
+    return blocks, [_spread(builder, _constant_load(builder, pointer)) for pointer in pointers]
 
 
 @intrinsic

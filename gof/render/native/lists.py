@@ -25,9 +25,8 @@ from gof.render.native.lanes import (
     minimum,
     prefetch,
     row_numbers,
-    spread,
     square_root,
-    store_integers,
+    store_words,
     where,
 )
 
@@ -108,8 +107,7 @@ def find_spans(begin, stop, records, shapes, bits, first_row, end_row, first_spa
     In the pixel row at dy from its mean a Gaussian reaches alpha 1/255 in x + slope dy +- sqrt(half_width2 - shrink
     dy^2): sixteen pixel rows at a time, of which four are a row of blocks.
     """
-    ends = np.empty(2 * LANES, np.int32)
-    last_pixel = columns * BLOCK - 1
+    words, last_pixel = np.empty(LANES, np.uint32), np.float32(columns * BLOCK - 1)
     for i in range(begin, stop):
         row, end = rows_of(bits, i, first_row, end_row)
         x, y = get(records, i * RECORD), get(records, i * RECORD + 1)
@@ -129,19 +127,18 @@ def find_spans(begin, stop, records, shapes, bits, first_row, end_row, first_spa
             high = where(hit, centre + half, -FAR)
             low, high = minimum(low, exchange(low, 1)), maximum(high, exchange(high, 1))
             low, high = minimum(low, exchange(low, 2)), maximum(high, exchange(high, 2))
-            store_integers(ends, 0, maximum(ceil(minimum(low, FAR)), 0.0))
-            store_integers(ends, LANES, minimum(floor(maximum(high, -FAR)), spread(np.float32(last_pixel))))
+            low = ceil(low)
+            first_column = floor(maximum(low, 0.0) * 0.25)
+            end_column = where(high >= low, floor(minimum(high, last_pixel) * 0.25) + 1.0, 0.0)
+            some = first_column < end_column
+            store_words(words, 0, where(some, first_column, 0.0), where(some, end_column, 0.0))
             for k in range(min(ROWS_AT_ONCE, end - row)):
-                first, last = np.int64(ends[k * BLOCK]), np.int64(ends[LANES + k * BLOCK])
-                first_column = first // BLOCK
-                end_column = last // BLOCK + 1 if last >= first else first_column
-                if end_column <= first_column:
-                    first_column = end_column = 0
-                spans[place] = np.uint32(first_column) | np.uint32(end_column) << np.uint32(16)
+                word = words[k * BLOCK]
+                spans[place] = word
                 place += 1
                 at = (row + k - first_row) * (columns + 1)
-                change[at + first_column] += 1
-                change[at + end_column] -= 1
+                change[at + np.int64(word & np.uint32(0xFFFF))] += 1
+                change[at + np.int64(word >> np.uint32(16))] -= 1
             row += ROWS_AT_ONCE
 
 
