@@ -12,11 +12,13 @@ from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, opaque
 from gof.render.bins import BLOCK, PAIR_BUDGET
-from gof.render.blend import Trace, blend
+from gof.render.blend import MAX_ALPHA, Trace, blend
 from gof.render.harmonics import harmonics_color
-from gof.render.project import ProjectionOptions, project
-from gof.render.scene import Splats, columns, require_finite_splats, transient_state
+from gof.render.project import Projected, ProjectionOptions, project
+from gof.render.scene import MAX_CHANNELS, Splats, columns, require_finite_splats, transient_state
 from gof.render.shutter import shutter_delay
+
+MIN_ALPHA = 1 / 255  # fainter is not drawn
 
 
 @dataclass
@@ -30,7 +32,7 @@ class Frame:
     depth: Float | None  # sum w_i z_i, m, not normalised
     dynamic_alpha: Float | None  # sum w_i dynamic_i
     mean2d: Array2f  # (N,) px, detached
-    radius: Float  # (N,) px, 3 sigma along the longer axis; 0 = not drawn
+    radius: Float  # (N,) px, 3 sigma along the longer axis; 0 = not drawn, or no part of the 3 sigma is in the picture
     trace: Trace
 
     @property
@@ -52,6 +54,11 @@ class Frame:
         t = self.trace
         return None if t.mean_x_grad is None else Array2f(t.mean_x_grad, t.mean_y_grad)
 
+    @property
+    def mean2d_absgrad(self) -> Array2f | None:
+        """(N,) sum over pixels of |dL/d(mean2d)| of each, after `dr.backward`; None before, or if not asked for."""
+        return None if self.trace.mean_absgrad is None else Array2f(*self.trace.mean_absgrad)
+
 
 def render_splats(
     splats: Splats,
@@ -63,6 +70,8 @@ def render_splats(
     pose: list[Float] | None = None,
     deterministic: bool = False,
     pair_budget: int = PAIR_BUDGET,
+    max_alpha: float = MAX_ALPHA,
+    absgrad: bool = False,
     **options,
 ) -> Frame:
     """Draw Gaussians front to back (3D Gaussian Splatting's image formation), differentiable.
@@ -77,9 +86,16 @@ def render_splats(
         deterministic: gradients are summed in a fixed order, so that a run repeats bit for bit (the image always does).
         pair_budget: above this many (block, Gaussian) pairs the image is drawn in bands, one after another, and its
             lists are built again for the backward pass; bounds memory, at least one row of blocks is held.
+        max_alpha: a Gaussian hides at most this part of what is behind it; where it is clamped its gradient is 0.
+            gsplat's is 0.999; the nearer to 1, the more digits the gradient loses.
+        absgrad: also leave `Frame.mean2d_absgrad`.
         options: near, far, dilation, antialias, min_radius of `gof.render.project.ProjectionOptions`.
+    Raises:
+        DataFormatError: an argument out of range, named.
     """
     width, height = camera.width, camera.height
+    if not MIN_ALPHA < max_alpha < 1:
+        raise DataFormatError(f"'max_alpha' is {max_alpha}; it must be above 1/255 and below 1")
     if background is not None and len(background) != len(splats.color):
         raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
     trace = Trace()
@@ -90,18 +106,22 @@ def render_splats(
         mean2d, radius = Array2f(Float(), Float()), Float()
     else:
         parameters = (splats.position, splats.rotation, splats.scale, splats.opacity)
-        p = project(*parameters, camera, ProjectionOptions(**options), pose)
+        p = project(*parameters, camera, ProjectionOptions(**options), pose, splats.covariance)
         channels = list(splats.color)
         if depth:
             channels.append(p.depth)
         if dynamic is not None:
             channels.append(dr.select(dynamic, Float(1), Float(0)) if isinstance(dynamic, Bool) else dynamic)
+        if absgrad and len(channels) > MAX_CHANNELS:
+            raise DataFormatError(
+                f"'absgrad' with {len(channels)} channels, depth and dynamic counted; at most {MAX_CHANNELS} go with it"
+            )
         geometry = [p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity]
         detached = dr.detach(p)
-        mean2d, radius = Array2f(detached.mean_x, detached.mean_y), detached.radius
+        mean2d, radius = Array2f(detached.mean_x, detached.mean_y), _radius(detached, width, height)
         dr.eval(geometry, channels, detached, radius)
-        options = {"deterministic": deterministic, "pair_budget": pair_budget}
-        planes, alpha = blend(geometry, channels, detached, width, height, trace, **options)
+        how = {"deterministic": deterministic, "pair_budget": pair_budget, "max_alpha": max_alpha, "absgrad": absgrad}
+        planes, alpha = blend(geometry, channels, detached, width, height, trace, **how)
         planes = [_crop(plane, width, height) for plane in [*planes, alpha]]
     *planes, alpha = planes
     dynamic_alpha = planes.pop() if dynamic is not None else None
@@ -111,6 +131,13 @@ def render_splats(
         through = 1 - alpha
         color = [dr.fma(through, b, c) for c, b in zip(color, background, strict=True)]
     return Frame(width, height, color, alpha, depth_sum, dynamic_alpha, mean2d, radius, trace)
+
+
+def _radius(p: Projected, width: int, height: int) -> Float:
+    """px; 0 where the square around the circle lies outside the picture."""
+    r = p.radius
+    inside = (dr.abs(p.mean_x - 0.5 * width) < r + 0.5 * width) & (dr.abs(p.mean_y - 0.5 * height) < r + 0.5 * height)
+    return dr.select(inside, r, 0.0)
 
 
 def _crop(plane: Float, width: int, height: int) -> Float:

@@ -7,6 +7,8 @@ line: mean_x, mean_y, a, b, c, log2_opacity and up to ten channels. Its gradient
 from __future__ import annotations
 
 import numpy as np
+from numba.core import types
+from numba.extending import overload
 
 from gof.render.bins import BLOCK, LOG2_255
 from gof.render.blend import GEOMETRY, MIN_TRANSMITTANCE
@@ -173,11 +175,26 @@ def _derive(records, g, alpha, T, stop, S, g_colors, g_alpha, max_alpha):
 @part
 def _collect(records, g, x, y, d, w, g_colors, absgrad, sums):
     dx, dy = _offsets(records, g, x, y)
-    others = scaled(g_colors, w)
-    if absgrad is not None:
-        a, b, c = get(records, g + 2), get(records, g + 3), get(records, g + 4)
-        others = others + (absolute(d * (dx * a + dx * a + dy * b)), absolute(d * (dy * c + dy * c + dx * b)))
+    others = _with_absolute(absgrad, scaled(g_colors, w), records, g, d, dx, dy)
     store(sums, g, load(sums, g) + block_sums(d, dx, dy, others))
+
+
+def _with_absolute(absgrad, others, records, g, d, dx, dy):
+    """The others, and with `absgrad` |dL/d(mean)| of each pixel, x and y."""
+
+
+@overload(_with_absolute)
+def _choose_absolute(absgrad, others, records, g, d, dx, dy):
+    if isinstance(absgrad, types.NoneType):
+        return lambda absgrad, others, records, g, d, dx, dy: others
+    return _append_absolute
+
+
+def _append_absolute(absgrad, others, records, g, d, dx, dy):
+    a, b, c = get(records, g + 2), get(records, g + 3), get(records, g + 4)
+    d_mean_x = d * (dx * (TWO * a) + dy * b) * LN_2
+    d_mean_y = d * (dy * (TWO * c) + dx * b) * LN_2
+    return others + (absolute(d_mean_x), absolute(d_mean_y))
 
 
 @kernel

@@ -15,7 +15,7 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.render.backend import Float, UInt, scattered
 from gof.render.bins import BLOCK, as_bands, ellipses
-from gof.render.blend import GEOMETRY, as_plane
+from gof.render.blend import GEOMETRY, as_plane, hand_back
 from gof.render.native import blending, lists
 from gof.render.native.threads import even_parts, run, thread_count
 
@@ -56,11 +56,11 @@ class NativeBlend(dr.CustomOp):
         trace,
         deterministic,
         pair_budget,
-        max_alpha=0.99,
-        absgrad=False,
+        max_alpha,
+        absgrad,
     ):
-        self.trace, self.deterministic, self.max_alpha = trace, deterministic, np.float32(max_alpha)
-        self.absgrad = True if absgrad else None
+        self.trace, self.deterministic = trace, deterministic
+        self.max_alpha, self.absgrad = np.float32(max_alpha), absgrad
         self.n, self.n_channels = len(geometry[0]), len(channels)
         self._prepare(geometry + channels, projected, width, height)
         bands = self._plan(pair_budget)
@@ -142,15 +142,11 @@ class NativeBlend(dr.CustomOp):
         run(lambda p, begin, end: blending.clear(begin, end, self.bits, sums[p]), _pairs(range(parts), pieces))
         for band in self.bands:
             self._run_backward(band if isinstance(band, _Band) else self._bin(*band), planes, grads, sums)
-        columns = [dr.empty(Float, self.n) for _ in range(GEOMETRY + self.n_channels + (2 if self.absgrad else 0))]
+        columns = [dr.empty(Float, self.n) for _ in range(GEOMETRY + self.n_channels + 2 * self.absgrad)]
         views = tuple(column.numpy() for column in columns)
         out = self.bits, self.records, sums, views[:GEOMETRY], views[GEOMETRY:]
         run(lambda begin, end: blending.gradients(begin, end, *out), pieces)
-        self.trace.mean_x_grad, self.trace.mean_y_grad = columns[0], columns[1]
-        if self.absgrad:
-            self.trace.mean_x_absgrad, self.trace.mean_y_absgrad = columns[-2:]
-        self.set_grad_in("geometry", columns[:GEOMETRY])
-        self.set_grad_in("channels", columns[GEOMETRY : GEOMETRY + self.n_channels])
+        hand_back(self, columns)
 
     def _run_backward(self, band: _Band, planes: tuple, grads: tuple, sums: np.ndarray) -> None:
         chunks, parts = band.chunks(), len(sums)
@@ -161,7 +157,7 @@ class NativeBlend(dr.CustomOp):
             for begin, end in chunks[p::parts] if self.deterministic else shared:
                 where = (begin, end, self.columns, band.first_row)
                 args = (self.records, band.gaussians, band.start, *where, planes, grads)
-                blending.backward(*args, self.max_alpha, self.absgrad, sums[p])
+                blending.backward(*args, self.max_alpha, True if self.absgrad else None, sums[p])
 
         run(work, [(p,) for p in range(parts)])
 
