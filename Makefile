@@ -35,7 +35,7 @@ $(READY): pyproject.toml tools/system_packages.sh
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --quiet --upgrade "pip>=24" "setuptools>=77"
 	$(VENV)/bin/python -c "import torch" 2>/dev/null || $(VENV)/bin/python -m pip install "$(TORCH)"
-	$(VENV)/bin/python -m pip install -e ".[blender,torch,dev]"
+	$(VENV)/bin/python -m pip install -e ".[blender,torch,dev,fast]"
 	touch $@
 
 lint: setup

@@ -217,10 +217,11 @@ def gradients(begin, stop, bits, records, sums, geometry, others):
     for i in range(begin, stop):
         at = i * RECORD
         first, end = rows_of(bits, i, 0, ALL_ROWS)
-        total[:] = np.float32(0)
+        added = spread(np.float32(0))
         if first < end:
             for p in range(len(sums)):
-                store(total, 0, load(total, 0) + load(sums[p], at))
+                added = added + load(sums[p], at)
+        store(total, 0, added)
         a, b, c = get(records, at + 2), get(records, at + 3), get(records, at + 4)
         m_x, m_y = total[X] * LN_2, total[Y] * LN_2
         mean_x[i], mean_y[i] = TWO * a * m_x + b * m_y, TWO * c * m_y + b * m_x

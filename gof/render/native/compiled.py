@@ -31,6 +31,7 @@ def cache_folder() -> Path | None:
 
 
 CACHE = cache_folder()
+WHERE = f"kept in {CACHE}" if CACHE else "in every process anew: no cache folder can be written (XDG_CACHE_HOME)"
 
 
 def kernel(function):
@@ -59,8 +60,7 @@ class _Announcement(event.Listener):
         ours = getattr(started.data.get("dispatcher"), "__module__", "").startswith(__package__)
         if ours and not self.made:
             self.made = True
-            kept = f"kept in {CACHE}" if CACHE else "not kept: no cache folder can be written"
-            print(f"gof: compiling the renderer for this processor, some seconds ({kept})", file=sys.stderr, flush=True)
+            print(f"gof: compiling the renderer for this processor, some seconds, {WHERE}", file=sys.stderr, flush=True)
 
     def on_end(self, ended: event.Event) -> None:
         """Nothing to say."""

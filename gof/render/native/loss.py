@@ -94,7 +94,8 @@ def l1_ssim_rows(
     for taken in range(max(begin - 2 * REACH, 0), stop + 2 * REACH):
         if taken < height:
             slot = taken % SPAN * stride
-            kept[slot : slot + width] = image[taken * width : (taken + 1) * width]
+            for x in range(width):
+                kept[slot + x] = image[taken * width + x]
 
         row = taken - REACH
         if max(begin - REACH, 0) <= row < min(stop + REACH, height):
@@ -128,8 +129,8 @@ def l1_ssim_rows(
         row = taken - 2 * REACH
         if begin <= row < stop:
             # The picture's row may have left its ring: it is read again.
-            line[:width] = image[row * width : (row + 1) * width]
-            line[width:] = np.float32(0)
+            for x in range(stride):
+                line[x] = image[row * width + x] if x < width else np.float32(0)
             total = spread(np.float32(0))
             for x in range(0, stride, LANES):
                 g_mean = g_square = g_product = spread(np.float32(0))
@@ -144,7 +145,8 @@ def l1_ssim_rows(
                 sign = where(b < a, 1.0, where(a < b, spread(np.float32(-1)), 0.0))
                 store(line, x, g_mean + a * g_square * 2.0 + b * g_product + w * sign)
             totals[row] += _added(total, lanes)
-            gradient[row * width : (row + 1) * width] = line[:width]
+            for x in range(width):
+                gradient[row * width + x] = line[x]
 
 
 @part
