@@ -46,6 +46,19 @@ def test_deterministic_mode_repeats_bit_for_bit_and_agrees_with_the_fast_mode():
     assert all(np.array_equal(runs[0][1], r[1]) for r in (*runs[1:], fast))
 
 
+def test_deterministic_mode_does_not_depend_on_the_number_of_threads():
+    cam, g, threads = camera(60, 50), gaussians(3000, 2, 0.06), dr.thread_count()
+    one, two = [], []
+    for runs, count in ((one, 1), (two, 2)):
+        dr.set_thread_count(count)
+        try:
+            runs += draw(g, cam, deterministic=True)[1:]
+        finally:
+            dr.set_thread_count(threads)
+    assert np.array_equal(one[0], two[0])
+    assert all(np.array_equal(value, two[1][name]) for name, value in one[1].items())
+
+
 def test_equal_depths_are_drawn_in_index_order():
     cam, n = camera(16, 16), 40
     g = gaussians(n, 0, 0.3, spread=0)
