@@ -64,15 +64,16 @@ class NativeBlend(dr.CustomOp):
         self.n, self.n_channels = len(geometry[0]), len(channels)
         self._prepare(geometry + channels, projected, width, height)
         bands = self._plan(pair_budget)
-        self.planes = [dr.empty(Float, self.rows * self.columns * BLOCK * BLOCK) for _ in range(self.n_channels + 1)]
-        planes = tuple(plane.numpy() for plane in self.planes)
+        planes = [dr.empty(Float, self.rows * self.columns * BLOCK * BLOCK) for _ in range(self.n_channels + 1)]
+        # Views now: of an array that something else refers to Dr.Jit hands out a copy.
+        self.planes = tuple(plane.numpy() for plane in planes)
         for rows in bands:
             band = self._bin(*rows)
-            self._run_forward(band, planes)
+            self._run_forward(band)
             trace.pairs += band.pairs
         trace.bands = len(bands)
         self.bands = [band] if len(bands) == 1 else bands  # several: binned again in the backward pass
-        return [Float(plane) for plane in self.planes]
+        return planes
 
     def _prepare(self, columns, projected, width, height) -> None:
         """Records, shapes, and the Gaussians that are drawn by depth."""
@@ -125,30 +126,30 @@ class NativeBlend(dr.CustomOp):
         run(fill, [(a, b) for a, b in pairwise(ends) if a < b])
         return band
 
-    def _run_forward(self, band: _Band, planes: tuple) -> None:
+    def _run_forward(self, band: _Band) -> None:
         def draw(begin, end):
             where = (begin, end, self.columns, band.first_row)
-            blending.forward(self.records, band.gaussians, band.start, *where, planes, self.max_alpha)
+            blending.forward(self.records, band.gaussians, band.start, *where, self.planes, self.max_alpha)
 
         run(draw, band.chunks())
 
     def backward(self):
         upstream = [as_plane(g, len(self.planes[0])) for g in self.grad_out()]
-        grads, planes = (tuple(plane.numpy() for plane in planes) for planes in (upstream, self.planes))
+        grads = tuple(plane.numpy() for plane in upstream)
         parts = REPEATABLE_PARTS if self.deterministic else thread_count()
         memory = dr.empty(Float, parts * self.n * lists.RECORD)
         sums = memory.numpy().reshape(parts, -1)
         pieces = even_parts(self.n, thread_count())
         run(lambda p, begin, end: blending.clear(begin, end, self.bits, sums[p]), _pairs(range(parts), pieces))
         for band in self.bands:
-            self._run_backward(band if isinstance(band, _Band) else self._bin(*band), planes, grads, sums)
+            self._run_backward(band if isinstance(band, _Band) else self._bin(*band), grads, sums)
         columns = [dr.empty(Float, self.n) for _ in range(GEOMETRY + self.n_channels + 2 * self.absgrad)]
         views = tuple(column.numpy() for column in columns)
         out = self.bits, self.records, sums, views[:GEOMETRY], views[GEOMETRY:]
         run(lambda begin, end: blending.gradients(begin, end, *out), pieces)
         hand_back(self, columns)
 
-    def _run_backward(self, band: _Band, planes: tuple, grads: tuple, sums: np.ndarray) -> None:
+    def _run_backward(self, band: _Band, grads: tuple, sums: np.ndarray) -> None:
         chunks, parts = band.chunks(), len(sums)
         shared = iter(chunks)
 
@@ -156,7 +157,7 @@ class NativeBlend(dr.CustomOp):
             # Whoever is free takes the next chunk; repeatable is only what is given out beforehand.
             for begin, end in chunks[p::parts] if self.deterministic else shared:
                 where = (begin, end, self.columns, band.first_row)
-                args = (self.records, band.gaussians, band.start, *where, planes, grads)
+                args = (self.records, band.gaussians, band.start, *where, self.planes, grads)
                 blending.backward(*args, self.max_alpha, True if self.absgrad else None, sums[p])
 
         run(work, [(p,) for p in range(parts)])
