@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import drjit as dr
 
-from gof.render.backend import Array4f, Float, Int, UInt, frozen, kernels, pack, work_units
-from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Lists, bin_band, footprints, plan_bands
-from gof.render.project import Projected
+from gof.render.backend import Array4f, Float, Int, UInt, frozen, pack, work_units
+from gof.render.bins import BLOCK, LOG2_255, Bins, Lists, bin_band, footprints, plan_bands
 
 MAX_ALPHA = 0.99  # the usual clamp: the adjoint divides by 1 - alpha >= 0.01 and loses two digits at most
 MIN_TRANSMITTANCE = 1e-4  # a pixel whose transmittance would fall below this stops before that Gaussian
@@ -31,43 +30,9 @@ class Trace:
         self.mean_absgrad: list[Float] | None = None  # x, y; where `absgrad` asks for it
 
 
-def blend(
-    geometry: list[Float],
-    channels: list[Float],
-    projected: Projected,
-    width: int,
-    height: int,
-    trace: Trace,
-    *,
-    deterministic: bool = False,
-    pair_budget: int = PAIR_BUDGET,
-    max_alpha: float = MAX_ALPHA,
-    absgrad: bool = False,
-) -> tuple[list[Float], Float]:
-    """Blend the channels of N Gaussians, with the kernels that `gof.render.backend.kernels` names.
+class DrJitBlend(dr.CustomOp):
+    """See `gof.render.rasterizer.blend`."""
 
-    Args:
-        geometry: mean_x, mean_y, a, b, c, log2_opacity, each (N,) (see `Projected`).
-        channels: what to accumulate, each (N,).
-        projected: where each Gaussian is, detached.
-        width, height: of the picture, px.
-        trace: filled with counts now and the 2D gradient in the backward pass.
-        deterministic: sum gradients in a fixed order; slower, and 16 bytes per pair and four values.
-        pair_budget: pairs held at a time.
-        max_alpha: alpha is clamped at it, with gradient 0 there.
-        absgrad: leave sum over pixels |dL/d(mean)| in the trace; at most 8 channels then.
-    Returns:
-        (sum w_i channel_i per channel, alpha = sum w_i), each a plane of whole blocks (4 rows x 4 columns), AD.
-    """
-    operation = _Blend
-    if kernels().name == "native":
-        from gof.render.native.operation import NativeBlend as operation
-    settings = projected, width, height, trace, deterministic, pair_budget, max_alpha, absgrad
-    *planes, alpha = dr.custom(operation, geometry, channels, *settings)
-    return planes, alpha
-
-
-class _Blend(dr.CustomOp):
     def eval(self, geometry, channels, projected, width, height, trace, deterministic, pair_budget, max_alpha, absgrad):
         self.shapes = shapes = footprints(projected, width, height)
         self.trace, self.deterministic, self.max_alpha, self.absgrad = trace, deterministic, max_alpha, absgrad

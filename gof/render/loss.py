@@ -17,20 +17,9 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.render.backend import Float, UInt, floats, kernels, shifted
+from gof.render.ssim import C1, C2, REACH, WINDOW
 
-C1, C2 = 0.01**2, 0.03**2
-REACH = 5  # the window covers 11 pixels
-SIGMA_PX = 1.5  # of the window (Wang et al. 2004)
 ALIGN = 16  # floats; a blur along rows shortens a strip by this at both ends, so that strips stay on cache lines
-
-
-def _gaussian_window() -> list[float]:
-    """The SSIM window along one axis, normalised. The reference twin has its own, so that the tests compare the two."""
-    weights = np.exp(-0.5 * (np.arange(-REACH, REACH + 1) / SIGMA_PX) ** 2)
-    return (weights / weights.sum()).tolist()
-
-
-WINDOW = _gaussian_window()
 
 
 @dataclass(frozen=True)

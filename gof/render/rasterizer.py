@@ -10,9 +10,9 @@ import numpy as np
 from gof.cameras import Camera
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
-from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, opaque
+from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, kernels, opaque
 from gof.render.bins import BLOCK, PAIR_BUDGET
-from gof.render.blend import MAX_ALPHA, Trace, blend
+from gof.render.blend import MAX_ALPHA, DrJitBlend, Trace
 from gof.render.harmonics import harmonics_color
 from gof.render.project import Projected, ProjectionOptions, project
 from gof.render.scene import MAX_CHANNELS, Splats, columns, require_finite_splats, transient_state
@@ -131,6 +131,42 @@ def render_splats(
         through = 1 - alpha
         color = [dr.fma(through, b, c) for c, b in zip(color, background, strict=True)]
     return Frame(width, height, color, alpha, depth_sum, dynamic_alpha, mean2d, radius, trace)
+
+
+def blend(
+    geometry: list[Float],
+    channels: list[Float],
+    projected: Projected,
+    width: int,
+    height: int,
+    trace: Trace,
+    *,
+    deterministic: bool = False,
+    pair_budget: int = PAIR_BUDGET,
+    max_alpha: float = MAX_ALPHA,
+    absgrad: bool = False,
+) -> tuple[list[Float], Float]:
+    """Blend the channels of N Gaussians, with the kernels that `gof.render.backend.kernels` names.
+
+    Args:
+        geometry: mean_x, mean_y, a, b, c, log2_opacity, each (N,) (see `Projected`).
+        channels: what to accumulate, each (N,).
+        projected: where each Gaussian is, detached.
+        width, height: of the picture, px.
+        trace: filled with counts now and the 2D gradient in the backward pass.
+        deterministic: sum gradients in a fixed order; slower, and 16 bytes per pair and four values.
+        pair_budget: pairs held at a time.
+        max_alpha: alpha is clamped at it, with gradient 0 there.
+        absgrad: leave sum over pixels |dL/d(mean)| in the trace; at most 8 channels then.
+    Returns:
+        (sum w_i channel_i per channel, alpha = sum w_i), each a plane of whole blocks (4 rows x 4 columns), AD.
+    """
+    operation = DrJitBlend
+    if kernels().name == "native":
+        from gof.render.native.operation import NativeBlend as operation
+    settings = projected, width, height, trace, deterministic, pair_budget, max_alpha, absgrad
+    *planes, alpha = dr.custom(operation, geometry, channels, *settings)
+    return planes, alpha
 
 
 def _radius(p: Projected, width: int, height: int) -> Float:

@@ -159,7 +159,7 @@ def shutter_delay(position, velocity, camera: Camera, exact=True, near=0.01, min
 
 
 def gaussian_window(size=11, sigma=1.5) -> np.ndarray:
-    """(size,) normalised window of 3D Gaussian Splatting's SSIM. `gof.render.loss` has its own, to be compared."""
+    """(size,) normalised window of 3D Gaussian Splatting's SSIM. `gof.render.ssim` has its own, to be compared."""
     w = np.exp(-0.5 * ((np.arange(size) - size // 2) / sigma) ** 2)
     return w / w.sum()
 

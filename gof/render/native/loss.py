@@ -11,10 +11,10 @@ import drjit as dr
 import numpy as np
 
 from gof.render.backend import Float
-from gof.render.loss import C1, C2, REACH, WINDOW
 from gof.render.native.compiled import kernel, part
 from gof.render.native.lanes import LANES, absolute, load, ratio, spread, store, where
 from gof.render.native.threads import even_parts, run, thread_count
+from gof.render.ssim import C1, C2, REACH, WINDOW
 
 SPAN = 2 * REACH + 1
 W = np.array(WINDOW, np.float32)

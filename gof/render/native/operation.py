@@ -44,7 +44,7 @@ class _Band:
 
 
 class NativeBlend(dr.CustomOp):
-    """See `gof.render.blend.blend`."""
+    """See `gof.render.rasterizer.blend`."""
 
     def eval(
         self,
