@@ -105,8 +105,8 @@ def test_checks_of_other_packages_are_made_in_their_place():
     from gof.checks import checks
 
     names = [check.name for check in checks()]
-    assert names[:8] == ["Python", "packages", "Dr.Jit", "OpenEXR", "Blender", "Mantaflow", "disk", "CUDA"]
-    assert names[8:] == ["weights/depth_anything_v2", "weights/memfof", "weights/scores"]
+    assert names[:9] == ["Python", "packages", "Dr.Jit", "renderer", "OpenEXR", "Blender", "Mantaflow", "disk", "CUDA"]
+    assert names[9:] == ["weights/depth_anything_v2", "weights/memfof", "weights/scores"]
 
 
 @pytest.mark.blender
