@@ -38,7 +38,7 @@ $(READY): pyproject.toml requirements.lock tools/system_packages.sh
 	$(VENV)/bin/python -c "import torch" 2>/dev/null || $(VENV)/bin/python -m pip install "$(TORCH)"
 	$(VENV)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.lock || \
 		echo "requirements.lock is for Linux x86-64 with Python 3.11 and all its packages at hand; taking newer ones instead"
-	$(VENV)/bin/python -m pip install -e ".[blender,torch,dev]"
+	$(VENV)/bin/python -m pip install -e ".[blender,torch,dev,fast]"
 	rm -rf *.egg-info  # older setuptools leave one here; it would hide what is installed
 	touch $@
 

@@ -155,6 +155,21 @@ def check_drjit() -> Outcome:
     )
 
 
+def check_kernels() -> Outcome:
+    """Which kernels draw, why these, and where the compiled ones are kept."""
+    code = (
+        "from gof.render.backend import kernels; chosen, kept = kernels(), ''\n"
+        "if chosen.name == 'native':\n"
+        "    from gof.render.native.compiled import WHERE; kept = f'; compiled once, {WHERE}'\n"
+        "print(chosen.name, chosen.why + kept, sep=chr(10))"
+    )
+    done = child(["-c", code])
+    if done.returncode:
+        return "broken", last_line(done.stderr)
+    name, why = done.stdout.strip().splitlines()
+    return ("ok" if name == "native" else "missing"), f"{name} kernels: {why}"
+
+
 def check_cuda() -> Outcome:
     done = child(["-c", "import drjit as dr; print(dr.has_backend(dr.JitBackend.CUDA))"])
     if done.stdout.strip() == "True":
@@ -188,6 +203,7 @@ CHECKS = (
     Check("packages", "versions that fit together", check_packages, 20),
     Check("extras", "optional: docs/install.md says what each is for", check_extras, 25),
     Check("Dr.Jit", "the renderer and the optimisation", check_drjit, 30),
+    Check("renderer", "optional: a step in half the time", check_kernels, 32),
     Check("PyTorch", "optional: checkpoints, learned scores, rasterize() for PyTorch", check_torch, 35),
     Check("disk", "datasets and results", check_disk, 70),
     Check("CUDA", "optional: speed", check_cuda, 80),

@@ -20,7 +20,7 @@ class DataFormatError(GofError):
     """A file or folder does not follow its format (missing field, wrong version, truncated, foreign)."""
 
 
-class NonFiniteError(GofError):
+class NonFiniteError(GofError, ValueError):
     """NaN or Inf where only finite numbers make sense; names the parameter and the first rows."""
 
 

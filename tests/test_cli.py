@@ -105,9 +105,9 @@ def test_checks_of_other_packages_are_made_in_their_place():
     from gof.checks import checks
 
     names = [check.name for check in checks()]
-    assert names[:7] == ["Python", "system", "packages", "extras", "Dr.Jit", "PyTorch", "OpenEXR"]
-    assert names[7:11] == ["Blender", "Mantaflow", "disk", "CUDA"]
-    assert names[11:] == ["weights/depth_anything_v2", "weights/memfof", "weights/scores"]
+    assert names[:8] == ["Python", "system", "packages", "extras", "Dr.Jit", "renderer", "PyTorch", "OpenEXR"]
+    assert names[8:12] == ["Blender", "Mantaflow", "disk", "CUDA"]
+    assert names[12:] == ["weights/depth_anything_v2", "weights/memfof", "weights/scores"]
 
 
 @pytest.mark.blender

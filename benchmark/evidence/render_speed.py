@@ -22,6 +22,7 @@ import numpy as np
 import tyro
 
 from gof.files import write_json
+from gof.gaussians import TransientGaussians
 from gof_benchmark.evidence import child
 from gof_benchmark.evidence.render_scenes import camera, flame
 
@@ -65,16 +66,16 @@ def best(function: Callable[[], object], repeats: int) -> tuple[float, float]:
 class Training:
     """A training step on the random flame, whole or in phases."""
 
-    def __init__(self, n: int, width: int, height: int):
+    def __init__(self, n: int, width: int, height: int, gaussians: TransientGaussians | None = None):
         import drjit as dr
-        from drjit.opt import Adam
 
         from gof.render import Target
+        from gof.render.adam import Adam
         from gof.render.backend import Array3f, Array4f, Float, floats
         from gof.render.scene import columns
 
         self.dr, self.Float, self.n, self.camera = dr, Float, n, camera(width, height)
-        g = flame(n)
+        g = flame(n) if gaussians is None else gaussians
         logit = np.log(g.opacity / (1 - g.opacity))
         self.raw = {
             "position": columns(g.position, Array3f),
@@ -118,7 +119,10 @@ class Training:
         self.dr.sync_thread()
 
     def phases(self, repeats: int) -> dict[str, tuple[float, float]]:
-        """(wall, CPU) ms of each phase on its own, with a synchronisation after it."""
+        """(wall, CPU) ms of each phase of the Dr.Jit kernels on its own, with a synchronisation after it.
+
+        `render_kernels` has those of the native ones beside them.
+        """
         from gof.render import bins, blend, l1_ssim, project
         from gof.render.backend import pack
 
@@ -141,6 +145,8 @@ class Training:
         size = blend._capacity(self.n) * blend.stride(9)
         image = [dr.opaque(Float, 0.5, self.camera.width * self.camera.height) for _ in range(3)]
         grads = [dr.opaque(Float, 1e-3, len(planes[0])) for _ in range(4)]
+        forward = records, band.lists, planes, 3, shapes.columns, blend.MAX_ALPHA
+        backward = records, band.lists, planes, grads, 3, shapes.columns, blend.MAX_ALPHA, False, size
 
         def run(function):
             def timed():
@@ -159,9 +165,9 @@ class Training:
             "project": best(projected, repeats),
             "sort by depth, ellipses": run(lambda: bins.footprints(p, self.camera.width, self.camera.height)),
             "pairs, sort by block": run(lambda: bins.bin_band(shapes, 0, shapes.rows).lists),
-            "blend forward": run(lambda: blend._forward(records, band.lists, planes, 3, shapes.columns)),
+            "blend forward": run(lambda: blend._forward(*forward)),
             "L1 + SSIM, both ways": run(loss),
-            "blend backward": run(lambda: blend._gradient(records, band.lists, planes, grads, 3, shapes.columns, size)),
+            "blend backward": run(lambda: blend._gradient(*backward)),
         }
 
 
@@ -363,10 +369,17 @@ def measure(quick: bool) -> dict[str, Any]:
     """All figures."""
     import drjit as dr
 
+    from gof.render.backend import kernels
+
     repeats = 5 if quick else 25
     n, w, h = (20_000, 320, 180) if quick else (100_000, 640, 360)
     result: dict[str, Any] = {
-        "machine": {"cpu": _cpu_name(), "threads": dr.thread_count(), "drjit": dr.__version__},
+        "machine": {
+            "cpu": _cpu_name(),
+            "threads": dr.thread_count(),
+            "drjit": dr.__version__,
+            "kernels": kernels().name,
+        },
         "scene": [n, w, h],
     }
     training = _warm(Training(n, w, h))
@@ -439,10 +452,10 @@ def _times(r: dict[str, Any]) -> list[str]:
     one, torch = r["one_thread"], r["torch"]
     lines = [
         f"scene {r['scene'][0]} Gaussians, {r['scene'][1]}x{r['scene'][2]}, {r['pairs']} (block, Gaussian) pairs; "
-        f"{r['machine']['cpu']}, {r['machine']['threads']} threads",
+        f"{r['machine']['cpu']}, {r['machine']['threads']} threads; {r['machine']['kernels']} kernels",
         "",
         f"{'what':44s}{'wall ms':>10s}{'CPU ms':>10s}",
-        *(_time_line(f"  {name}", t) for name, t in r["phases"].items()),
+        *(_time_line(f"  {name} (Dr.Jit)", t) for name, t in r["phases"].items()),
         _time_line("full training step with Adam", r["step"]),
         _time_line("forward", r["forward"]),
         _time_line("forward + backward", r["both"]),
@@ -474,7 +487,9 @@ def _ratios(r: dict[str, Any]) -> list[str]:
 
 
 def _kernel_limits(r: dict[str, Any]) -> list[str]:
-    lines = [f"{'kernel':20s}{'CPU ns/pair':>12s}{'goal':>8s}{'instructions':>14s}{'limit ns':>10s}{'of limit':>10s}"]
+    lines = [
+        f"{'Dr.Jit kernel':20s}{'CPU ns/pair':>12s}{'goal':>8s}{'instructions':>14s}{'limit ns':>10s}{'of limit':>10s}"
+    ]
     for name, k in r["kernels"].items():
         lines.append(
             f"blend {name:14s}{k['ns_per_pair']:12.2f}{KERNEL_GOALS_NS[name]:8.1f}{k['ops']:14d}"

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 
 import drjit as dr
 import numpy as np
-from drjit.opt import Adam
 
 from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
@@ -20,6 +19,7 @@ from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.parameters import columns, from_raw, rows, splats, to_raw
 from gof.render import Target, l1_ssim, render_splats
+from gof.render.adam import Adam
 from gof.render.backend import Array3f, Float
 
 SSIM_WEIGHT = 0.2

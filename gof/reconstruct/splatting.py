@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 import numpy as np
-from drjit.opt import Adam
 
 from gof.cameras import Camera
 from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
+from gof.morton import morton_order
 from gof.render import Splats, Target, l1_ssim, render_splats
+from gof.render.adam import Adam
 from gof.render.backend import Array3f, Array4f, Float
 from gof.render.rasterizer import Frame
 from gof.rotations import rotation_matrices
@@ -54,7 +55,7 @@ def optimize_background(
     """
     # 3DGS takes the cameras' spread as the scene's size; of three cameras side by side their distance says more.
     size = float(np.median(np.concatenate([c.to_camera(seeds.position)[:, 2] for c in cameras])))
-    optimizer = _adam(_to_raw(seeds), size)
+    optimizer = _adam(_to_raw(seeds[morton_order(seeds.position)]), size)
     targets = [Target(plate) for plate in plates]
     disparity = None if depths is None else [Float(np.ascontiguousarray(size / d.ravel(), np.float32)) for d in depths]
     pull = _Pull.none(len(seeds))
@@ -133,14 +134,21 @@ def _densify(optimizer: Adam, pull: np.ndarray, size: float, budget: int, rng: n
     child = replace(child, scale=scale, position=child.position + split[:, None] * _within(child, rng))
     g.scale[wanted] = scale  # the parent of a split shrinks as its child does, and moves the other way
     g.position[wanted] += split[:, None] * _within(g[wanted], rng)
-    grown = _adam(_to_raw(TransientGaussians.concatenate([g, child])), size)
+    both = TransientGaussians.concatenate([g, child])
+    order = morton_order(both.position)  # neighbours in space side by side in memory: speed only
+    grown = _adam(_to_raw(both[order]), size)
     for name in grown.keys():  # those that were there keep their moments
         value, promoted, rate, (t, *_, extra) = grown.state[name]
         _, _, _, (t, m, v, _) = optimizer.state[name]
         kind = type(dr.detach(value))
-        moments = [kind(np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, len(wanted))])) for x in (np.array(m), np.array(v))]
+        moments = [kind(_with_zeros(np.array(x), len(wanted))[..., order]) for x in (m, v)]
         grown.state[name] = (value, promoted, rate, (t, *moments, extra))
     return grown
+
+
+def _with_zeros(x: np.ndarray, count: int) -> np.ndarray:
+    """`count` zeros after the last axis' values."""
+    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, count)])
 
 
 def _within(g: TransientGaussians, rng: np.random.Generator) -> np.ndarray:

@@ -9,6 +9,8 @@ import ctypes
 import os
 import platform
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -21,9 +23,54 @@ BACKEND = os.environ.get("GOF_RENDER_BACKEND", "llvm")
 if BACKEND not in ("llvm", "cuda"):
     raise GofError(f"GOF_RENDER_BACKEND is '{BACKEND}'; use 'llvm' or 'cuda'")
 WORK_UNIT = 2048  # lanes
+KERNELS_VARIABLE = "GOF_RENDER_KERNELS"
 _types = import_module(f"drjit.{BACKEND}.ad")
 Array2f, Array3f, Array4f, Bool = _types.Array2f, _types.Array3f, _types.Array4f, _types.Bool
 Float, Int, UInt, Array2u = _types.Float, _types.Int, _types.UInt, _types.Array2u
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """Which kernels sort, bin and blend ("native" or "drjit"), and why these."""
+
+    name: str
+    why: str
+
+
+def kernels() -> Kernels:
+    """The only place that decides: $GOF_RENDER_KERNELS if it is set, else the native ones where they run.
+
+    Raises:
+        GofError: the variable names neither, or forces the native ones where they cannot run.
+    """
+    wanted = os.environ.get(KERNELS_VARIABLE)
+    if wanted not in (None, "native", "drjit"):
+        raise GofError(f"{KERNELS_VARIABLE} is '{wanted}'; use 'native' or 'drjit'")
+    if wanted == "drjit":
+        return Kernels("drjit", f"{KERNELS_VARIABLE}=drjit")
+    obstacle = _obstacle_to_native()
+    if obstacle is None:
+        return Kernels("native", "numba is here and the processor multiplies and adds at once")
+    if wanted == "native":
+        raise GofError(f"{KERNELS_VARIABLE}=native, but {obstacle}")
+    return Kernels("drjit", obstacle)
+
+
+@cache
+def _obstacle_to_native() -> str | None:
+    """Why the native kernels cannot run here; None: they can."""
+    if BACKEND == "cuda":
+        return "they are for processors, and GOF_RENDER_BACKEND is 'cuda'"
+    try:
+        import llvmlite.binding
+        import numba
+    except ImportError as e:
+        return f"numba is not installed ({e}). Run: pip install 'gaussians-on-fire[fast]'"
+    if numba.config.DISABLE_JIT:
+        return "NUMBA_DISABLE_JIT is set"
+    if platform.machine() == "x86_64" and not llvmlite.binding.get_host_cpu_features().get("fma"):
+        return "this processor has no fused multiply-add (AVX2)"
+    return None
 
 
 def _set_work_unit(lanes: int) -> None:
@@ -96,12 +143,18 @@ def floats(array) -> Float:
 
 def pack(columns: list[Float], stride: int) -> Float:
     """N records of `stride` floats (a multiple of 4, padded with 0): a lane fetches a record in 128-bit loads."""
+    out = scattered(columns, stride)
+    dr.eval(out)
+    return out
+
+
+def scattered(columns: list[Float], stride: int) -> Float:
+    """`pack`, to be evaluated by the caller together with other arrays of N entries."""
     out = dr.empty(Float, len(columns[0]) * stride)
     columns = columns + [Float(0)] * (stride - len(columns))
     record = dr.arange(UInt, len(out) // stride) * (stride // 4)
     for q in range(stride // 4):
         dr.scatter(out, Array4f(*columns[4 * q : 4 * q + 4]), record + q, mode=dr.ReduceMode.NoConflicts)
-    dr.eval(out)
     return out
 
 

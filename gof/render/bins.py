@@ -28,12 +28,26 @@ PAIR_BUDGET = 1 << 24  # pairs binned at a time; a pair takes about 40 bytes whi
 
 
 @dataclass
+class Ellipses:
+    """Where some pixel centre may get alpha >= 1/255 (conservative), N entries each.
+
+    In the pixel row at dy from its mean, a Gaussian reaches it in mean_x + slope dy +- sqrt(half_width2 - shrink dy^2).
+    """
+
+    slope: Float
+    shrink: Float
+    half_width2: Float
+    first_row: Int  # seen in block rows [first_row, end_row)
+    end_row: Int
+    width: UInt  # blocks per row, at most
+
+
+@dataclass
 class Footprints:
     """Where N Gaussians may be seen, as records of 8 words in depth order.
 
-    A record is mean_x, mean_y, slope, shrink, half_width2 (floats), first_row, end_row (integers), Gaussian. In the
-    pixel row at dy from its mean, a Gaussian reaches alpha 1/255 in mean_x + slope dy +- sqrt(half_width2 - shrink
-    dy^2); it is seen in block rows [first_row, end_row).
+    A record is mean_x, mean_y, slope, shrink, half_width2 (floats), first_row, end_row (integers), Gaussian; see
+    `Ellipses`.
     """
 
     records: Float
@@ -67,9 +81,8 @@ class Bins:
     segment_end: UInt
 
 
-def footprints(p: Projected, width: int, height: int) -> Footprints:
-    """Ellipses in which some pixel centre may get alpha >= 1/255 (conservative); arrays come in detached."""
-    columns, rows = -(-width // BLOCK), -(-height // BLOCK)
+def ellipses(p: Projected, columns: int, rows: int) -> Ellipses:
+    """In a picture of so many blocks; arrays come in detached, and leave unevaluated."""
     reach = p.log2_opacity + (LOG2_255 + MARGIN)
     drawn = p.visible & (reach > 0)
     mahalanobis2 = dr.maximum(reach, 0.0) * (2.0 / LOG2_E)
@@ -81,17 +94,23 @@ def footprints(p: Projected, width: int, height: int) -> Footprints:
     inverse = dr.rcp(p.cov_yy)
     shrink = p.det * inverse * inverse
     end_row = dr.select(drawn, end_row, first_row)
-    ellipse = [p.mean_x, p.mean_y, p.cov_xy * inverse, shrink, mahalanobis2 * p.cov_yy * shrink]
-    integers = [first_row, end_row, dr.arange(UInt, len(p.depth))]
+    width = UInt(end_column - first_column)
+    return Ellipses(p.cov_xy * inverse, shrink, mahalanobis2 * p.cov_yy * shrink, first_row, end_row, width)
+
+
+def footprints(p: Projected, width: int, height: int) -> Footprints:
+    """`ellipses` in order of depth; arrays come in detached."""
+    columns, rows = -(-width // BLOCK), -(-height // BLOCK)
+    e = ellipses(p, columns, rows)
+    integers = [e.first_row, e.end_row, dr.arange(UInt, len(p.depth))]
+    ellipse = [p.mean_x, p.mean_y, e.slope, e.shrink, e.half_width2]
     unsorted = pack(ellipse + [dr.reinterpret_array(Float, v) for v in integers], 8)
     # Depths are positive, so their bits sort like the numbers.
     order = dr.argsort(dr.select(p.visible, dr.reinterpret_array(UInt, p.depth), 0xFFFFFFFF))
     front, back = dr.gather(Array4f, unsorted, 2 * order), dr.gather(Array4f, unsorted, 2 * order + 1)
     first_row, end_row = (dr.reinterpret_array(Int, back[k]) for k in (1, 2))
     dr.schedule(first_row, end_row)
-    out = Footprints(
-        pack([*front, *back], 8), first_row, end_row, order, UInt(end_column - first_column), columns, rows
-    )
+    out = Footprints(pack([*front, *back], 8), first_row, end_row, order, e.width, columns, rows)
     dr.eval(out)
     return out
 
@@ -105,14 +124,18 @@ def plan_bands(f: Footprints, budget: int = PAIR_BUDGET) -> list[tuple[int, int]
     change = dr.zeros(Float, f.rows + 1)
     dr.scatter_add(change, bound, UInt(f.first_row), drawn)
     dr.scatter_add(change, -bound, UInt(f.end_row), drawn)
-    per_row = np.cumsum(change.numpy().astype(np.float64))[: f.rows]
-    bands, first, total = [], 0, 0.0
-    for row in range(f.rows):
-        if row > first and total + per_row[row] > budget:
+    return as_bands(np.cumsum(change.numpy().astype(np.float64))[: f.rows], budget)
+
+
+def as_bands(pairs: np.ndarray, budget: int) -> list[tuple[int, int]]:
+    """Rows with so many pairs each, as bands [first row, end) of at most `budget` pairs or of one row."""
+    bands, first, total = [], 0, 0
+    for row, n in enumerate(pairs.tolist()):
+        if row > first and total + n > budget:
             bands.append((first, row))
-            first, total = row, 0.0
-        total += per_row[row]
-    return [*bands, (first, f.rows)]
+            first, total = row, 0
+        total += n
+    return [*bands, (first, len(pairs))]
 
 
 def bin_band(f: Footprints, first_row: int, end_row: int) -> Bins:

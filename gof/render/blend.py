@@ -9,9 +9,9 @@ from __future__ import annotations
 import drjit as dr
 
 from gof.render.backend import Array4f, Float, Int, UInt, frozen, pack, work_units
-from gof.render.bins import BLOCK, LOG2_255, PAIR_BUDGET, Bins, Footprints, Lists, bin_band, plan_bands
+from gof.render.bins import BLOCK, LOG2_255, Bins, Lists, bin_band, footprints, plan_bands
 
-MAX_ALPHA = 0.99  # 1 - alpha stays >= 0.01, so the adjoint's division by it loses at most two digits
+MAX_ALPHA = 0.99  # the usual clamp: the adjoint divides by 1 - alpha >= 0.01 and loses two digits at most
 MIN_TRANSMITTANCE = 1e-4  # a pixel whose transmittance would fall below this stops before that Gaussian
 LN_2 = 0.6931471805599453
 BLOCK_LANES = 256  # blocks that a thread takes at a time
@@ -27,36 +27,15 @@ class Trace:
         self.bands = 0
         self.mean_x_grad: Float | None = None
         self.mean_y_grad: Float | None = None
+        self.mean_absgrad: list[Float] | None = None  # x, y; where `absgrad` asks for it
 
 
-def blend(
-    geometry: list[Float],
-    channels: list[Float],
-    shapes: Footprints,
-    trace: Trace,
-    *,
-    deterministic: bool = False,
-    pair_budget: int = PAIR_BUDGET,
-) -> tuple[list[Float], Float]:
-    """Blend the channels of N Gaussians.
+class DrJitBlend(dr.CustomOp):
+    """See `gof.render.rasterizer.blend`."""
 
-    Args:
-        geometry: mean_x, mean_y, a, b, c, log2_opacity, each (N,) (see `Projected`).
-        channels: what to accumulate, each (N,).
-        shapes: where each Gaussian may be seen, in depth order.
-        trace: filled with counts now and the 2D gradient in the backward pass.
-        deterministic: sum gradients in a fixed order; slower, and 16 bytes per pair and four values.
-        pair_budget: pairs held at a time.
-    Returns:
-        (sum w_i channel_i per channel, alpha = sum w_i), each a plane of whole blocks (4 rows x 4 columns), AD.
-    """
-    *planes, alpha = dr.custom(_Blend, geometry, channels, shapes, trace, deterministic, pair_budget)
-    return planes, alpha
-
-
-class _Blend(dr.CustomOp):
-    def eval(self, geometry, channels, shapes, trace, deterministic, pair_budget):
-        self.shapes, self.trace, self.deterministic = shapes, trace, deterministic
+    def eval(self, geometry, channels, projected, width, height, trace, deterministic, pair_budget, max_alpha, absgrad):
+        self.shapes = shapes = footprints(projected, width, height)
+        self.trace, self.deterministic, self.max_alpha, self.absgrad = trace, deterministic, max_alpha, absgrad
         self.n, self.n_channels = len(geometry[0]), len(channels)
         self.records = pack(geometry + channels, stride(len(geometry) + len(channels)))
         self.bands = plan_bands(shapes, pair_budget)
@@ -66,19 +45,21 @@ class _Blend(dr.CustomOp):
         for band in self.bands:
             bins = bin_band(shapes, *band)
             with work_units(BLOCK_LANES):
-                _forward(self.records, bins.lists, self.planes, self.n_channels, shapes.columns)
+                _forward(self.records, bins.lists, self.planes, self.n_channels, shapes.columns, max_alpha)
             trace.pairs += bins.pairs
         trace.bands = len(self.bands)
         self.bins = bins if len(self.bands) == 1 else None  # several bands: binned again in the backward pass
         return [Float(p) for p in self.planes]
 
     def backward(self):
-        grads = [_as_plane(g, len(self.planes[0])) for g in self.grad_out()]
-        quads = stride(GEOMETRY + self.n_channels) // 4
+        grads = [as_plane(g, len(self.planes[0])) for g in self.grad_out()]
+        n_columns = GEOMETRY + self.n_channels + 2 * self.absgrad
+        quads = stride(n_columns) // 4
         flat = None
         for band in self.bands:
             bins = self.bins or bin_band(self.shapes, *band)
             args = (self.records, bins.lists, self.planes, grads, self.n_channels, self.shapes.columns)
+            args += self.max_alpha, self.absgrad
             if self.deterministic:
                 out = dr.zeros(Float, max(bins.pairs, 1) * 4 * quads)
                 with work_units(BLOCK_LANES):
@@ -90,14 +71,21 @@ class _Blend(dr.CustomOp):
             flat = out if flat is None else flat + out
             dr.eval(flat)
         lane = dr.arange(UInt, self.n) * (4 * quads)
-        columns = [dr.gather(Float, flat, lane + k) for k in range(GEOMETRY + self.n_channels)]
+        columns = [dr.gather(Float, flat, lane + k) for k in range(n_columns)]
         dr.eval(columns)
-        self.trace.mean_x_grad, self.trace.mean_y_grad = columns[0], columns[1]
-        self.set_grad_in("geometry", columns[:GEOMETRY])
-        self.set_grad_in("channels", columns[GEOMETRY:])
+        hand_back(self, columns)
 
     def name(self):
         return "blend"
+
+
+def hand_back(operation: dr.CustomOp, columns: list[Float]) -> None:
+    """Gradients of geometry and channels, and perhaps absolute ones, to the inputs and the trace."""
+    operation.trace.mean_x_grad, operation.trace.mean_y_grad = columns[:2]
+    if operation.absgrad:
+        operation.trace.mean_absgrad = [columns.pop() for _ in range(2)][::-1]
+    operation.set_grad_in("geometry", columns[:GEOMETRY])
+    operation.set_grad_in("channels", columns[GEOMETRY:])
 
 
 def stride(n_columns: int) -> int:
@@ -118,7 +106,7 @@ def _fetch(records: Float, gaussian: UInt, n_columns: int) -> list[Float]:
     return [v for q in used for v in dr.gather(Array4f, records, gaussian * quads + q)][:n_columns]
 
 
-def _as_plane(gradient: Float, size: int) -> Float:
+def as_plane(gradient: Float, size: int) -> Float:
     gradient = Float(gradient) if len(gradient) == size else Float(gradient) + dr.zeros(Float, size)
     dr.make_opaque(gradient)
     return gradient
@@ -161,12 +149,12 @@ def _exp2(x: Float) -> Float:
     return dr.reinterpret_array(Float, dr.reinterpret_array(Int, value) + (dr.reinterpret_array(Int, rounded) << 23))
 
 
-def _absorb(log2_alpha: Float, T: Float) -> tuple[Float, Float, Float]:
+def _absorb(log2_alpha: Float, T: Float, max_alpha: float) -> tuple[Float, Float, Float]:
     """(alpha, 0 where the pixel does not blend it; weight T alpha; transmittance after it) for one pixel.
 
     The sign bit of the transmittance is set once the pixel has stopped, which saves a mask per pixel.
     """
-    alpha = dr.select(log2_alpha >= -LOG2_255, dr.minimum(_exp2(log2_alpha), MAX_ALPHA), 0.0)
+    alpha = dr.select(log2_alpha >= -LOG2_255, dr.minimum(_exp2(log2_alpha), max_alpha), 0.0)
     before = dr.maximum(T, 0.0)
     rest = dr.fma(-before, alpha, before)
     stops = rest < MIN_TRANSMITTANCE
@@ -183,7 +171,9 @@ def _more(i: UInt, end: UInt, T: list[Float]):
 
 
 @frozen
-def _forward(records: Float, lists: Lists, planes: list[Float], n_channels: int, columns: int) -> None:
+def _forward(
+    records: Float, lists: Lists, planes: list[Float], n_channels: int, columns: int, max_alpha: float
+) -> None:
     """Draw one band into the planes."""
     start, end, x, y, plane_rows = _lanes(lists, columns)
 
@@ -192,7 +182,7 @@ def _forward(records: Float, lists: Lists, planes: list[Float], n_channels: int,
         log2_alpha, _, _ = _log2_alpha(record, x, y)
         T_out, acc_out = [], [[] for _ in range(n_channels)]
         for k in range(16):
-            _, w, rest = _absorb(log2_alpha[k], T[k])
+            _, w, rest = _absorb(log2_alpha[k], T[k], max_alpha)
             T_out.append(rest)
             for ch in range(n_channels):
                 acc_out[ch].append(dr.fma(w, record[GEOMETRY + ch], acc[ch][k]))
@@ -211,11 +201,19 @@ def _forward(records: Float, lists: Lists, planes: list[Float], n_channels: int,
 
 @frozen
 def _gradient(
-    records: Float, lists: Lists, planes: list[Float], grads: list[Float], n_channels: int, columns: int, size: int
+    records: Float,
+    lists: Lists,
+    planes: list[Float],
+    grads: list[Float],
+    n_channels: int,
+    columns: int,
+    max_alpha: float,
+    absgrad: bool,
+    size: int,
 ) -> Float:
     """Gradient records per Gaussian, summed in any order. `size` is compiled into expand-mode scatters."""
     out = dr.zeros(Float, size)
-    _backward(records, lists, planes, grads, n_channels, columns, out, None)
+    _backward(records, lists, planes, grads, n_channels, columns, max_alpha, absgrad, out, None)
     return out
 
 
@@ -226,6 +224,8 @@ def _backward(
     grads: list[Float],
     n_channels: int,
     columns: int,
+    max_alpha: float,
+    absgrad: bool,
     out: Float,
     slot: UInt | None,
 ) -> None:
@@ -237,7 +237,7 @@ def _backward(
     """
     start, end, x, y, plane_rows = _lanes(lists, columns)
     n_columns = GEOMETRY + n_channels
-    quads = stride(n_columns) // 4
+    quads = stride(n_columns + 2 * absgrad) // 4
 
     def load(plane):
         return [v for r in plane_rows for v in dr.gather(Array4f, plane, r)]
@@ -253,7 +253,7 @@ def _backward(
         T_out, S_out, d_log2 = [], [], []
         d_channel = [Float(0) for _ in range(n_channels)]
         for k in range(16):
-            alpha, w, rest = _absorb(log2_alpha[k], T[k])
+            alpha, w, rest = _absorb(log2_alpha[k], T[k], max_alpha)
             v = g[n_channels][k]
             for ch in range(n_channels):
                 v = dr.fma(g[ch][k], record[GEOMETRY + ch], v)
@@ -261,10 +261,12 @@ def _backward(
             wv = w * v
             s = S[k] - wv
             # alpha dL/dalpha; 0 where alpha is 0 without a mask, and by choice where alpha was clamped.
-            d_log2.append(dr.select(alpha < MAX_ALPHA, dr.fma(-s, alpha * dr.rcp(1 - alpha), wv), 0.0))
+            d_log2.append(dr.select(alpha < max_alpha, dr.fma(-s, alpha * dr.rcp(1 - alpha), wv), 0.0))
             T_out.append(rest)
             S_out.append(s)
         gradient = _geometry_gradient(record, dx, dy, d_log2) + d_channel
+        if absgrad:
+            gradient += _absolute_mean_gradient(record, dx, dy, d_log2)
         gradient += [Float(0)] * (-len(gradient) % 4)
         for q in range(len(gradient) // 4):
             value = Array4f(*gradient[4 * q : 4 * q + 4])
@@ -314,3 +316,13 @@ def _geometry_gradient(record: list[Float], dx: list[Float], dy: list[Float], d_
         m_xx = dr.fma(column * dx[i], dx[i], m_xx)
     a, b, c = record[2:5]
     return [v * LN_2 for v in (2 * a * m_x + b * m_y, 2 * c * m_y + b * m_x, -m_xx, -m_xy, -m_yy, m0)]
+
+
+def _absolute_mean_gradient(record: list[Float], dx: list[Float], dy: list[Float], d_log2: list[Float]) -> list[Float]:
+    """Sum over 16 pixels of |dL/d(mean)| of each, x and y; args as `_geometry_gradient`."""
+    a, b, c = record[2:5]
+    total_x, total_y = Float(0), Float(0)
+    for (i, j), d in zip(PIXELS, d_log2, strict=True):
+        total_x += dr.abs(d * dr.fma(2 * a, dx[i], b * dy[j]))
+        total_y += dr.abs(d * dr.fma(2 * c, dy[j], b * dx[i]))
+    return [total_x * LN_2, total_y * LN_2]

@@ -16,21 +16,10 @@ import drjit as dr
 import numpy as np
 
 from gof.errors import DataFormatError
-from gof.render.backend import Float, UInt, floats, shifted
+from gof.render.backend import Float, UInt, floats, kernels, shifted
+from gof.render.ssim import C1, C2, REACH, WINDOW
 
-C1, C2 = 0.01**2, 0.03**2
-REACH = 5  # the window covers 11 pixels
-SIGMA_PX = 1.5  # of the window (Wang et al. 2004)
 ALIGN = 16  # floats; a blur along rows shortens a strip by this at both ends, so that strips stay on cache lines
-
-
-def _gaussian_window() -> list[float]:
-    """The SSIM window along one axis, normalised. The reference twin has its own, so that the tests compare the two."""
-    weights = np.exp(-0.5 * (np.arange(-REACH, REACH + 1) / SIGMA_PX) ** 2)
-    return (weights / weights.sum()).tolist()
-
-
-WINDOW = _gaussian_window()
 
 
 @dataclass(frozen=True)
@@ -97,6 +86,17 @@ class Target:
             raise DataFormatError(
                 f"target mask has shape {np.shape(mask)} and sum {np.sum(mask):g}; expected {image.shape[:2]}, > 0"
             )
+        self.shape = image.shape
+        kind = _Strips
+        if kernels().name == "native":
+            from gof.render.native.loss import NativeTarget as kind
+        self.moments = kind(image, mask)
+
+
+class _Strips:
+    """What the Dr.Jit kernels read of a target."""
+
+    def __init__(self, image: np.ndarray, mask: np.ndarray | None):
         self.strip = Strip(*image.shape)
         self.weight = _even_weight(self.strip) if mask is None else _weight(self.strip, np.asarray(mask, np.float64))
         self.image = _row_neighbours(self.strip.fill(image))
@@ -104,6 +104,10 @@ class Target:
         dr.eval(rows)
         self.mu, self.square = (_blur(_column_neighbours(v, self.strip.row)) for v in rows)
         dr.eval(self.mu, self.square)
+
+    @property
+    def operation(self) -> type[dr.CustomOp]:
+        return _L1SSIM
 
 
 def l1_ssim(image: list[Float], target: Target | np.ndarray, ssim_weight: float = 0.2) -> Float:
@@ -120,18 +124,18 @@ def l1_ssim(image: list[Float], target: Target | np.ndarray, ssim_weight: float 
     """
     if not isinstance(target, Target):
         target = Target(target)
-    t = target.strip
-    if len(image) != t.channels or any(len(c) != t.width * t.height for c in image):
+    height, width, channels = target.shape
+    if len(image) != channels or any(len(c) != width * height for c in image):
         raise DataFormatError(
-            f"image has {len(image)} channels of {len(image[0])} pixels; target is {t.width}x{t.height} "
-            f"with {t.channels} channels"
+            f"image has {len(image)} channels of {len(image[0])} pixels; target is {width}x{height} "
+            f"with {channels} channels"
         )
-    return dr.custom(_L1SSIM, list(image), target, dr.opaque(Float, ssim_weight))
+    return dr.custom(target.moments.operation, list(image), target.moments, ssim_weight)
 
 
 class _L1SSIM(dr.CustomOp):
     def eval(self, image, target, ssim_weight):
-        self.target, self.ssim_weight = target, ssim_weight
+        self.target, self.ssim_weight = target, dr.opaque(Float, ssim_weight)
         layout = target.strip
         strip = dr.zeros(Float, layout.size)
         for k, channel in enumerate(image):
@@ -143,7 +147,7 @@ class _L1SSIM(dr.CustomOp):
         mu, square, product = (_blur(_column_neighbours(v, layout.row)) for v in rows)
         ssim, partials = _ssim(mu, square, product, target.mu, target.square)
         self.x, self.y = _inner(strip, layout.row), _inner(y[REACH], layout.row, rows_blurred=True)
-        weight = target.weight * ssim_weight
+        weight = target.weight * self.ssim_weight
         terms = weight * (1 - ssim) + (target.weight - weight) * dr.abs(self.x - self.y)
         self.partials = [-weight * p for p in partials]
         dr.eval(terms, self.partials)

@@ -95,17 +95,18 @@ def camera_axes(camera: Camera, pose: list[Float] | None = None) -> tuple[list[A
 
 def project(
     position: Array3f,
-    rotation: Array4f,
-    scale: Array3f,
+    rotation: Array4f | None,
+    scale: Array3f | None,
     opacity: Float,
     camera: Camera,
     options: ProjectionOptions,
     pose: list[Float] | None = None,
+    covariance: list[Float] | None = None,
 ) -> Projected:
     """Project N Gaussians.
 
     Args:
-        position, rotation, scale, opacity: see `Splats`.
+        position, rotation, scale, opacity, covariance: see `Splats`.
         camera: pinhole camera; skew allowed.
         pose: differentiable world-to-camera values instead of the camera's own.
     """
@@ -127,15 +128,11 @@ def project(
     row_x = fx * (axes[0] - u * axes[2]) + skew * along_v
     row_y = fy * along_v
 
-    columns = rotation_columns(rotation)
     limit = MAX_SIGMA_PX / opaque(max(camera.K[0, 0], camera.K[1, 1]))
-    size = [dr.minimum(s * inv_z, limit) for s in scale]
-    mx = Array3f(*(size[k] * dr.dot(row_x, columns[k]) for k in range(3)))
-    my = Array3f(*(size[k] * dr.dot(row_y, columns[k]) for k in range(3)))
-
-    xx, yy, xy = dr.squared_norm(mx), dr.squared_norm(my), dr.dot(mx, my)
-    # det(M M^T) = |m_x x m_y|^2 (Lagrange): no cancellation for long thin Gaussians, unlike xx yy - xy^2.
-    det_before = dr.squared_norm(dr.cross(mx, my))
+    if covariance is None:
+        xx, yy, xy, det_before = _project_axes(row_x, row_y, rotation, [dr.minimum(s * inv_z, limit) for s in scale])
+    else:
+        xx, yy, xy, det_before = _project_covariance(row_x, row_y, covariance, inv_z * inv_z, limit * limit)
     dilation = opaque(options.dilation)
     det = det_before + dilation * (xx + yy) + dilation * dilation
     xx, yy = xx + dilation, yy + dilation
@@ -159,6 +156,36 @@ def project(
     if options.min_radius > 0:
         out.visible = visible & (dr.detach(out).radius >= opaque(options.min_radius))
     return out
+
+
+def _project_axes(row_x: Array3f, row_y: Array3f, rotation: Array4f, size: list[Float]) -> tuple[Float, ...]:
+    """xx, yy, xy and determinant of a 2D covariance whose axes have these sizes over their depth."""
+    columns = rotation_columns(rotation)
+    mx = Array3f(*(size[k] * dr.dot(row_x, columns[k]) for k in range(3)))
+    my = Array3f(*(size[k] * dr.dot(row_y, columns[k]) for k in range(3)))
+    # det(M M^T) = |m_x x m_y|^2 (Lagrange): no cancellation for long thin Gaussians, unlike xx yy - xy^2.
+    return dr.squared_norm(mx), dr.squared_norm(my), dr.dot(mx, my), dr.squared_norm(dr.cross(mx, my))
+
+
+def _project_covariance(
+    row_x: Array3f, row_y: Array3f, covariance: list[Float], inv_z2: Float, limit2: Float
+) -> tuple[Float, ...]:
+    """The same of a covariance in the world, whose trace over depth^2 is held at `limit2`."""
+    trace = dr.maximum(covariance[0] + covariance[3] + covariance[5], 1e-30)
+    xx, xy, xz, yy, yz, zz = (v * dr.minimum(inv_z2, limit2 / trace) for v in covariance)
+    along_x, along_y = (
+        Array3f(*(dr.dot(Array3f(*c), row) for c in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))))
+        for row in (row_x, row_y)
+    )
+    # det(P C P^T) = n . adj(C) n with n = row_x x row_y (Cauchy and Binet), for the same reason as above.
+    n = dr.cross(row_x, row_y)
+    adjugate = (
+        (yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy),
+        (xz * yz - xy * zz, xx * zz - xz * xz, xy * xz - xx * yz),
+        (xy * yz - xz * yy, xy * xz - xx * yz, xx * yy - xy * xy),
+    )
+    det = sum(n[i] * dr.dot(Array3f(*adjugate[i]), n) for i in range(3))
+    return dr.dot(row_x, along_x), dr.dot(row_y, along_y), dr.dot(row_y, along_x), dr.maximum(det, 0.0)
 
 
 def _slope_limits(camera: Camera) -> tuple[tuple[float, float], tuple[float, float]]:

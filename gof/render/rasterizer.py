@@ -10,13 +10,15 @@ import numpy as np
 from gof.cameras import Camera
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
-from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, opaque
-from gof.render.bins import BLOCK, PAIR_BUDGET, footprints
-from gof.render.blend import Trace, blend
+from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, kernels, opaque
+from gof.render.bins import BLOCK, PAIR_BUDGET
+from gof.render.blend import MAX_ALPHA, DrJitBlend, Trace
 from gof.render.harmonics import harmonics_color
-from gof.render.project import ProjectionOptions, project
-from gof.render.scene import Splats, columns, require_finite_splats, transient_state
+from gof.render.project import Projected, ProjectionOptions, project
+from gof.render.scene import MAX_CHANNELS, Splats, columns, require_finite_splats, transient_state
 from gof.render.shutter import shutter_delay
+
+MIN_ALPHA = 1 / 255  # fainter is not drawn
 
 
 @dataclass
@@ -30,7 +32,7 @@ class Frame:
     depth: Float | None  # sum w_i z_i, m, not normalised
     dynamic_alpha: Float | None  # sum w_i dynamic_i
     mean2d: Array2f  # (N,) px, detached
-    radius: Float  # (N,) px, 3 sigma along the longer axis; 0 = not drawn
+    radius: Float  # (N,) px, 3 sigma along the longer axis; 0 = not drawn, or no part of the 3 sigma is in the picture
     trace: Trace
 
     @property
@@ -52,6 +54,11 @@ class Frame:
         t = self.trace
         return None if t.mean_x_grad is None else Array2f(t.mean_x_grad, t.mean_y_grad)
 
+    @property
+    def mean2d_absgrad(self) -> Array2f | None:
+        """(N,) sum over pixels of |dL/d(mean2d)| of each, after `dr.backward`; None before, or if not asked for."""
+        return None if self.trace.mean_absgrad is None else Array2f(*self.trace.mean_absgrad)
+
 
 def render_splats(
     splats: Splats,
@@ -63,6 +70,8 @@ def render_splats(
     pose: list[Float] | None = None,
     deterministic: bool = False,
     pair_budget: int = PAIR_BUDGET,
+    max_alpha: float = MAX_ALPHA,
+    absgrad: bool = False,
     **options,
 ) -> Frame:
     """Draw Gaussians front to back (3D Gaussian Splatting's image formation), differentiable.
@@ -77,9 +86,16 @@ def render_splats(
         deterministic: gradients are summed in a fixed order, so that a run repeats bit for bit (the image always does).
         pair_budget: above this many (block, Gaussian) pairs the image is drawn in bands, one after another, and its
             lists are built again for the backward pass; bounds memory, at least one row of blocks is held.
+        max_alpha: a Gaussian hides at most this part of what is behind it; where it is clamped its gradient is 0.
+            gsplat's is 0.999; the nearer to 1, the more digits the gradient loses.
+        absgrad: also leave `Frame.mean2d_absgrad`.
         options: near, far, dilation, antialias, min_radius of `gof.render.project.ProjectionOptions`.
+    Raises:
+        DataFormatError: an argument out of range, named.
     """
     width, height = camera.width, camera.height
+    if not MIN_ALPHA < max_alpha < 1:
+        raise DataFormatError(f"'max_alpha' is {max_alpha}; it must be above 1/255 and below 1")
     if background is not None and len(background) != len(splats.color):
         raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
     trace = Trace()
@@ -90,20 +106,23 @@ def render_splats(
         mean2d, radius = Array2f(Float(), Float()), Float()
     else:
         parameters = (splats.position, splats.rotation, splats.scale, splats.opacity)
-        p = project(*parameters, camera, ProjectionOptions(**options), pose)
+        p = project(*parameters, camera, ProjectionOptions(**options), pose, splats.covariance)
         channels = list(splats.color)
         if depth:
             channels.append(p.depth)
         if dynamic is not None:
             channels.append(dr.select(dynamic, Float(1), Float(0)) if isinstance(dynamic, Bool) else dynamic)
+        if absgrad and len(channels) > MAX_CHANNELS:
+            raise DataFormatError(
+                f"'absgrad' with {len(channels)} channels, depth and dynamic counted; at most {MAX_CHANNELS} go with it"
+            )
         geometry = [p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity]
         detached = dr.detach(p)
-        mean2d, radius = Array2f(detached.mean_x, detached.mean_y), detached.radius
+        mean2d, radius = Array2f(detached.mean_x, detached.mean_y), _radius(detached, width, height)
         dr.eval(geometry, channels, detached, radius)
-        with dr.suspend_grad():
-            shapes = footprints(detached, width, height)
-        planes, alpha = blend(geometry, channels, shapes, trace, deterministic=deterministic, pair_budget=pair_budget)
-        planes = [_crop(plane, width, height, shapes.columns) for plane in [*planes, alpha]]
+        how = {"deterministic": deterministic, "pair_budget": pair_budget, "max_alpha": max_alpha, "absgrad": absgrad}
+        planes, alpha = blend(geometry, channels, detached, width, height, trace, **how)
+        planes = [_crop(plane, width, height) for plane in [*planes, alpha]]
     *planes, alpha = planes
     dynamic_alpha = planes.pop() if dynamic is not None else None
     depth_sum = planes.pop() if depth else None
@@ -114,13 +133,56 @@ def render_splats(
     return Frame(width, height, color, alpha, depth_sum, dynamic_alpha, mean2d, radius, trace)
 
 
-def _crop(plane: Float, width: int, height: int, columns: int) -> Float:
+def blend(
+    geometry: list[Float],
+    channels: list[Float],
+    projected: Projected,
+    width: int,
+    height: int,
+    trace: Trace,
+    *,
+    deterministic: bool = False,
+    pair_budget: int = PAIR_BUDGET,
+    max_alpha: float = MAX_ALPHA,
+    absgrad: bool = False,
+) -> tuple[list[Float], Float]:
+    """Blend the channels of N Gaussians, with the kernels that `gof.render.backend.kernels` names.
+
+    Args:
+        geometry: mean_x, mean_y, a, b, c, log2_opacity, each (N,) (see `Projected`).
+        channels: what to accumulate, each (N,).
+        projected: where each Gaussian is, detached.
+        width, height: of the picture, px.
+        trace: filled with counts now and the 2D gradient in the backward pass.
+        deterministic: sum gradients in a fixed order; slower, and 16 bytes per pair and four values.
+        pair_budget: pairs held at a time.
+        max_alpha: alpha is clamped at it, with gradient 0 there.
+        absgrad: leave sum over pixels |dL/d(mean)| in the trace; at most 8 channels then.
+    Returns:
+        (sum w_i channel_i per channel, alpha = sum w_i), each a plane of whole blocks (4 rows x 4 columns), AD.
+    """
+    operation = DrJitBlend
+    if kernels().name == "native":
+        from gof.render.native.operation import NativeBlend as operation
+    settings = projected, width, height, trace, deterministic, pair_budget, max_alpha, absgrad
+    *planes, alpha = dr.custom(operation, geometry, channels, *settings)
+    return planes, alpha
+
+
+def _radius(p: Projected, width: int, height: int) -> Float:
+    """px; 0 where the square around the circle lies outside the picture."""
+    r = p.radius
+    inside = (dr.abs(p.mean_x - 0.5 * width) < r + 0.5 * width) & (dr.abs(p.mean_y - 0.5 * height) < r + 0.5 * height)
+    return dr.select(inside, r, 0.0)
+
+
+def _crop(plane: Float, width: int, height: int) -> Float:
     """Padded plane (whole blocks) to the image."""
-    if width == columns * BLOCK and len(plane) == width * height:
+    if len(plane) == width * height:
         return plane
-    i = dr.arange(UInt, width * height)
+    i, padded = dr.arange(UInt, width * height), -(-width // BLOCK) * BLOCK
     row = i // width
-    return dr.gather(Float, plane, row * (columns * BLOCK) + (i - row * width), mode=dr.ReduceMode.NoConflicts)
+    return dr.gather(Float, plane, row * padded + (i - row * width), mode=dr.ReduceMode.NoConflicts)
 
 
 def splats_at(gaussians: TransientGaussians, camera: Camera, time_s: float, *, shutter: str = "exact") -> Splats:

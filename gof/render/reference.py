@@ -34,8 +34,14 @@ def rotation_matrix(q: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def project(position, rotation, scale, opacity, camera: Camera, near=0.01, antialias=False, dilation=0.3):
-    """mean2d (N, 2) px, dilated 2D covariance (N, 2, 2) px^2, depth (N,) m, opacity (N,), visible (N,) bool."""
+def project(
+    position, rotation, scale, opacity, camera: Camera, near=0.01, antialias=False, dilation=0.3, covariance=None
+):
+    """mean2d (N, 2) px, dilated 2D covariance (N, 2, 2) px^2, depth (N,) m, opacity (N,), visible (N,) bool.
+
+    Args:
+        covariance: (N, 3, 3) in the world, m^2, instead of rotation and scale.
+    """
     K, W = camera.K, camera.world_to_camera
     p = np.asarray(position, np.float64) @ W[:3, :3].T + W[:3, 3]
     depth = p[:, 2]
@@ -49,9 +55,11 @@ def project(position, rotation, scale, opacity, camera: Camera, near=0.01, antia
     J = np.zeros((len(p), 2, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1 / z
     J[:, :, 2] = -s / z[:, None]
-    axes = rotation_matrix(np.asarray(rotation, np.float64)) * np.asarray(scale, np.float64)[:, None, :]
-    M = K[:2, :2] @ J @ W[:3, :3] @ axes
-    before = M @ M.transpose(0, 2, 1)
+    if covariance is None:
+        axes = rotation_matrix(np.asarray(rotation, np.float64)) * np.asarray(scale, np.float64)[:, None, :]
+        covariance = axes @ axes.transpose(0, 2, 1)
+    P = K[:2, :2] @ J @ W[:3, :3]
+    before = P @ covariance @ P.transpose(0, 2, 1)
     cov = before + dilation * np.eye(2)
     opacity = np.asarray(opacity, np.float64)
     if antialias:
@@ -70,16 +78,22 @@ def render(
     near=0.01,
     antialias=False,
     min_alpha=MIN_ALPHA,
+    max_alpha=MAX_ALPHA,
+    covariance=None,
+    shift=0.0,
 ):
     """Draw N Gaussians.
 
     Args:
         color: (N, D).  background: (D,) or (H, W, D).
         min_alpha: the skip threshold; 0 draws the smooth image that central differences can differentiate.
+        max_alpha: the clamp.  covariance: see `project`.  shift: (N, 2) px that the projected means are moved by.
     Returns:
         color (H, W, D), alpha (H, W), depth (H, W) = sum w z.
     """
-    mean, cov, depth, opacity, visible = project(position, rotation, scale, opacity, camera, near, antialias)
+    shape = rotation, scale, opacity, camera, near, antialias
+    mean, cov, depth, opacity, visible = project(position, *shape, covariance=covariance)
+    mean = mean + shift
     H, W, D = camera.height, camera.width, np.shape(color)[1]
     x, y = np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
     T, alive = np.ones((H, W)), np.ones((H, W), bool)
@@ -93,7 +107,7 @@ def render(
         q = conic[0, 0] * dx * dx + 2 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy
         alpha = opacity[i] * np.exp(-0.5 * q)
         drawn = alive & (alpha >= min_alpha)
-        alpha = np.minimum(alpha, MAX_ALPHA)
+        alpha = np.minimum(alpha, max_alpha)
         rest = T * (1 - alpha)
         stops = drawn & (rest < MIN_TRANSMITTANCE)
         alive &= ~stops
@@ -145,7 +159,7 @@ def shutter_delay(position, velocity, camera: Camera, exact=True, near=0.01, min
 
 
 def gaussian_window(size=11, sigma=1.5) -> np.ndarray:
-    """(size,) normalised window of 3D Gaussian Splatting's SSIM. `gof.render.loss` has its own, to be compared."""
+    """(size,) normalised window of 3D Gaussian Splatting's SSIM. `gof.render.ssim` has its own, to be compared."""
     w = np.exp(-0.5 * ((np.arange(size) - size // 2) / sigma) ** 2)
     return w / w.sum()
 

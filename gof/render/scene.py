@@ -23,16 +23,19 @@ class Splats:
         scale: (N,) standard deviations along the Gaussian's axes, m.
         opacity: (N,) in [0, 1].
         color: 1 to 8 channels, each (N,); any real value (display or linear HDR).
+        covariance: xx, xy, xz, yy, yz, zz in the world, m^2, each (N,), positive semidefinite, instead of rotation and
+            scale (None then). Thin Gaussians lose digits in it: rotation and scale say the same more exactly.
 
     Raises:
         DataFormatError: no or more than 8 channels, or lengths that disagree.
     """
 
     position: Array3f
-    rotation: Array4f
-    scale: Array3f
+    rotation: Array4f | None
+    scale: Array3f | None
     opacity: Float
     color: list[Float]
+    covariance: list[Float] | None = None
 
     def __post_init__(self):
         self.color = list(self.color)
@@ -40,6 +43,8 @@ class Splats:
             raise DataFormatError(
                 f"'color' has {len(self.color)} channels; 1 to {MAX_CHANNELS} can be drawn in one pass"
             )
+        if (self.rotation is None, self.scale is None) != (self.covariance is not None,) * 2:
+            raise DataFormatError("a Gaussian's shape is its 'rotation' and 'scale', or else its 'covariance'")
         n = len(self)
         for name, columns in self._parameters():
             for column in columns:
@@ -50,10 +55,10 @@ class Splats:
         return len(self.opacity)
 
     def _parameters(self):
+        shape = ("rotation", self.rotation), ("scale", self.scale), ("covariance", self.covariance)
         return (
             ("position", list(self.position)),
-            ("rotation", list(self.rotation)),
-            ("scale", list(self.scale)),
+            *((name, list(values)) for name, values in shape if values is not None),
             ("opacity", [self.opacity]),
             ("color", self.color),
         )

@@ -9,11 +9,12 @@ import drjit as dr
 import numpy as np
 
 from gof.cameras import Camera
-from gof.errors import DataFormatError, MissingDependencyError
+from gof.errors import DataFormatError, MissingDependencyError, require_finite
 from gof.render.backend import Array3f, Array4f, Float, floats
+from gof.render.blend import MAX_ALPHA
 from gof.render.harmonics import harmonics_color
 from gof.render.rasterizer import render_splats
-from gof.render.scene import Splats, require_finite_splats
+from gof.render.scene import MAX_CHANNELS, Splats
 
 try:
     import torch
@@ -57,6 +58,8 @@ def rasterize(
     channel_chunk: int = 32,
     sparse_grad: bool = False,
     absgrad: bool = False,
+    covars=None,
+    max_alpha: float = MAX_ALPHA,
 ):
     """Draw Gaussians with gsplat's argument names, shapes and camera convention; differentiable.
 
@@ -67,7 +70,8 @@ def rasterize(
         near_plane, far_plane: depths outside are not drawn.  radius_clip: Gaussians with a smaller radius in px are
             skipped.
         eps2d: px^2 added to the 2D covariance.
-        sh_degree: 0 to 3; colours are max(0, 0.5 + harmonics) in the direction from the camera.
+        sh_degree: 0 to 3; colours are max(0, 0.5 + harmonics) in the direction from the camera. Coefficients beyond
+            (sh_degree + 1)^2 are not looked at.
         backgrounds: (C, D).
         render_mode: "RGB", "D" (sum w z), "ED" (divided by alpha), "RGB+D", "RGB+ED".
         rasterize_mode: "classic" or "antialiased".
@@ -76,12 +80,18 @@ def rasterize(
         packed, tile_size, channel_chunk: taken so that a call written for gsplat runs, and without effect: they choose
             how gsplat works (which layout its intermediates have, how many pixels share a list, how many channels are
             drawn at a time), not what it returns.
-        sparse_grad, absgrad: must be False, as they would change the gradients.
+        sparse_grad: must be False; gradients are dense.
+        absgrad: the backward pass also fills `.absgrad` of "means2d", (C, N, 2): the sum over pixels of |dL/d(mean)|.
+            At most 8 channels then, depth counted.
+        covars: (N, 3, 3) world covariances instead of quats and scales, which are None then; the upper triangle is read
+            and gets the gradient.
+        max_alpha: the clamp of alpha; gsplat's is 0.999.
     Returns:
         colors (C, H, W, X), alphas (C, H, W, 1), and a dict with width, height, n_cameras and per camera and Gaussian:
-        "means2d" (C, N, 2) px, whose `.grad` is filled by the backward pass, "radii" (C, N) px (0 = not drawn).
+        "means2d" (C, N, 2) px, whose `.grad` is filled by the backward pass, "radii" (C, N) int32 px, 3 standard
+        deviations rounded up (0 = not drawn, or outside the picture).
     Raises:
-        NonFiniteError, DataFormatError: named parameter and rows, or shape.
+        NonFiniteError (a ValueError), DataFormatError: named argument and rows, or shape.
 
     Results are float32 on the CPU whatever the inputs are; gradients have their tensor's type and device.
     """
@@ -90,12 +100,24 @@ def rasterize(
             f"render_mode '{render_mode}' is not one of {list(RENDER_MODES)}, or rasterize_mode '{rasterize_mode}' "
             "is neither 'classic' nor 'antialiased'"
         )
-    if sparse_grad or absgrad:
-        raise DataFormatError(
-            "rasterize has dense gradients and no absolute 2D gradients; call it with sparse_grad=False, absgrad=False"
-        )
+    if sparse_grad:
+        raise DataFormatError("rasterize has dense gradients; call it with sparse_grad=False")
+    for name, value in (("near_plane", near_plane), ("eps2d", eps2d)):
+        if not value > 0:
+            raise DataFormatError(f"'{name}' is {value}; it must be > 0")
     n, c = len(means), len(viewmats)
-    _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree)
+    gaussians = {"means": means, "opacities": opacities, "colors": colors}
+    gaussians |= {"quats": quats, "scales": scales} if covars is None else {"covars": covars}
+    _require_shapes(n, c, gaussians, viewmats, Ks, backgrounds, sh_degree)
+    if check_finite:
+        for name, tensor in gaussians.items():
+            require_finite(name, tensor.detach().cpu().numpy())
+    if covars is not None:
+        if quats is not None or scales is not None:
+            raise DataFormatError("'covars' stands instead of 'quats' and 'scales'; give None for these")
+        covars = covars[:, *np.triu_indices(3)]
+    if sh_degree is not None:
+        colors = colors[..., : (sh_degree + 1) ** 2, :]
     per_camera = colors.ndim == (3 if sh_degree is None else 4)
     with_color, depth_mode = RENDER_MODES[render_mode]
     projection = {
@@ -105,22 +127,26 @@ def rasterize(
         "antialias": rasterize_mode == "antialiased",
         "min_radius": radius_clip,
     }
-    options = _Options(width, height, with_color, depth_mode, sh_degree, deterministic, check_finite, projection)
+    drawing = {"deterministic": deterministic, "max_alpha": max_alpha, "absgrad": absgrad}
+    options = _Options(width, height, with_color, depth_mode, sh_degree, projection | drawing)
     images, alphas, centres, radii = [], [], [], []
-    inputs = (means, quats, scales, opacities, colors, viewmats)
-    learns = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
+    learns = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (*gaussians.values(), viewmats))
     # A leaf that every camera reads, so that autograd fills its .grad.
     means2d = torch.zeros(c, n, 2, requires_grad=learns)
+    if absgrad:
+        means2d.absgrad = torch.zeros(c, n, 2)
     for i in range(c):
         image, alpha, mean2d, radius = _Rasterize.apply(
             means,
             quats,
             scales,
+            covars,
             opacities,
             colors[i] if per_camera else colors,
             viewmats[i],
             None if backgrounds is None else backgrounds[i],
             means2d[i],
+            means2d.absgrad[i] if absgrad else None,
             Ks[i],
             options,
         )
@@ -138,35 +164,42 @@ def rasterize(
 
 @dataclass(frozen=True)
 class _Options:
-    """What does not differ between the cameras of a call. depth_mode: None, "sum" or "mean"; projection: see
-    `gof.render.project.ProjectionOptions`."""
+    """What does not differ between the cameras of a call. depth_mode: None, "sum" or "mean"; drawing: options of
+    `gof.render.render_splats`."""
 
     width: int
     height: int
     with_color: bool
     depth_mode: str | None
     sh_degree: int | None
-    deterministic: bool
-    check_finite: bool
-    projection: dict[str, Any]
+    drawing: dict[str, Any]
 
 
-def _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree) -> None:
+def _require_shapes(n, c, gaussians, viewmats, Ks, backgrounds, sh_degree) -> None:
     expected = {
-        "means": (means, (n, 3)),
-        "quats": (quats, (n, 4)),
-        "scales": (scales, (n, 3)),
-        "opacities": (opacities, (n,)),
-        "viewmats": (viewmats, (c, 4, 4)),
-        "Ks": (Ks, (c, 3, 3)),
+        "means": (n, 3),
+        "quats": (n, 4),
+        "scales": (n, 3),
+        "covars": (n, 3, 3),
+        "opacities": (n,),
+        "viewmats": (c, 4, 4),
+        "Ks": (c, 3, 3),
     }
-    for name, (tensor, shape) in expected.items():
-        if tuple(tensor.shape) != shape:
-            raise DataFormatError(f"'{name}' has shape {tuple(tensor.shape)}, expected {shape}")
+    for name, tensor in (gaussians | {"viewmats": viewmats, "Ks": Ks}).items():
+        if name in expected and (tensor is None or tuple(tensor.shape) != expected[name]):
+            shape = None if tensor is None else tuple(tensor.shape)
+            raise DataFormatError(f"'{name}' has shape {shape}, expected {expected[name]}")
+    colors = gaussians["colors"]
     tail = 1 if sh_degree is None else 2
     if tuple(colors.shape[:-tail]) not in ((n,), (c, n)):
         raise DataFormatError(
             f"'colors' has shape {tuple(colors.shape)}; expected ([{c},] {n}, {'D' if sh_degree is None else 'K, D'})"
+        )
+    if not 1 <= colors.shape[-1] <= MAX_CHANNELS:
+        raise DataFormatError(f"'colors' has {colors.shape[-1]} channels; 1 to {MAX_CHANNELS} can be drawn in one call")
+    if sh_degree is not None and not (0 <= sh_degree <= 3 and colors.shape[-2] >= (sh_degree + 1) ** 2):
+        raise DataFormatError(
+            f"'sh_degree' is {sh_degree}, of 0 to 3; 'colors' has {colors.shape[-2]} coefficients, of (sh_degree + 1)^2"
         )
     if backgrounds is not None and tuple(backgrounds.shape) != (c, colors.shape[-1]):
         raise DataFormatError(f"'backgrounds' has shape {tuple(backgrounds.shape)}, expected {(c, colors.shape[-1])}")
@@ -175,7 +208,7 @@ def _require_shapes(n, c, means, quats, scales, opacities, colors, viewmats, Ks,
 def _columns(tensor) -> list[Float]:
     """(N, ...) tensor to one Float (N,) per trailing entry."""
     flat = tensor.detach().to("cpu", torch.float32).reshape(len(tensor), -1).numpy()
-    return [floats(column) for column in flat.T]
+    return [floats(column) for column in np.ascontiguousarray(flat.T)]
 
 
 def _tensor(planes: list[Float], shape: tuple) -> torch.Tensor:
@@ -198,16 +231,25 @@ class _Rasterize(torch.autograd.Function):
     """One camera."""
 
     @staticmethod
-    def forward(ctx, means, quats, scales, opacities, colors, viewmat, background, means2d, K, options):
-        inputs = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors}
-        leaves = {name: _columns(t) for name, t in inputs.items()}
+    def forward(
+        ctx, means, quats, scales, covars, opacities, colors, viewmat, background, means2d, absgrad, K, options
+    ):
+        inputs = {
+            "means": means,
+            "quats": quats,
+            "scales": scales,
+            "covars": covars,
+            "opacities": opacities,
+            "colors": colors,
+        }
+        leaves = {name: _columns(t) for name, t in inputs.items() if t is not None}
         view = viewmat.detach().to("cpu", torch.float64).numpy()
         leaves["viewmat"] = [dr.opaque(Float, float(v)) for v in view[:3].reshape(-1)]
         if background is not None:
             leaves["background"] = [dr.opaque(Float, float(v)) for v in background.detach().reshape(-1)]
         ctx.tensors = {**inputs, "viewmat": viewmat, "background": background}
         needed = dict(zip(ctx.tensors, ctx.needs_input_grad, strict=False))
-        needed["means"] |= ctx.needs_input_grad[7]  # keeps the graph alive for the gradient of the 2D means
+        needed["means"] |= ctx.needs_input_grad[8]  # keeps the graph alive for the gradient of the 2D means
         for name, arrays in leaves.items():
             if needed[name]:
                 dr.enable_grad(arrays)
@@ -218,24 +260,23 @@ class _Rasterize(torch.autograd.Function):
             d = colors.shape[-1]
             coefficients = [color[k * d : (k + 1) * d] for k in range(colors.shape[-2])]
             color = harmonics_color(coefficients, position, _eye(leaves["viewmat"]), options.sh_degree)
-        splats = Splats(position, Array4f(*leaves["quats"]), Array3f(*leaves["scales"]), leaves["opacities"][0], color)
-        if options.check_finite:
-            require_finite_splats(splats)
+        shape = (Array4f(*leaves["quats"]), Array3f(*leaves["scales"])) if covars is None else (None, None)
+        splats = Splats(position, *shape, leaves["opacities"][0], color, leaves.get("covars"))
         frame = render_splats(
             splats,
             camera,
             leaves.get("background"),
             depth=options.depth_mode is not None,
             pose=leaves["viewmat"],
-            deterministic=options.deterministic,
-            **options.projection,
+            **options.drawing,
         )
         planes = list(frame.color) if options.with_color else []
         if options.depth_mode:
             planes.append(frame.depth if options.depth_mode == "sum" else frame.expected_depth)
         ctx.leaves, ctx.needed, ctx.frame, ctx.planes = leaves, needed, frame, [*planes, frame.alpha]
+        ctx.absgrad = absgrad
         mean2d = _tensor([frame.mean2d.x, frame.mean2d.y], (len(means), 2))
-        radius = _tensor([frame.radius], (len(means),))
+        radius = _tensor([frame.radius], (len(means),)).ceil().int()
         ctx.mark_non_differentiable(mean2d, radius)
         size = (options.height, options.width)
         return _tensor(planes, (*size, len(planes))), _tensor([frame.alpha], (*size, 1)), mean2d, radius
@@ -267,5 +308,8 @@ class _Rasterize(torch.autograd.Function):
                 out.append(_tensor([dr.grad(v) for v in ctx.leaves[name]], tuple(like.shape)).to(like))
         mean2d = ctx.frame.mean2d_grad
         probe = None if mean2d is None else _tensor([mean2d.x, mean2d.y], (len(ctx.tensors["means"]), 2))
+        if ctx.absgrad is not None and mean2d is not None:
+            absolute = ctx.frame.mean2d_absgrad
+            ctx.absgrad.copy_(_tensor([absolute.x, absolute.y], tuple(ctx.absgrad.shape)))
         ctx.frame = ctx.leaves = ctx.planes = None
-        return (*out, probe, None, None)
+        return (*out, probe, None, None, None)

@@ -1,10 +1,16 @@
-"""Sharing memory between numpy and Dr.Jit."""
+"""Sharing memory between numpy and Dr.Jit; which kernels run, how they are compiled, and where they are kept."""
 
 import gc
+import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
+import pytest
 
+from gof.errors import GofError
 from gof.render import backend
 from gof.render.backend import Float, floats, shifted
 
@@ -32,3 +38,66 @@ def test_the_owner_is_let_go_on_the_calling_thread():
     assert len(backend._released) == 1 and isinstance(backend._released[0], Float)
     shifted(floats(np.arange(4)), 0, 2)
     assert len(backend._released) <= 1
+
+
+def test_the_variable_forces_kernels(monkeypatch):
+    monkeypatch.setenv("GOF_RENDER_KERNELS", "drjit")
+    assert backend.kernels().name == "drjit" and "GOF_RENDER_KERNELS" in backend.kernels().why
+    monkeypatch.setenv("GOF_RENDER_KERNELS", "fortran")
+    with pytest.raises(GofError, match="GOF_RENDER_KERNELS is 'fortran'; use 'native' or 'drjit'"):
+        backend.kernels()
+
+
+def test_where_native_kernels_cannot_run_it_is_said_and_the_others_draw(monkeypatch):
+    monkeypatch.setattr(backend, "_obstacle_to_native", lambda: "the moon is full")
+    monkeypatch.delenv("GOF_RENDER_KERNELS", raising=False)
+    assert backend.kernels() == backend.Kernels("drjit", "the moon is full")
+    monkeypatch.setenv("GOF_RENDER_KERNELS", "native")
+    with pytest.raises(GofError, match="GOF_RENDER_KERNELS=native, but the moon is full"):
+        backend.kernels()
+
+
+def test_what_stands_in_the_way_of_native_kernels(monkeypatch):
+    numba = pytest.importorskip("numba")
+    find = backend._obstacle_to_native.__wrapped__
+    assert find() is None
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    assert find() == "NUMBA_DISABLE_JIT is set"
+    monkeypatch.setitem(sys.modules, "numba", None)
+    assert "pip install 'gaussians-on-fire[fast]'" in find()
+    monkeypatch.setattr(backend, "BACKEND", "cuda")
+    assert "GOF_RENDER_BACKEND" in find()
+
+
+DRAW = """
+import numpy as np
+from gof.render import Target, l1_ssim
+from gof.render.backend import Float
+print(l1_ssim([Float([0.5] * 300)], Target(np.ones((20, 15, 1))))[0])
+"""
+
+
+def draw(**variables) -> tuple[float, str]:
+    """(loss, what was said) in a process of its own."""
+    environment = os.environ | {"GOF_RENDER_KERNELS": "native"} | variables
+    done = subprocess.run([sys.executable, "-c", DRAW], capture_output=True, text=True, env=environment)
+    return float(done.stdout), done.stderr
+
+
+@pytest.mark.long
+def test_compiling_is_announced_once_and_kept(tmp_path):
+    pytest.importorskip("numba")
+    first, said = draw(XDG_CACHE_HOME=str(tmp_path))
+    assert said.count("gof: compiling") == 1 and str(tmp_path / "gof" / "kernels-") in said
+    assert list(tmp_path.glob("gof/kernels-*/**/*.nbc"))
+    assert draw(XDG_CACHE_HOME=str(tmp_path)) == (first, "")
+
+
+@pytest.mark.long
+def test_without_a_folder_to_keep_them_kernels_are_compiled_each_time(tmp_path):
+    pytest.importorskip("numba")
+    (tmp_path / "file").touch()
+    for _ in range(2):
+        value, said = draw(XDG_CACHE_HOME=str(tmp_path / "file"))
+        assert value > 0 and "no cache folder can be written" in said
+    assert [p.name for p in Path(tmp_path).iterdir()] == ["file"]

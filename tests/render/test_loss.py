@@ -10,6 +10,8 @@ dr = pytest.importorskip("drjit")
 from gof.render import Target, l1_ssim, reference  # noqa: E402
 from gof.render.backend import floats  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("kernels")
+
 
 def pair(shape, seed=0):
     r = np.random.default_rng(seed)

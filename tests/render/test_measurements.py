@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("drjit")
 
-from gof_benchmark.evidence import render_agreement, render_speed
+from gof_benchmark.evidence import render_agreement, render_kernels, render_speed
 
 
 def test_training_step_and_phases_run():
@@ -15,6 +15,14 @@ def test_training_step_and_phases_run():
     assert np.abs(np.array(training.optimizer["position"].numpy()) - before).max() > 0
     phases = training.phases(1)
     assert len(phases) == 6 and all(wall > 0 for wall, _ in phases.values())
+
+
+def test_both_sets_of_kernels_are_timed_in_turn():
+    pytest.importorskip("numba")
+    figures = render_kernels.measure(300, 48, 32, 1, morton=True)
+    assert figures.pop("pairs") > 0
+    assert all(len(times) == 1 and times[0] > 0 for kinds in figures.values() for times in kinds.values())
+    assert "native" in render_kernels.report("300 Gaussians", figures | {"pairs": 10})
 
 
 @pytest.mark.long

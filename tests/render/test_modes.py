@@ -14,6 +14,8 @@ from gof.render.scene import columns  # noqa: E402
 from tests.render.drawing import gradients, image, loss_weights, splats, weighted_sum  # noqa: E402
 from tests.render.scenes import camera, gaussians  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("kernels")
+
 
 def draw(g, cam, **kwargs):
     s = splats(g, grad=True)
@@ -42,6 +44,19 @@ def test_deterministic_mode_repeats_bit_for_bit_and_agrees_with_the_fast_mode():
         assert all(np.array_equal(value, r[2][name]) for r in runs[1:]), name
         np.testing.assert_allclose(fast[2][name], value, atol=2e-5 * np.abs(value).max(), err_msg=name)
     assert all(np.array_equal(runs[0][1], r[1]) for r in (*runs[1:], fast))
+
+
+def test_deterministic_mode_does_not_depend_on_the_number_of_threads():
+    cam, g, threads = camera(60, 50), gaussians(3000, 2, 0.06), dr.thread_count()
+    one, two = [], []
+    for runs, count in ((one, 1), (two, 2)):
+        dr.set_thread_count(count)
+        try:
+            runs += draw(g, cam, deterministic=True)[1:]
+        finally:
+            dr.set_thread_count(threads)
+    assert np.array_equal(one[0], two[0])
+    assert all(np.array_equal(value, two[1][name]) for name, value in one[1].items())
 
 
 def test_equal_depths_are_drawn_in_index_order():

@@ -16,6 +16,8 @@ from gof.render.scene import columns  # noqa: E402
 from tests.render.drawing import gradients, image, loss_weights, splats, weighted_sum  # noqa: E402
 from tests.render.scenes import camera, gaussians  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("kernels")
+
 
 @pytest.mark.parametrize(
     "n, size, wh, channels, antialias",
@@ -222,9 +224,9 @@ def test_wrong_shapes_are_named():
             render_splats(splats(g), camera(), **{name: 0})
 
 
-def test_no_kernel_is_compiled_after_the_first_steps():
+def test_no_kernel_is_compiled_after_the_first_steps(kernels):
     """Another number of Gaussians, of pairs, and another time or camera run the kernels of the first step."""
-    cam, misses = camera(48, 36), []
+    cam, misses, made = camera(48, 36), [], []
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         for step, n in enumerate((600, 650, 700, 730, 590)):
             g = gaussians(n, step)
@@ -237,7 +239,16 @@ def test_no_kernel_is_compiled_after_the_first_steps():
             dr.backward(sum(dr.sum(dr.square(c)) for c in frame.color))
             dr.eval(dr.grad(s.position), dr.grad(s.opacity))
             misses.append(sum(not k["cache_hit"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT))
-    assert misses[2:] == [0, 0, 0]
+            made.append(compiled_variants() if kernels == "native" else 0)
+    assert misses[2:] == [0, 0, 0] and made[1:] == made[:1] * 4
+
+
+def compiled_variants() -> int:
+    """How many combinations of types the native kernels have been compiled for."""
+    from gof.render.native import blending, lists
+
+    kernels = [value for module in (blending, lists) for value in vars(module).values() if hasattr(value, "overloads")]
+    return sum(len(kernel.overloads) for kernel in kernels)
 
 
 def test_render_returns_numpy_and_separates_static_from_dynamic():

@@ -11,6 +11,8 @@ pytest.importorskip("drjit")
 
 from gof.render import rasterize, reference  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("kernels")
+
 NAMES = ("means", "quats", "scales", "opacities", "colors")
 
 
@@ -127,7 +129,10 @@ def test_per_camera_colours_near_far_and_radius():
     depth = np.sort(cams[0].to_camera(g["position"])[:, 2])
     _, (_, _, cut) = call(g, cams[:1], near_plane=float(depth[5] + 1e-4), far_plane=float(depth[12] - 1e-4))
     assert int((cut["radii"][0] > 0).sum()) == 6
-    _, (_, _, clipped) = call(g, cams[:1], radius_clip=float(meta["radii"][0].median()) + 1e-4)
+    _, covariance, *_ = reference.project(*list(g.values())[:4], cams[0])
+    radius = 3 * np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
+    np.testing.assert_array_equal(meta["radii"][0], np.ceil(radius))
+    _, (_, _, clipped) = call(g, cams[:1], radius_clip=float(np.median(radius)))
     assert int((clipped["radii"][0] > 0).sum()) == 10
 
 
@@ -148,15 +153,170 @@ def test_errors_name_the_argument():
         call(g | {"rotation": np.ones((6, 3))}, cams)
     with pytest.raises(DataFormatError, match="render_mode 'rgb'"):
         call(g, cams, render_mode="rgb")
-    with pytest.raises(DataFormatError, match="absgrad"):
-        call(g, cams, absgrad=True, packed=False)
-    with pytest.raises(DataFormatError, match="sh_degree 2"):
-        call(g | {"color": np.ones((6, 4, 3))}, cams, sh_degree=2)
-    bad = g["opacity"].copy()
-    bad[3] = np.inf
-    with pytest.raises(NonFiniteError, match=r"'opacity' .* \[3\]"):
-        call(g | {"opacity": bad}, cams)
+    with pytest.raises(DataFormatError, match="sparse_grad"):
+        call(g, cams, sparse_grad=True, packed=False)
+    for degree, coefficients in ((2, 4), (4, 25), (-1, 4)):
+        with pytest.raises(DataFormatError, match=f"'sh_degree' is {degree}"):
+            call(g | {"color": np.ones((6, coefficients, 3))}, cams, sh_degree=degree)
+    with pytest.raises(DataFormatError, match="'colors' has 9 channels"):
+        call(g | {"color": np.ones((6, 9))}, cams)
+    with pytest.raises(DataFormatError, match="'absgrad' with 9 channels"):
+        call(g | {"color": np.ones((6, 8))}, cams, absgrad=True, render_mode="RGB+D")
+    for name in ("near_plane", "eps2d"):
+        with pytest.raises(DataFormatError, match=f"'{name}' is 0"):
+            call(g, cams, **{name: 0})
+    for alpha in (1.0, 0.0):
+        with pytest.raises(DataFormatError, match="'max_alpha'"):
+            call(g, cams, max_alpha=alpha)
+    for parameter, argument in zip(g, NAMES, strict=True):
+        bad = g[parameter].copy()
+        bad[3] = np.inf
+        with pytest.raises(NonFiniteError, match=rf"'{argument}' .* \[3\]") as caught:
+            call(g | {parameter: bad}, cams)
+        assert isinstance(caught.value, ValueError)
     _, (image, _, _) = call(g, cams, grad=True)
     image.sum().backward(retain_graph=True)
     with pytest.raises(RuntimeError, match="twice"):
         image.sum().backward()
+
+
+def with_covariances(g, grad=False):
+    """The arguments of `rasterize` with covariances instead of rotation and scale, and these covariances."""
+    axes = reference.rotation_matrix(g["rotation"]) * g["scale"][:, None, :]
+    covariance = (axes @ axes.transpose(0, 2, 1)).astype(np.float32)
+    values = {"means": g["position"], "covars": covariance, "opacities": g["opacity"], "colors": g["color"]}
+    tensors = {n: torch.tensor(v, dtype=torch.float32, requires_grad=grad) for n, v in values.items()}
+    return tensors | {"quats": None, "scales": None}, covariance.astype(float)
+
+
+def of_camera(cam):
+    return {
+        "viewmats": torch.tensor(cam.world_to_camera[None]),
+        "Ks": torch.tensor(cam.K[None]),
+        "width": cam.width,
+        "height": cam.height,
+    }
+
+
+@pytest.mark.parametrize("size, mode", [(0.08, "classic"), (1e-4, "antialiased"), (1e3, "classic")])
+def test_covariances_draw_what_their_rotations_and_scales_do(size, mode):
+    cam, g = camera(40, 30), gaussians(40, 1, size)
+    tensors, _ = with_covariances(g)
+    _, (want, _, meta) = call(g, [cam], rasterize_mode=mode)
+    got, _, same = rasterize(**tensors, **of_camera(cam), rasterize_mode=mode)
+    np.testing.assert_allclose(got, want, atol=2e-4)
+    np.testing.assert_allclose(same["radii"], meta["radii"], atol=1)
+
+
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_gradients_of_covariances_equal_central_differences(mode):
+    cam, g = camera(24, 20), gaussians(12, 3, 0.12)
+    tensors, covariance = with_covariances(g, grad=True)
+    weights = np.random.default_rng(0).normal(size=(20, 24, 3))
+    image, _, _ = rasterize(**tensors, **of_camera(cam), rasterize_mode=mode)
+    (image[0] * torch.tensor(weights, dtype=torch.float32)).sum().backward()
+    got = tensors["covars"].grad.numpy()
+    assert not got[:, [1, 2, 2], [0, 0, 1]].any()  # the lower triangle is not read
+
+    def cost(covariance):
+        drawn = reference.render(*g.values(), cam, antialias=mode == "antialiased", covariance=covariance)
+        return (drawn[0] * weights).sum()
+
+    want, have = [], []
+    for k in range(12):
+        for i, j in zip(*np.triu_indices(3), strict=True):
+            ends = []
+            for sign in (1, -1):
+                moved = covariance.copy()
+                moved[k, i, j] += sign * 1e-8
+                moved[k, j, i] = moved[k, i, j]
+                ends.append(cost(moved))
+            want.append((ends[0] - ends[1]) / 2e-8)
+            have.append(got[k, i, j])
+    assert np.abs(want).max() > 0
+    np.testing.assert_allclose(have, want, atol=3e-3 * np.abs(want).max())
+
+
+def test_covariances_stand_alone():
+    cam, g = camera(), gaussians(4)
+    tensors, _ = with_covariances(g)
+    with pytest.raises(DataFormatError, match="'covars' stands instead"):
+        rasterize(**tensors | {"quats": torch.ones(4, 4)}, **of_camera(cam))
+    with pytest.raises(DataFormatError, match="'quats' has shape None"):
+        rasterize(**tensors | {"covars": None}, **of_camera(cam))
+    with pytest.raises(DataFormatError, match=r"'covars' has shape \(4, 6\)"):
+        rasterize(**tensors | {"covars": torch.ones(4, 6)}, **of_camera(cam))
+    with pytest.raises(NonFiniteError, match="'covars'"):
+        rasterize(**tensors | {"covars": tensors["covars"] * np.nan}, **of_camera(cam))
+
+
+def test_radii_are_whole_and_zero_outside_the_picture():
+    cam, g = camera(40, 30), gaussians(30, 2, 0.02, spread=1.5)
+    _, (_, _, meta) = call(g, [cam])
+    mean, covariance, _, _, visible = reference.project(*list(g.values())[:4], cam)
+    radius = 3 * np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
+    size = np.array([cam.width, cam.height])
+    inside = visible & ((mean + radius[:, None] > 0) & (mean - radius[:, None] < size)).all(1)
+    assert 0 < inside.sum() < 30 and meta["radii"].dtype == torch.int32
+    np.testing.assert_array_equal(meta["radii"][0], np.where(inside, np.ceil(radius), 0))
+
+
+def test_a_lower_degree_than_is_stored():
+    cams, g = two_cameras(), gaussians(20, 3, 0.1)
+    g["color"] = np.random.default_rng(0).normal(0, 0.3, (20, 16, 3)).astype(np.float32)
+    tensors, (high, _, _) = call(g, cams, grad=True, sh_degree=1)
+    high.sum().backward()
+    _, (low, _, _) = call(g | {"color": g["color"][:, :4]}, cams, sh_degree=1)
+    np.testing.assert_array_equal(high.detach(), low)
+    grad = tensors["colors"].grad
+    assert grad.shape == (20, 16, 3) and grad[:, :4].abs().max() > 0 and not grad[:, 4:].any()
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGB+D"])
+def test_absolute_gradients_of_the_2d_means(mode):
+    """Sum over pixels of |dL/d(mean)|, which densification by AbsGS reads; no cancellation between two sides."""
+    cams, g = two_cameras(), gaussians(8, 3, 0.1)
+    weights = np.random.default_rng(0).normal(size=(2, 30, 40, 4 if mode == "RGB+D" else 3))
+    _, (image, _, meta) = call(g, cams, grad=True, absgrad=True, render_mode=mode)
+    (image * torch.tensor(weights, dtype=torch.float32)).sum().backward()
+    got = meta["means2d"].absgrad.numpy()
+    assert (got >= meta["means2d"].grad.abs().numpy() * (1 - 1e-4)).all()
+    for c, cam in enumerate(cams):
+        for i in range(8):
+            for axis in (0, 1):
+                ends = []
+                for sign in (1, -1):
+                    shift = np.zeros((8, 2))
+                    shift[i, axis] = sign * 1e-5
+                    color, _, depth = reference.render(*g.values(), cam, shift=shift)
+                    ends.append((np.dstack([color, depth])[..., : weights.shape[-1]] * weights[c]).sum(-1))
+                per_pixel = np.abs(ends[0] - ends[1]) / 2e-5
+                per_pixel = per_pixel[per_pixel < 50].sum()  # a pixel that crosses 1/255 jumps
+                assert got[c, i, axis] == pytest.approx(per_pixel, rel=5e-3, abs=1e-3)
+
+
+def test_gsplats_clamp_is_selectable():
+    cam, g = camera(24, 20), gaussians(12, 3, 0.2)
+    g["opacity"] = np.where(np.arange(12) % 2 == 0, 1.0, 0.7)
+    pictures = {}
+    for clamp in (0.99, 0.999):
+        _, (image, alpha, _) = call(g, [cam], max_alpha=clamp)
+        want = reference.render(*g.values(), cam, max_alpha=clamp)
+        np.testing.assert_allclose(image[0], want[0], atol=5e-5)
+        np.testing.assert_allclose(alpha[0, ..., 0], want[1], atol=5e-5)
+        pictures[clamp] = image
+    assert (pictures[0.99] - pictures[0.999]).abs().max() > 1e-3
+    weights = np.random.default_rng(0).normal(size=(20, 24, 3))
+    tensors, (image, _, _) = call(g, [cam], grad=True, max_alpha=0.999)
+    (image[0] * torch.tensor(weights, dtype=torch.float32)).sum().backward()
+    want = []
+    for i in range(12):
+        ends = []
+        for sign in (1, -1):
+            opacity = g["opacity"].copy()
+            opacity[i] += sign * 1e-7
+            ends.append(
+                (reference.render(*(g | {"opacity": opacity}).values(), cam, max_alpha=0.999)[0] * weights).sum()
+            )
+        want.append((ends[0] - ends[1]) / 2e-7)
+    np.testing.assert_allclose(tensors["opacities"].grad, want, atol=5e-3 * np.abs(want).max())

@@ -1,0 +1,206 @@
+"""L1 + SSIM and its derivative in one sweep down a channel of the picture; see `gof.render.loss`.
+
+Three stages follow each other at the distance of the window's reach: take in a row; SSIM of a row and its derivatives
+with respect to three local moments, blurred along the row at once; the gradient of a row, from eleven rows of those.
+Only those rows are kept, so everything but the pictures stays in the processor's cache.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import numpy as np
+
+from gof.render.backend import Float
+from gof.render.native.compiled import kernel, part
+from gof.render.native.lanes import LANES, absolute, load, ratio, spread, store, where
+from gof.render.native.threads import even_parts, run, thread_count
+from gof.render.ssim import C1, C2, REACH, WINDOW
+
+SPAN = 2 * REACH + 1
+W = np.array(WINDOW, np.float32)
+W0, W1, W2, W3, W4, W5 = W[: REACH + 1]
+
+
+@part
+def _down(pictures, others, slots, stride, x, first, end, row):
+    """Windowed sums down columns [x, x + 16) of a, a^2 and a b; `slots`: how many rows `pictures` keeps."""
+    mean = square = product = spread(np.float32(0))
+    for k in range(first, end):
+        a = load(pictures, k % slots * stride + x)
+        weighted = a * W[k - row + REACH]
+        mean = mean + weighted
+        square = square + weighted * a
+        product = product + weighted * load(others, k * stride + x)
+    return mean, square, product
+
+
+@part
+def _along(row, x):
+    """Windowed sum along a row that begins at place REACH; equal weights share a multiplication."""
+    outer = (load(row, x) + load(row, x + 10)) * W0 + (load(row, x + 1) + load(row, x + 9)) * W1
+    middle = (load(row, x + 2) + load(row, x + 8)) * W2 + (load(row, x + 3) + load(row, x + 7)) * W3
+    return outer + middle + (load(row, x + 4) + load(row, x + 6)) * W4 + load(row, x + 5) * W5
+
+
+@part
+def _row_of(width):
+    return np.zeros(width + 2 * REACH, np.float32)
+
+
+@kernel
+def moments(image, height, stride, mean, square):
+    """Blurred values and squares of a channel (height, stride), whose rows end in zeros."""
+    down, down_square = _row_of(stride), _row_of(stride)
+    for row in range(height):
+        for x in range(0, stride, LANES):
+            first, end = max(row - REACH, 0), min(row + REACH + 1, height)
+            a, aa, _ = _down(image, image, height, stride, x, first, end, row)
+            store(down, x + REACH, a)
+            store(down_square, x + REACH, aa)
+        for x in range(0, stride, LANES):
+            store(mean, row * stride + x, _along(down, x))
+            store(square, row * stride + x, _along(down_square, x))
+
+
+@kernel
+def l1_ssim_rows(
+    begin,
+    stop,
+    image,
+    width,
+    stride,
+    truth,
+    truth_mean,
+    truth_square,
+    weight,
+    weight_stride,
+    part_ssim,
+    totals,
+    gradient,
+):
+    """Rows [begin, stop) of a channel: add to `totals` (height,) what each costs, and write its gradient.
+
+    image, gradient: (height * width,).  truth and its moments: (height * stride,).  weight: of each pixel, (height *
+    stride,), or one row for all and weight_stride 0; 0 beyond the width.
+    """
+    height = len(totals)
+    kept = np.zeros(SPAN * stride, np.float32)  # rows of the picture, then zeros
+    down, down_square, down_product = _row_of(stride), _row_of(stride), _row_of(stride)
+    d_mean, d_square, d_product = _row_of(stride), _row_of(stride), _row_of(stride)
+    blurred = np.zeros((3, SPAN * stride), np.float32)  # rows of those, blurred along
+    b_mean, b_square, b_product = blurred[0], blurred[1], blurred[2]
+    line, lanes = np.empty(stride, np.float32), np.empty(LANES, np.float32)
+    part_l1 = np.float32(1) - part_ssim
+    for taken in range(max(begin - 2 * REACH, 0), stop + 2 * REACH):
+        if taken < height:
+            slot = taken % SPAN * stride
+            for x in range(width):
+                kept[slot + x] = image[taken * width + x]
+
+        row = taken - REACH
+        if max(begin - REACH, 0) <= row < min(stop + REACH, height):
+            first, end = max(row - REACH, 0), min(row + REACH + 1, height)
+            for x in range(0, stride, LANES):
+                a, aa, ab = _down(kept, truth, SPAN, stride, x, first, end, row)
+                store(down, x + REACH, a)
+                store(down_square, x + REACH, aa)
+                store(down_product, x + REACH, ab)
+            total = spread(np.float32(0))
+            for x in range(0, stride, LANES):
+                at = row * stride + x
+                mu_x, mu_y, w = _along(down, x), load(truth_mean, at), load(weight, row * weight_stride + x) * part_ssim
+                a1, a2 = mu_x * mu_y * 2.0 + C1, (_along(down_product, x) - mu_x * mu_y) * 2.0 + C2
+                b1 = mu_x * mu_x + mu_y * mu_y + C1
+                b2 = (_along(down_square, x) - mu_x * mu_x) + (load(truth_square, at) - mu_y * mu_y) + C2
+                r1, r2 = ratio(np.float32(1), b1), ratio(np.float32(1), b2)
+                ssim = a1 * a2 * r1 * r2
+                total = total + (w - w * ssim)
+                store(d_mean, x + REACH, w * -2.0 * (mu_y * (a2 - a1) * r1 * r2 + mu_x * ssim * (r2 - r1)))
+                store(d_square, x + REACH, w * ssim * r2)
+                store(d_product, x + REACH, w * -2.0 * a1 * r1 * r2)
+            if begin <= row < stop:
+                totals[row] += _added(total, lanes)
+            slot = row % SPAN * stride
+            for x in range(0, stride, LANES):
+                store(b_mean, slot + x, _along(d_mean, x))
+                store(b_square, slot + x, _along(d_square, x))
+                store(b_product, slot + x, _along(d_product, x))
+
+        row = taken - 2 * REACH
+        if begin <= row < stop:
+            # The picture's row may have left its ring: it is read again.
+            for x in range(stride):
+                line[x] = image[row * width + x] if x < width else np.float32(0)
+            total = spread(np.float32(0))
+            for x in range(0, stride, LANES):
+                g_mean = g_square = g_product = spread(np.float32(0))
+                for k in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+                    at = k % SPAN * stride + x
+                    g_mean = g_mean + load(b_mean, at) * W[k - row + REACH]
+                    g_square = g_square + load(b_square, at) * W[k - row + REACH]
+                    g_product = g_product + load(b_product, at) * W[k - row + REACH]
+                a, b, w = load(line, x), load(truth, row * stride + x), load(weight, row * weight_stride + x) * part_l1
+                difference = a - b
+                total = total + w * absolute(difference)
+                sign = where(b < a, 1.0, where(a < b, spread(np.float32(-1)), 0.0))
+                store(line, x, g_mean + a * g_square * 2.0 + b * g_product + w * sign)
+            totals[row] += _added(total, lanes)
+            for x in range(width):
+                gradient[row * width + x] = line[x]
+
+
+@part
+def _added(x, lanes):
+    store(lanes, 0, x)
+    total = 0.0
+    for k in range(LANES):
+        total += lanes[k]
+    return total
+
+
+class NativeTarget:
+    """A ground-truth picture (H, W, D) float32, its moments, and the weight of each pixel, rows padded with zeros."""
+
+    def __init__(self, image: np.ndarray, mask: np.ndarray | None):
+        self.height, self.width, self.channels = image.shape
+        self.stride = -(-self.width // LANES) * LANES
+        self.truth = [self._padded(image[..., c]) for c in range(self.channels)]
+        self.moments = [(np.empty_like(t), np.empty_like(t)) for t in self.truth]
+        for truth, (mean, square) in zip(self.truth, self.moments, strict=True):
+            moments(truth, self.height, self.stride, mean, square)
+        even = np.full((1, self.width), 1 / image.size)
+        self.weight = self._padded(even if mask is None else mask / (np.sum(mask, dtype=np.float64) * self.channels))
+        self.weight_stride = 0 if mask is None else self.stride
+
+    @property
+    def operation(self) -> type[dr.CustomOp]:
+        return NativeLoss
+
+    def _padded(self, rows: np.ndarray) -> np.ndarray:
+        return np.pad(rows.astype(np.float32), ((0, 0), (0, self.stride - self.width))).reshape(-1)
+
+
+class NativeLoss(dr.CustomOp):
+    """The gradient is found together with the value, and only scaled in the backward pass."""
+
+    def eval(self, image, target, ssim_weight):
+        t, planes = target, [dr.detach(Float(channel)) for channel in image]
+        dr.eval(planes)
+        self.gradient = [dr.empty(Float, t.height * t.width) for _ in planes]
+        views = [plane.numpy() for plane in planes], [plane.numpy() for plane in self.gradient]
+        totals = np.zeros((t.channels, t.height))
+
+        def sweep(c, begin, end):
+            truth = t.truth[c], *t.moments[c], t.weight, t.weight_stride, np.float32(ssim_weight)
+            l1_ssim_rows(begin, end, views[0][c], t.width, t.stride, *truth, totals[c], views[1][c])
+
+        # Parts of a channel overlap by four times the window's reach: few of them.
+        run(sweep, [(c, *rows) for c in range(t.channels) for rows in even_parts(t.height, thread_count())])
+        return Float(float(totals.sum()))
+
+    def backward(self):
+        upstream = Float(self.grad_out())
+        self.set_grad_in("image", [g * upstream for g in self.gradient])
+
+    def name(self):
+        return "native l1_ssim"
