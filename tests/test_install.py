@@ -201,7 +201,7 @@ def test_the_lock_has_what_is_asked_for_in_versions_that_are_allowed():
     """As the Makefile installs; torch itself is left out, and what its CUDA builds bring."""
     requirements = pytest.importorskip("packaging.requirements")
     lock, wanted = locked(), needed() | needed("blender") | needed("dev") | needed("leaderboard") | needed("view")
-    assert "torch" not in lock and ".[blender,torch,dev]" in (ROOT / "Makefile").read_text()
+    assert "torch" not in lock and ".[blender,torch,dev,fast]" in (ROOT / "Makefile").read_text()
     assert {name.lower() for name in wanted} - {NAME} <= set(lock)
     for line in importlib.metadata.requires(NAME):
         one = requirements.Requirement(line)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LOCK = ROOT / "requirements.lock"
-EXTRAS = "blender,torch,dev"  # as the Makefile installs
+EXTRAS = "blender,torch,dev,fast"  # as the Makefile installs
 LEFT_OUT = ("gaussians-on-fire", "torch")
 HEAD = """\
 # Written by tools/lock.py: what `make setup` installs on Linux x86-64 with Python 3.11, without PyTorch.

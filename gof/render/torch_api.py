@@ -115,7 +115,8 @@ def rasterize(
     if covars is not None:
         if quats is not None or scales is not None:
             raise DataFormatError("'covars' stands instead of 'quats' and 'scales'; give None for these")
-        covars = covars[:, *np.triu_indices(3)]
+        upper, right = np.triu_indices(3)
+        covars = covars[:, upper, right]
     if sh_degree is not None:
         colors = colors[..., : (sh_degree + 1) ** 2, :]
     per_camera = colors.ndim == (3 if sh_degree is None else 4)
