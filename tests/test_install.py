@@ -88,6 +88,7 @@ def unguarded(tree):
 
 
 # Files of `gof` that open with a question whether an extra's library is there: their other imports of it are safe.
+NATIVE = ROOT / "gof" / "render" / "native"  # imported where `backend.kernels` says that numba is there
 ASKED = {
     "torch": (
         "gof/evaluate/perceptual.py",
@@ -101,6 +102,7 @@ ASKED = {
     "pyserial": ("gof/capture/controller.py",),
     "viser": ("gof/report/viewer.py", "gof/report/own_pages.py"),
     "msvcrt": ("gof/files.py",),
+    **dict.fromkeys(("numba", "llvmlite"), tuple(f"gof/render/native/{p.name}" for p in NATIVE.glob("*.py"))),
 }
 
 
