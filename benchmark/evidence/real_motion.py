@@ -1,0 +1,78 @@
+"""Does the flow prior leave the direction of a real flame as its footage shows it? Prints a table.
+
+    python -m gof_benchmark.evidence.real_motion DATASET...
+
+No truth is needed: DATASET may come from `gof ingest`. Per camera, the mean motion in its picture, weighted by light:
+of the footage's own optical flow; of the velocities fused from all cameras; of those after the flow prior. Directions
+are in degrees to the right of the picture's "up"; speeds are over the footage's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from gof.cameras import Camera
+from gof.dataset import Dataset
+from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_prior import FlowPrior
+from gof.reconstruct.observation import Observation, observe
+from gof.reconstruct.presets import METHODS
+from gof.reconstruct.shrink import shrink
+
+LONGEST_SIDE, VOXELS = 320, 72  # as `gof reconstruct --preset preview`
+
+
+@dataclass(frozen=True)
+class RealMotion:
+    """Directions and speeds in every camera's picture, before and after the flow prior."""
+
+    datasets: tyro.conf.Positional[tuple[Path, ...]]
+    """Datasets, of real footage too."""
+
+
+def of_footage(observation: Observation, camera: int) -> np.ndarray:
+    """(2,) px/s, mean of a camera's optical flow over all frames, weighted by the light above the plate."""
+    flow, light = observation.flow[:, camera].astype(np.float64), observation.intensity[:, camera].astype(np.float64)
+    known = np.isfinite(flow).all(-1) & observation.mask[:, camera]
+    return (light[known][:, None] * flow[known]).sum(0) / light[known].sum()
+
+
+def of_field(field: FlowField, camera: Camera) -> np.ndarray:
+    """(2,) px/s, mean projected velocity over all voxels and frames, weighted by emission."""
+    momentum = (field.emission[..., None] * field.velocity).sum(0)
+    projected = np.einsum("vij,vj->i", camera.projection_jacobian(field.voxels.center), momentum)
+    return projected / field.emission.sum()
+
+
+def degrees(motion: np.ndarray) -> float:
+    """To the right of the picture's "up" (its rows count downwards)."""
+    return float(np.degrees(np.arctan2(motion[0], -motion[1])))
+
+
+def turn(after: np.ndarray, before: np.ndarray) -> float:
+    """Degrees from one direction to the other, -180 to 180."""
+    return (degrees(after) - degrees(before) + 180) % 360 - 180
+
+
+def main(argv: list[str] | None = None) -> None:
+    config = tyro.cli(RealMotion, prog="python -m gof_benchmark.evidence.real_motion", args=argv)
+    print("| dataset | camera | footage, degrees | fused: turned by, speed | with the prior: turned by, speed |")
+    print("|---|---|---|---|---|")
+    for path in config.datasets:
+        dataset = shrink(Dataset.open(path), LONGEST_SIDE)
+        observation = observe(dataset)
+        seen = seen_flow_field(observation, METHODS["gof"], VOXELS)
+        gas = FlowPrior.load().correct(seen, metres=dataset.description.in_metres)
+        for c, camera in enumerate(observation.cameras):
+            footage = of_footage(observation, c)
+            fields = [of_field(field, camera) for field in (seen, gas)]
+            cells = [f"{turn(m, footage):+.0f}, {np.linalg.norm(m) / np.linalg.norm(footage):.2f}" for m in fields]
+            print(f"| {path.name} | {camera.name} | {degrees(footage):+.0f} | {cells[0]} | {cells[1]} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
