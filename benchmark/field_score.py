@@ -9,7 +9,6 @@ import numpy as np
 from gof.dataset import Dataset
 from gof.evaluate import dve
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.core_speed import core_speed
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.pace import GRAVITY, LAW
@@ -86,14 +85,6 @@ def buoyant_law(field: FlowField) -> FlowField:
     assert axis is not None
     height = (axis.layers.along * axis.layers.thickness - axis.foot).clip(0)
     return _straight(field, axis, LAW * np.sqrt(GRAVITY * height), np.array([0.0, 0.0, 1.0]))
-
-
-def core_alone(field: FlowField) -> FlowField:
-    """The speed of the flame's core along its axis, fading outward: evidence of the pictures without any network."""
-    axis = FlameAxis.of(field)
-    assert axis is not None
-    core = core_speed(axis, np.array([frame.time_s for frame in field.frames]))
-    return _straight(field, axis, core.speed[axis.layers.nearest], axis.layers.direction)
 
 
 def _straight(field: FlowField, axis: FlameAxis, speed: np.ndarray, direction: np.ndarray) -> FlowField:

@@ -25,7 +25,7 @@ from gof.reconstruct.fusion import fuse_frame
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.optical_flow import deepflow, tvl1
 from gof.reconstruct.presets import METHODS
-from gof_benchmark.field_score import best_constant, buoyant_law, core_alone, mean_per_height, score
+from gof_benchmark.field_score import best_constant, buoyant_law, mean_per_height, score
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,6 @@ def choices(dataset: Dataset, seen: Observation, field: FlowField) -> dict[str, 
         "control: best constant vector (knows the truth)": lambda: best_constant(field, dataset),
         "control: mean per height (knows the truth)": lambda: mean_per_height(field, dataset),
         "control: buoyant law straight up (knows metres)": lambda: buoyant_law(field),
-        "control: core speed along the axis": lambda: core_alone(field),
         "default: full, smooth 3, light above plate": lambda: fused(seen.flow),
         "no smoothing": lambda: fused(seen.flow, smooth=0.0),
         "smooth 6": lambda: fused(seen.flow, smooth=6.0),

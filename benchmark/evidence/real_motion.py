@@ -59,6 +59,7 @@ def turn(after: np.ndarray, before: np.ndarray) -> float:
 
 
 def main(argv: list[str] | None = None) -> None:
+    """Print the table."""
     config = tyro.cli(RealMotion, prog="python -m gof_benchmark.evidence.real_motion", args=argv)
     print("| dataset | camera | footage, degrees | fused: turned by, speed | with the prior: turned by, speed |")
     print("|---|---|---|---|---|")

@@ -90,7 +90,7 @@ class FlameAxis:
 
     Attributes:
         layers: across the mean seen velocity.    sections: of the clip's light.
-        light: (F, S) of every layer in every frame, any unit.    mean_light: (S,) over the frames.
+        mean_light: (S,) of every layer over the frames, any unit.
         foot, length: where the flame begins and how far it reaches, m along the axis from the lowest layer.
         radius: RMS distance of the light from the middle of its layer, m.
         seen_speed: RMS of the seen velocity, weighted by emission, m/s.
@@ -98,7 +98,6 @@ class FlameAxis:
 
     layers: Layers
     sections: CrossSections
-    light: np.ndarray
     mean_light: np.ndarray
     foot: float
     length: float
@@ -115,16 +114,14 @@ class FlameAxis:
         if not energy > 0 or not speed > 1e-6 * np.sqrt(energy * emission.sum()):
             return None
         layers = Layers.across(momentum / speed, voxels)
-        light = np.stack([layers.sums(frame.emission * frame.light) for frame in field.frames])
         total = emission.sum(0, dtype=np.float64)
         sections = CrossSections.of(layers, voxels, total)
-        mean_light = light.mean(0)
+        mean_light = layers.sums(np.mean([frame.emission * frame.light for frame in field.frames], axis=0))
         share = np.cumsum(mean_light) / mean_light.sum()
         foot, tip = np.interp((FOOT, TIP), share, np.arange(layers.count) * layers.thickness)
         return cls(
             layers=layers,
             sections=sections,
-            light=light,
             mean_light=mean_light,
             foot=float(foot),
             length=float(max(tip - foot, 2 * layers.thickness)),

@@ -6,7 +6,7 @@ flame to flame. Two questions are asked apart:
 
 - How fast is the flame as a whole? One number a clip, so there are as many examples as flames: a line (`pace`).
 - How is that speed spread over the flame? Hundreds of thousands of voxels are examples: a small network, which reads
-  the fused flow and the speeds of the core that the light of whole layers shows (`core_speed`), all of it relative.
+  the fused flow and the light around a voxel, all of it relative.
 
 Both are fitted to simulated flames of two solvers (`benchmark/training/flow_prior.py`; none of them is a scene or a
 test fire of the benchmark). A network that is asked both at once learns its few flames' paces by heart.
@@ -27,7 +27,6 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from gof.errors import DataFormatError, GofError
-from gof.reconstruct.core_speed import CoreSpeed, core_speed
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.pace import Pace
@@ -46,9 +45,6 @@ FEATURES = (
     "mean_seen_along",
     "mean_seen_out",
     "layer_seen_along",
-    "core_speed",
-    "core_acceleration",
-    "core_agreement",
     "brightness_in_layer",
     "mean_brightness_in_layer",
     "brightening_along",
@@ -58,9 +54,9 @@ FEATURES = (
     "brightening_in_time",
     "widening",
 )
-"""What the network reads of a voxel in a frame. Lengths are over the flame's length or radius, seen speeds over the
-mean seen speed, the core's over its own mean, times over the time in which what is seen crosses a radius. Nothing is
-the same all over a clip: by such numbers a network would know its flames again."""
+"""What the network reads of a voxel in a frame. Lengths are over the flame's length or radius, speeds over the mean
+seen speed, times over the time in which what is seen crosses a radius. Nothing is the same all over a clip: by such
+numbers a network would know its flames again."""
 VECTORS = 5
 LIMIT = 6.0  # features beyond this say no more; a strange flame must not drive the network far outside its training
 FINE, COARSE = 1.5, 4.0  # voxels, std-dev of the brightness whose slopes are features
@@ -176,14 +172,12 @@ class FlameDescriber:
     """What the network reads, and the vectors that it weighs.
 
     Attributes:
-        core: speed of the core in every layer, over its mean over the light.
         mean_velocity: (V, 3) seen, m/s.    mean_brightness: (V,) log, relative to the layer.
         layer_seen: (S,) seen speed along the axis, m/s.
     """
 
     field: FlowField
     axis: FlameAxis
-    core: CoreSpeed
     mean_velocity: np.ndarray
     mean_brightness: np.ndarray
     layer_seen: np.ndarray
@@ -197,13 +191,11 @@ class FlameDescriber:
         emission = field.emission
         total = emission.sum(0, dtype=np.float64)
         momentum = (emission[..., None] * field.velocity).sum(0)
-        core = core_speed(axis, np.array([frame.time_s for frame in field.frames]))
         layers = axis.layers
         light = layers.pooled(total)
         return cls(
             field=field,
             axis=axis,
-            core=replace(core, speed=core.speed * axis.mean_light.sum() / (axis.mean_light * core.speed).sum()),
             mean_velocity=momentum / (total + 1e-3 * total.mean())[:, None],
             mean_brightness=_brightness_in_layer(axis, total / len(emission)),
             layer_seen=layers.pooled(momentum @ layers.direction) / (light + 1e-9 * light.max()),
@@ -212,8 +204,8 @@ class FlameDescriber:
     def describe(self, f: int) -> tuple[np.ndarray, np.ndarray]:
         """Features (V, K) and vectors (V, 5, 3) of frame f; lengths of vectors are over the pace of the flame.
 
-        The vectors: along the axis, as fast as the core of the layer; outward from the frame's own axis; the seen
-        motion across the axis; along the lean of the clip's axis; outward from the clip's axis.
+        The vectors: along the axis; outward from the frame's own axis; the seen motion across the axis; along the lean
+        of the clip's axis; outward from the clip's axis.
         """
         axis, layers, layer, speed = self.axis, self.axis.layers, self.axis.layers.nearest, self.axis.seen_speed
         frame = self.field.frames[f]
@@ -237,9 +229,6 @@ class FlameDescriber:
             self.mean_velocity @ layers.direction / speed,
             (self.mean_velocity * outward).sum(1) / speed,
             self.layer_seen[layer] / speed,
-            self.core.speed[layer],
-            layers.slope(self.core.speed)[layer] * length,
-            self.core.agreement[layer],
             _brightness_in_layer(axis, emission),
             self.mean_brightness,
             0.1 * length * (fine @ layers.direction),
@@ -250,10 +239,10 @@ class FlameDescriber:
             layers.slope(gaussian_filter1d(axis.sections.radius, 3))[layer],
         )
         vectors = np.zeros((len(layer), VECTORS, 3))
-        vectors[:, 0] = self.core.speed[layer, None] * layers.direction
+        vectors[:, 0] = layers.direction
         vectors[:, 1] = outward_now
         vectors[:, 2] = across / speed
-        vectors[:, 3] = self.core.speed[layer, None] * self._lean[layer]
+        vectors[:, 3] = self._lean[layer]
         vectors[:, 4] = outward
         return np.clip(np.stack(features, -1), -LIMIT, LIMIT).astype(np.float32), vectors.astype(np.float32)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gof.fields import VelocityField
-from gof_benchmark.field_score import best_constant, buoyant_law, core_alone, mean_per_height, score
+from gof_benchmark.field_score import best_constant, buoyant_law, mean_per_height, score
 from tests.reconstruct.plumes import box_of_voxels, field_of
 
 
@@ -57,12 +57,3 @@ def test_the_buoyant_law_is_mccaffreys_on_the_axis(column):
     np.testing.assert_allclose(velocity[axis, 2], 6.83 * np.sqrt(z[axis] - 0.02 * 1.2), rtol=0.04)
     far = np.hypot(x, y) > 0.2
     assert velocity[far, 2].max() < 0.7 * velocity[axis, 2].max(), "it fades outward"
-
-
-def test_the_core_alone_goes_along_the_axis(column):
-    """Light that does not change says nothing of the core: twice what is seen, along it."""
-    field, _ = column
-    velocity = core_alone(field).velocity[0]
-    x, y = field.voxels.center.T[:2]
-    np.testing.assert_allclose(velocity[np.hypot(x, y) < 0.03, 2], 2.0, rtol=0.1)
-    assert not velocity[:, :2].any()

@@ -107,7 +107,7 @@ def giving(vector: int, coefficient: float, doubt: float = 0.0) -> FlowPrior:
 
 @pytest.mark.parametrize("vector", range(VECTORS))
 def test_the_network_weighs_five_vectors(vector):
-    """A coefficient of 2 gives twice that vector. Light that does not change has a core of the same speed all along."""
+    """A coefficient of 2 gives twice that vector."""
     voxels = box_of_voxels((12, 12, 30), 0.05)
     x, y, z = voxels.center.T
     drift = np.array([0, 0.02, 0.04]) if vector in (1, 4) else np.zeros(3)  # of the axis, m, frame by frame
