@@ -37,6 +37,7 @@ from gof.reconstruct.presets import METHODS, Method, step_ms
 from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
 from gof.reconstruct.settings import ReconstructionSettings, Until
 from gof.reconstruct.shrink import shrink
+from gof.render.backend import kernels
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,8 @@ def _require_possible(run: _Run, anyway: bool) -> None:
     """
     steps = run.settings.iterations
     camera = run.dataset.cameras[0]
-    seconds = steps * step_ms(run.settings.gaussians, camera.width * camera.height) / 1e3
+    native = kernels().name == "native"
+    seconds = steps * step_ms(run.settings.gaussians, camera.width * camera.height, native) / 1e3
     needed = memory.needed_for(run.dataset, run.settings.gaussians, run.settings.voxels)
     print(
         f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores, and {memory.in_words(needed)}",

@@ -43,13 +43,19 @@ PRESETS: dict[PresetName, Effort] = {
 }
 
 
-def step_ms(gaussians: int, pixels: int) -> float:
+NATIVE_SHARE = 0.53  # of a step's time that is left with the native kernels: the demo, 60 000 Gaussians, 180x320
+
+
+def step_ms(gaussians: int, pixels: int, native: bool) -> float:
     """Expected ms of an optimisation step on two free CPU cores.
 
     Linear fit to four runs on a demo clip of 32 training frames (15 000 and 60 000 Gaussians; 90x160 and 180x320
-    pixels).
+    pixels), with Dr.Jit's kernels.
+
+    Args:
+        native: whether the renderer's native kernels run (`gof.render.backend.kernels`).
     """
-    return 5.9 + 0.41e-3 * gaussians + 0.155e-3 * pixels
+    return (5.9 + 0.41e-3 * gaussians + 0.155e-3 * pixels) * (NATIVE_SHARE if native else 1)
 
 
 @dataclass(frozen=True)
