@@ -69,7 +69,7 @@ class Samples:
     scale: torch.Tensor
 
     @classmethod
-    def of(cls, describer: FlameDescriber, truth: np.ndarray, rng: np.random.Generator, most: int = 40_000) -> Samples:
+    def of(cls, describer: FlameDescriber, truth: np.ndarray, rng: np.random.Generator, most: int = 30_000) -> Samples:
         """At most so many voxels of a flame.
 
         Args:
