@@ -25,11 +25,10 @@ import tyro
 from gof.dataset import Dataset
 from gof.files import atomic_path
 from gof.progress import progress_bar
-from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
 from gof.reconstruct.observation import observe
-from gof.reconstruct.pace import Pace
+from gof.reconstruct.pace import Pace, PaceClues
 from gof.reconstruct.presets import METHODS
 from gof.reconstruct.shrink import shrink
 from gof_benchmark.field_score import score
@@ -119,7 +118,7 @@ class Flame:
     solver: str
     dataset: Dataset
     field: FlowField
-    axis: FlameAxis
+    clues: PaceClues
     pace: float
     samples: Samples
 
@@ -134,8 +133,9 @@ class Flame:
         burns = Path(fire["grids"]).parent.name if "grids" in fire else path.name
         truth = np.stack([dataset.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames])
         pace = mean_speed(truth, field.emission)
+        clues = PaceClues.of(describer.axis, describer.log_light)
         samples = Samples.of(describer, truth / pace, np.random.default_rng(0))
-        return cls(burns, solver, dataset, field, describer.axis, pace, samples)
+        return cls(burns, solver, dataset, field, clues, pace, samples)
 
     def score(self, field: FlowField) -> str:
         """L2, CosSim and speed ratio of a flow field of this dataset, mean over frames."""
@@ -289,7 +289,7 @@ def main(argv: list[str] | None = None) -> None:
 
     def show(name: str, flame: Flame, prior: FlowPrior) -> None:
         found = prior.correct(flame.field)
-        pace = prior.pace.of(flame.axis) / flame.pace
+        pace = prior.pace.of(flame.clues) / flame.pace
         scores = f"{flame.score(flame.field):<24} {flame.score(found):<22} {pace:.2f}  {flame.within(found):.2f}"
         print(f"{name:<32} {scores}", flush=True)
 
@@ -321,13 +321,13 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def fitted_pace(flames: list[Flame]) -> Pace:
-    return Pace.fit([flame.axis for flame in flames], [flame.pace for flame in flames])
+    return Pace.fit([flame.clues for flame in flames], [flame.pace for flame in flames])
 
 
 def pace_spread(flames: list[Flame], without: list[LeftOut], metres: bool) -> float:
     """RMS of the log of estimated over true pace, each flame's by a line that was not fitted to it."""
     pairs = zip(flames, without, strict=True)
-    off = [np.log(left.pace.of(flame.axis, metres) / flame.pace) for flame, left in pairs]
+    off = [np.log(left.pace.of(flame.clues, metres) / flame.pace) for flame, left in pairs]
     return float(np.sqrt(np.mean(np.square(off))))
 
 
@@ -344,7 +344,7 @@ class LeftOut:
     def of(cls, flame: Flame, others: list[Flame]) -> LeftOut:
         pace = fitted_pace(others)
         scaling, velocity = train_velocity([other.samples for other in others])
-        error = held_out_error(scaling, velocity, flame.samples, pace.of(flame.axis) / flame.pace)
+        error = held_out_error(scaling, velocity, flame.samples, pace.of(flame.clues) / flame.pace)
         return cls(pace, scaling, velocity, error)
 
 

@@ -24,12 +24,13 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d
 
 from gof.errors import DataFormatError, GofError
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField, FrameField
-from gof.reconstruct.pace import Pace
+from gof.reconstruct.log_light import LogLight, slope
+from gof.reconstruct.pace import Pace, PaceClues
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
 FEATURES = (
@@ -148,7 +149,7 @@ class FlowPrior:
                 for frame in field.frames
             ]
             return replace(field, frames=tuple(still))
-        pace = self.pace.of(describer.axis, metres)
+        pace = self.pace.of(PaceClues.of(describer.axis, describer.log_light), metres)
         # frame by frame: all features of a clip at once would take gigabytes
         return replace(field, frames=tuple(self._corrected(describer, pace, f) for f in range(len(field.frames))))
 
@@ -178,6 +179,7 @@ class FlameDescriber:
 
     field: FlowField
     axis: FlameAxis
+    log_light: LogLight
     mean_velocity: np.ndarray
     mean_brightness: np.ndarray
     layer_seen: np.ndarray
@@ -196,6 +198,7 @@ class FlameDescriber:
         return cls(
             field=field,
             axis=axis,
+            log_light=LogLight.of(field),
             mean_velocity=momentum / (total + 1e-3 * total.mean())[:, None],
             mean_brightness=_brightness_in_layer(axis, total / len(emission)),
             layer_seen=layers.pooled(momentum @ layers.direction) / (light + 1e-9 * light.max()),
@@ -214,7 +217,7 @@ class FlameDescriber:
         outward, radius = self._outward(axis.sections)
         outward_now, radius_now = self._outward(now)
         across = layers.sideways(frame.velocity)
-        fine, coarse = (self._brightening(f, width) for width in (FINE, COARSE))
+        fine, coarse = (slope(self.log_light.grid(f, width), self.field.voxels) for width in (FINE, COARSE))
         length, width = axis.length, axis.radius
         features = (
             (layers.along * layers.thickness - axis.foot) / length,
@@ -260,33 +263,14 @@ class FlameDescriber:
         radius = np.linalg.norm(offset, axis=1)
         return offset / np.maximum(radius, 0.5 * layers.thickness)[:, None], radius
 
-    def _log_light(self, f: int, width: float) -> np.ndarray:
-        """(X, Y, Z) log of the light of frame f, smoothed by `width` voxels, above a hundredth of the clip's most."""
-        voxels, frame = self.field.voxels, self.field.frames[f]
-        grid = np.zeros(voxels.resolution)
-        grid[tuple(voxels.index.T)] = frame.emission * frame.light
-        brightest = max(float((frame.emission * frame.light).max()) for frame in self.field.frames)
-        return np.log(gaussian_filter(grid, width) + 1e-2 * brightest)
-
-    def _brightening(self, f: int, width: float) -> np.ndarray:
-        """(V, 3) 1/m, slope of the log light."""
-        grid, voxels = self._log_light(f, width), self.field.voxels
-        cells = tuple(voxels.index.T)
-        return np.stack([_slope(grid, voxels.voxel_size, i)[cells] for i in range(3)], -1)
-
     def _brightening_in_time(self, f: int) -> np.ndarray:
         """(V,) 1/s, between the frames before and after."""
         before, after = max(f - 1, 0), min(f + 1, len(self.field.frames) - 1)
         if before == after:
             return np.zeros(len(self.field.voxels.center))
         seconds = self.field.frames[after].time_s - self.field.frames[before].time_s
-        change = self._log_light(after, COARSE) - self._log_light(before, COARSE)
+        change = self.log_light.grid(after, COARSE) - self.log_light.grid(before, COARSE)
         return change[tuple(self.field.voxels.index.T)] / seconds
-
-
-def _slope(values: np.ndarray, step: float, axis: int = 0) -> np.ndarray:
-    """Central differences; 0 along an axis of a single cell."""
-    return np.gradient(values, step, axis=axis) if values.shape[axis] > 1 else np.zeros_like(values)
 
 
 def _brightness_in_layer(axis: FlameAxis, emission: np.ndarray) -> np.ndarray:

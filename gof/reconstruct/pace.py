@@ -2,26 +2,58 @@
 
 Texture lags behind the gas by a factor that is much the same all over one flame and differs from flame to flame: 0.8 to
 4 on the benchmark's. A clip says little of it, and a hundred flames are not at hand to learn it from, so it is a
-straight line in logarithms through two clues that physics names:
+straight line in logarithms through three clues that physics names:
 
 - what buoyancy would make of a flame of this length, if lengths are metres: hot gas cannot choose its speed;
-- how slender the flame is: a jet is faster than buoyancy, and a squat flame that is fed from all sides slower.
+- how slender the flame is: a jet is faster than buoyancy, and a squat flame that is fed from all sides slower;
+- how much of the seen motion carries its texture with it: where light rather goes out and on again in place, optical
+  flow reads much of that as motion, and the gas is slower than it looks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from gof.reconstruct.flame_axis import FlameAxis
+from gof.reconstruct.log_light import LogLight, slope
 
 GRAVITY = 9.81  # m/s2
 LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuous flame (NBSIR 79-1910)
-USUAL = np.array([4.0, 0.14])  # of the clues; logarithms are taken from there
+USUAL = np.array([4.0, 0.14, 0.6])  # of the clues; logarithms are taken from there
 FARTHEST = np.log(4.0)  # a clue stranger than that counts no more: no flame of the benchmark is
-STIFFNESS = 0.05  # of the fit: as much as a twentieth of a flame that says "both clues mean nothing"
+STIFFNESS = 0.05  # of the fit: as much as a twentieth of a flame that says "all clues mean nothing"
+TEXTURE = 1.5  # voxels, std-dev of the light whose carrying is a clue
+
+
+@dataclass(frozen=True)
+class PaceClues:
+    """What a clip says of its pace.
+
+    Attributes:
+        seen: RMS of the seen velocity, m/s; > 0.
+        buoyant: what buoyancy would make of the flame, m/s, if its lengths are metres.
+        carried: speed along the axis at which the texture of the light is carried, m/s.
+        slenderness: the flame's radius over its length.
+    """
+
+    seen: float
+    buoyant: float
+    carried: float
+    slenderness: float
+
+    @classmethod
+    def of(cls, axis: FlameAxis, log_light: LogLight) -> PaceClues:
+        return cls(axis.seen_speed, buoyant_speed(axis), carried_speed(axis, log_light), axis.radius / axis.length)
+
+    @property
+    def logs(self) -> np.ndarray:
+        """(3,) logarithms over the usual: buoyant over seen, slenderness, carried over seen."""
+        ratios = np.array([self.buoyant / self.seen, self.slenderness, self.carried / self.seen])
+        return np.clip(np.log(np.maximum(ratios, 1e-9) / USUAL), -FARTHEST, FARTHEST)
 
 
 def buoyant_speed(axis: FlameAxis) -> float:
@@ -30,37 +62,52 @@ def buoyant_speed(axis: FlameAxis) -> float:
     return float((axis.mean_light * LAW * np.sqrt(GRAVITY * height)).sum() / axis.mean_light.sum())
 
 
-def clues(axis: FlameAxis) -> np.ndarray:
-    """(2,) buoyant over seen speed, and the flame's radius over its length; logarithms of both over the usual."""
-    ratios = np.array([buoyant_speed(axis) / axis.seen_speed, axis.radius / axis.length])
-    return np.clip(np.log(np.maximum(ratios, 1e-9) / USUAL), -FARTHEST, FARTHEST)
+def carried_speed(axis: FlameAxis, log_light: LogLight) -> float:
+    """The one speed along the axis that explains most of how log light changes from frame to frame, m/s.
+
+    Least squares over all voxels and pairs of frames, weighted by emission (Lucas and Kanade 1981, with the flame as
+    the window). What goes out or on in place pulls it towards 0, other than optical flow, which looks for a match.
+    Returns:
+        0 where the light has no texture along the axis, or there is a single frame.
+    """
+    frames, voxels = log_light.field.frames, log_light.field.voxels
+    cells = tuple(voxels.index.T)
+    carried = texture = 0.0
+    for f, (before, after) in enumerate(pairwise(frames)):
+        first, second = log_light.grid(f, TEXTURE), log_light.grid(f + 1, TEXTURE)
+        along = slope((first + second) / 2, voxels) @ axis.layers.direction
+        change = (second - first)[cells] / (after.time_s - before.time_s)
+        weight = before.emission + after.emission
+        carried -= float((weight * along * change).sum())
+        texture += float((weight * along**2).sum())
+    return carried / texture if texture > 0 else 0.0
 
 
 @dataclass(frozen=True)
 class Pace:
-    """A line: log of (mean speed of the gas over the seen one) = weights . (1, clue, clue).
+    """A line: log of (mean speed of the gas over the seen one) = weights . (1, clues).
 
     Attributes:
-        metric: (3,) where lengths are metres and times seconds.
-        unitless: (3,) where nobody knows that; nothing for buoyancy.
+        metric: (4,) where lengths are metres and times seconds.
+        unitless: (4,) where nobody knows that; nothing for buoyancy.
     """
 
     metric: np.ndarray
     unitless: np.ndarray
 
-    def of(self, axis: FlameAxis, metres: bool = True) -> float:
+    def of(self, clues: PaceClues, metres: bool = True) -> float:
         """Mean speed of the flame's gas, weighted by light, m/s."""
         weights = self.metric if metres else self.unitless
-        return axis.seen_speed * float(np.exp(weights @ [1, *clues(axis)]))
+        return clues.seen * float(np.exp(weights @ [1, *clues.logs]))
 
     @classmethod
-    def fit(cls, axes: Sequence[FlameAxis], speed: Sequence[float]) -> Pace:
+    def fit(cls, clues: Sequence[PaceClues], speed: Sequence[float]) -> Pace:
         """The line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""
-        design = np.stack([[1, *clues(axis)] for axis in axes])
-        factor = np.log([true / axis.seen_speed for true, axis in zip(speed, axes, strict=True)])
-        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1], factor))
+        design = np.stack([[1, *flame.logs] for flame in clues])
+        factor = np.log([true / flame.seen for true, flame in zip(speed, clues, strict=True)])
+        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1], factor))
 
 
 def _ridge(design: np.ndarray, values: np.ndarray) -> np.ndarray:
-    penalty = STIFFNESS * np.diag([1e-6, 1, 1])
+    penalty = STIFFNESS * np.diag([1e-6] + [1] * (design.shape[1] - 1))
     return np.linalg.solve(design.T @ design + penalty, design.T @ values)

@@ -4,17 +4,25 @@ import numpy as np
 import pytest
 
 from gof.reconstruct.flame_axis import FlameAxis
-from gof.reconstruct.pace import FARTHEST, Pace, buoyant_speed, clues
+from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.log_light import LogLight
+from gof.reconstruct.pace import FARTHEST, Pace, PaceClues, buoyant_speed, carried_speed
 from tests.reconstruct.plumes import box_of_voxels, field_of
 
+STEP_S = 0.01  # between the frames of field_of
 
-def column(height_m: float = 1.5, seen: float = 0.5, radius_m: float = 0.05) -> FlameAxis:
-    """An upright round flame that shines alike from its foot, z = 0, to its top, and rises at `seen` m/s."""
+
+def column(height_m: float = 1.5, seen: float = 0.5, radius_m: float = 0.05, bands=lambda z, t: 1.0) -> FlowField:
+    """An upright round flame from z = 0 to its top that is seen to rise at `seen` m/s, its light times bands(z, t)."""
     voxels = box_of_voxels((12, 12, 60), height_m / 60)
-    x, y, _ = voxels.center.T
-    emission = np.exp(-(x**2 + y**2) / (2 * radius_m**2))
+    x, y, z = voxels.center.T
+    round_flame = np.exp(-(x**2 + y**2) / (2 * radius_m**2))
     velocity = np.broadcast_to([0, 0, seen], voxels.center.shape)
-    return FlameAxis.of(field_of(voxels, [velocity] * 3, [emission] * 3))
+    return field_of(voxels, [velocity] * 3, [round_flame * bands(z, f * STEP_S) for f in range(3)])
+
+
+def clues_of(field: FlowField) -> PaceClues:
+    return PaceClues.of(FlameAxis.of(field), LogLight.of(field))
 
 
 @pytest.mark.parametrize("height_m", [0.1, 1.5, 20.0])
@@ -22,35 +30,69 @@ def test_buoyant_speed_of_a_column(height_m):
     """McCaffrey's 6.83 sqrt(z) m/s, averaged over a column that begins where 2 % of its light are below."""
     foot = 0.02 * height_m
     expected = 6.83 * 2 / 3 * (height_m - foot) ** 1.5 / height_m
-    assert buoyant_speed(column(height_m, radius_m=height_m / 30)) == pytest.approx(expected, rel=0.02)
+    found = buoyant_speed(FlameAxis.of(column(height_m, radius_m=height_m / 30)))
+    assert found == pytest.approx(expected, rel=0.02)
+
+
+def carried(bands) -> float:
+    field = column(bands=bands)
+    return carried_speed(FlameAxis.of(field), LogLight.of(field))
+
+
+def test_bands_that_rise_are_carried_at_their_own_speed():
+    """Whatever the optical flow said of them (0.5 m/s)."""
+    assert carried(lambda z, t: np.exp(np.sin(2 * np.pi * (z - 0.8 * t) / 0.3))) == pytest.approx(0.8, rel=0.1)
+
+
+def test_bands_that_go_out_and_on_in_place_are_not_carried():
+    standing = carried(lambda z, t: np.exp(np.sin(2 * np.pi * z / 0.3) * np.cos(2 * np.pi * t / 0.02)))
+    assert abs(standing) < 0.05
+    assert abs(carried(lambda z, t: 1 + 50 * t)) < 0.05
+
+
+def test_nothing_is_carried_in_a_single_frame():
+    field = column()
+    alone = FlowField(field.voxels, field.frames[:1])
+    assert carried_speed(FlameAxis.of(alone), LogLight.of(alone)) == 0
 
 
 def test_a_line_is_found_again():
     """Flames that obey a line exactly, and one far from them that obeys it too."""
-    axes = [column(h, s, r) for h in (0.6, 1.5, 4.0) for s in (0.4, 0.8) for r in (0.03 * h, 0.06 * h)]
-    line = np.array([0.6, 0.9, -0.4])
-    true = [axis.seen_speed * np.exp(line @ [1, *clues(axis)]) for axis in axes]
-    fitted = Pace.fit(axes, true)
-    assert fitted.of(axes[0]) == pytest.approx(true[0], rel=0.05)
-    far = column(8.0, 0.9, 0.3)
-    assert fitted.of(far) == pytest.approx(far.seen_speed * np.exp(line @ [1, *clues(far)]), rel=0.1)
+    flames = [
+        PaceClues(seen, seen * law, seen * carried, slenderness)
+        for seen, law, carried, slenderness in np.random.default_rng(0).uniform([0.1, 2, 0.2, 0.05], [3, 8, 1, 0.3], (30, 4))
+    ]
+    line = np.array([0.6, 0.9, -0.4, 0.3])
+    true = [flame.seen * np.exp(line @ [1, *flame.logs]) for flame in flames]
+    fitted = Pace.fit(flames, true)
+    assert fitted.of(flames[0]) == pytest.approx(true[0], rel=0.05)
+    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.02)
+    assert fitted.of(far) == pytest.approx(far.seen * np.exp(line @ [1, *far.logs]), rel=0.1)
 
 
 def test_one_flame_is_enough_and_says_only_its_factor():
-    axis = column()
-    fitted = Pace.fit([axis], [3 * axis.seen_speed])
-    assert fitted.of(axis) == pytest.approx(3 * axis.seen_speed, rel=1e-3)
+    clues = clues_of(column())
+    fitted = Pace.fit([clues], [3 * clues.seen])
+    assert fitted.of(clues) == pytest.approx(3 * clues.seen, rel=1e-3)
     assert np.abs(fitted.metric[1:]).max() < 0.9
 
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_without_metres_the_unit_of_length_does_not_matter(size):
-    pace = Pace(np.array([0.5, 0.8, -0.4]), np.array([0.5, 0.0, -0.4]))
-    same = pace.of(column(), metres=False)
-    assert pace.of(column(1.5 * size, 0.5 * size, 0.05 * size), metres=False) / size == pytest.approx(same, rel=1e-6)
+    pace = Pace(np.array([0.5, 0.8, -0.4, 0.3]), np.array([0.5, 0.0, -0.4, 0.3]))
+    same = pace.of(clues_of(column(bands=rising)), metres=False)
+    larger = clues_of(column(1.5 * size, 0.5 * size, 0.05 * size, lambda z, t: rising(z / size, t)))
+    assert pace.of(larger, metres=False) / size == pytest.approx(same, rel=1e-6)
+
+
+def rising(z, t):
+    return 1.5 + np.sin(2 * np.pi * (z - 0.4 * t) / 0.3)
 
 
 def test_what_is_stranger_than_all_flames_counts_no_more_than_the_strangest():
-    crawling = column(seen=1e-6)
-    assert np.abs(clues(crawling)).max() <= FARTHEST
-    assert np.isfinite(Pace(np.ones(3), np.ones(3)).of(crawling))
+    crawling = clues_of(column(seen=1e-6))
+    assert np.abs(crawling.logs).max() <= FARTHEST
+    assert np.isfinite(Pace(np.ones(4), np.ones(4)).of(crawling))
+    falling = clues_of(column(bands=lambda z, t: rising(z, -t)))
+    assert falling.carried < 0
+    assert falling.logs[2] == -FARTHEST
