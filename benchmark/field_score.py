@@ -38,6 +38,34 @@ def score(field: FlowField, dataset: Dataset) -> Score:
     return Score(*np.mean(results, 0).tolist())
 
 
+def fluctuation_cos_sim(field: FlowField, dataset: Dataset) -> float:
+    """Cosine of what is left of both velocities without the clip's mean of every height, weighted by emission."""
+    layer, emission = field.voxels.index[:, 2], field.emission
+    truth = np.stack([dataset.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames])
+    light = np.bincount(layer, emission.sum(0))
+
+    def fluctuation(velocity: np.ndarray) -> np.ndarray:
+        momentum = (emission[..., None] * velocity).sum(0)
+        mean = np.stack([np.bincount(layer, axis) for axis in momentum.T], -1) / np.maximum(light, 1e-12)[:, None]
+        return velocity - mean[layer]
+
+    found, true = fluctuation(field.velocity), fluctuation(truth)
+    lengths = np.linalg.norm(found, axis=-1) * np.linalg.norm(true, axis=-1)
+    cosine = np.where(lengths > 0, (found * true).sum(-1) / np.where(lengths > 0, lengths, 1), 0)
+    return float((emission * cosine).sum() / emission.sum())
+
+
+def within(field: FlowField, dataset: Dataset, deviations: float = 1) -> float:
+    """Share of the light whose velocity is within so many standard deviations of the truth, mean of the components."""
+    inside = total = 0.0
+    for frame in field.frames:
+        truth = dataset.velocity.at(frame.time_s).sample(field.voxels.center)
+        near = np.abs(frame.velocity - truth) <= deviations * frame.velocity_sd[:, None]
+        inside += (frame.emission[:, None] * near).sum() / 3
+        total += frame.emission.sum()
+    return inside / total
+
+
 def on_voxels(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray, time_s: float) -> TransientGaussians:
     """The fused field as point-like Gaussians, weighted by emission, so that DVE itself scores it."""
     n = len(voxels.center)

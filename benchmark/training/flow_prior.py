@@ -4,17 +4,19 @@
     python -m gof_benchmark.training.flow_prior WORK [--out gof/reconstruct/flow_prior.npz]
 
 Runs the motion and fusion stages on every dataset in WORK/dev, prints what the prior does for a flame it has not seen
-(each fire left out in turn, and the datasets given with --test), and writes the weights. Scores as in
-`gof_benchmark.field_score`; `pace` is the estimated mean speed over the true one; `within` is the share of the light
-whose velocity is within one standard deviation of the truth, component by component (0.68 where errors are normal and
-the doubt is right). `--without SOLVER` shows what is left when a solver's fires are not trained on.
+(each fire left out in turn, and the datasets given with --test), and writes the weights. Scores and controls as in
+`gof_benchmark.field_score`, means over frames of DVE's figures (speed is its least-squares gain); `pace` is the
+estimated mean speed over the true one; `within` is the share of the light whose velocity is within one standard
+deviation of the truth, component by component (0.68 where errors are normal and the doubt is right). `--without SOLVER`
+shows what is left when a solver's fires are not trained on.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -31,7 +33,7 @@ from gof.reconstruct.observation import observe
 from gof.reconstruct.pace import Pace, PaceClues
 from gof.reconstruct.presets import METHODS
 from gof.reconstruct.shrink import shrink
-from gof_benchmark.field_score import score
+from gof_benchmark.field_score import best_constant, buoyant_law, fluctuation_cos_sim, mean_per_height, score, within
 
 LONGEST_SIDE, VOXELS = 320, 72  # as `gof reconstruct --preset preview`
 
@@ -137,20 +139,55 @@ class Flame:
         samples = Samples.of(describer, truth / pace, np.random.default_rng(0))
         return cls(burns, solver, dataset, field, clues, pace, samples)
 
-    def score(self, field: FlowField) -> str:
-        """L2, CosSim and speed ratio of a flow field of this dataset, mean over frames."""
-        found = score(field, self.dataset)
-        return f"{found.l2:.3f}  {found.cos_sim:.3f}  {found.speed_ratio:.3f}"
 
-    def within(self, field: FlowField) -> float:
-        """Share of the light whose velocity is within one standard deviation of the truth, mean of the components."""
-        inside = total = 0.0
-        for frame in field.frames:
-            truth = self.dataset.velocity.at(frame.time_s).sample(field.voxels.center)
-            near = np.abs(frame.velocity - truth) <= frame.velocity_sd[:, None]
-            inside += (frame.emission[:, None] * near).sum() / 3
-            total += frame.emission.sum()
-        return inside / total
+HEADER = """\
+| fire, not trained on | as seen: L2, CosSim, speed | with the prior: the same, fluctuation | pace | within \
+| mean per height: L2, CosSim | constant | law |
+|---|---|---|---|---|---|---|---|"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A flame's figures before and after the prior, and its controls'.
+
+    Attributes:
+        seen, found: L2, CosSim, speed; fluctuation CosSim (found only).
+        pace: estimated over true.    within: share of the light within a standard deviation.
+        controls: L2, CosSim of the mean per height, the best constant, the buoyant law.
+    """
+
+    seen: tuple[float, ...]
+    found: tuple[float, ...]
+    pace: float
+    within: float
+    controls: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of(cls, flame: Flame, prior: FlowPrior) -> Row:
+        seen, dataset = flame.field, flame.dataset
+        found = prior.correct(seen)
+        controls = mean_per_height(seen, dataset), best_constant(seen, dataset), buoyant_law(seen)
+        return cls(
+            astuple(score(seen, dataset)),
+            (*astuple(score(found, dataset)), fluctuation_cos_sim(found, dataset)),
+            prior.pace.of(flame.clues) / flame.pace,
+            within(found, dataset),
+            tuple(astuple(score(control, dataset))[:2] for control in controls),
+        )
+
+    @classmethod
+    def mean(cls, rows: list[Row]) -> Row:
+        def of(name: str) -> np.ndarray:
+            return np.mean([getattr(row, name) for row in rows], axis=0)
+
+        return cls(of("seen"), of("found"), of("pace"), of("within"), of("controls"))
+
+    def __str__(self) -> str:
+        def listed(values: Sequence[float]) -> str:
+            return ", ".join(f"{value:.3f}" for value in values)
+
+        own = f"{listed(self.seen)} | {listed(self.found)} | {self.pace:.2f} | {self.within:.2f}"
+        return f"{own} | {' | '.join(map(listed, self.controls))}"
 
 
 def mean_speed(velocity: np.ndarray, emission: np.ndarray) -> float:
@@ -285,13 +322,12 @@ def main(argv: list[str] | None = None) -> None:
             progress(len(everything), len(paths))
     flames = [flame for flame in everything if flame.solver != config.without]
 
-    print(f"{'flame not trained on':<32} {'seen: L2 CosSim speed':<24} {'with the prior':<22} pace  within")
+    print(HEADER)
+    rows = []
 
     def show(name: str, flame: Flame, prior: FlowPrior) -> None:
-        found = prior.correct(flame.field)
-        pace = prior.pace.of(flame.clues) / flame.pace
-        scores = f"{flame.score(flame.field):<24} {flame.score(found):<22} {pace:.2f}  {flame.within(found):.2f}"
-        print(f"{name:<32} {scores}", flush=True)
+        rows.append(Row.of(flame, prior))
+        print(f"| `{name}` | {rows[-1]} |", flush=True)
 
     others = [[other for other in flames if other.burns != flame.burns] for flame in flames]
     without = [LeftOut.of(flame, known) for flame, known in zip(flames, others, strict=True)]
@@ -303,6 +339,7 @@ def main(argv: list[str] | None = None) -> None:
     for flame, known, left in zip(flames, others, without, strict=True):
         doubt = doubt_of(known, left.scaling)
         show(flame.dataset.path.name, flame, prior_of(left.scaling, left.velocity, doubt, left.pace))
+    print(f"| mean | {Row.mean(rows)} |")
     for metres in (True, False):
         spread = pace_spread(flames, without, metres)
         unit = "in metres" if metres else "unit unknown"

@@ -165,6 +165,9 @@ def _add_own_rows(table: Table, dve: VelocityScore) -> None:
         _number(dve.fluctuation.cos_sim),
         "after taking the mean per height from both; every mean scores 1 / 0",
     )
+    if dve.within_sd is not None:
+        meaning = f"{dve.within_sd:.0%} within one standard deviation of the truth (68 % if v_sd is right)"
+        table.add_row("  its own doubt", "", "", meaning)
     if emission := dve.on_emission:
         table.add_row(
             "  on the emission",

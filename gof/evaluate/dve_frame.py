@@ -39,6 +39,7 @@ class Samples:
     position: np.ndarray  # (M, 3) m, centre at this time
     weight: np.ndarray  # (M,) m^3, s_x s_y s_z alpha, > 0
     velocity: np.ndarray  # (M, 3) m/s, estimated
+    velocity_sd: np.ndarray  # (M,) m/s, how sure its components are; inf: nobody says
     truth: np.ndarray  # (M, 3) m/s, expected true velocity; the field is zero outside its domain
     truth_centre: np.ndarray  # (M, 3) m/s, true velocity at the centre
     inside: np.ndarray  # (M,) share of the Gaussian inside the domain, 0..1
@@ -72,6 +73,8 @@ class Sums:
     zero_velocity: float = 0.0
     wide: float = 0.0
     short_waves: float = 0.0
+    doubted: float = 0.0  # of Gaussians that say how sure they are
+    within: float = 0.0  # of those, times the share of their components within one standard deviation of the truth
     error2_axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __add__(self, other: Sums) -> Sums:
@@ -136,6 +139,7 @@ class DVESequence:
     inside: DVEResult | None = None  # pooled over the Gaussians inside the domain; not computed for controls
     controls: dict[str, DVESequence] = dataclass_field(default_factory=dict)
     fluctuation: DVEResult | None = None
+    within_sd: float | None = None  # share of the velocity within one standard deviation of the truth; None: no v_sd
 
     @property
     def l2(self) -> float | None:
@@ -193,6 +197,7 @@ def probe(
         position=position,
         weight=weight[index],
         velocity=velocity[index],
+        velocity_sd=state.velocity_sd[index].astype(np.float64),
         truth=truth.mean,
         truth_centre=truth.centre,
         inside=truth.inside,
@@ -231,9 +236,14 @@ def agreement_sums(weight: np.ndarray, velocity: np.ndarray, truth: np.ndarray) 
 
 def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: np.ndarray | None = None) -> Sums:
     """The sums of one frame; `velocity` and `truth` (M, 3) m/s replace the samples' own (controls, fluctuation)."""
+    own = velocity is None and truth is None
     velocity = samples.velocity if velocity is None else velocity
     truth = samples.truth if truth is None else truth
     sums = agreement_sums(samples.weight, velocity, truth)
+    if own:  # controls have no doubt of their own
+        doubted = np.where(np.isfinite(samples.velocity_sd), samples.weight, 0)
+        within = np.abs(velocity - truth) <= samples.velocity_sd[:, None]
+        sums = replace(sums, doubted=_sum(doubted), within=_sum(doubted * within.mean(1)))
     return replace(
         sums,
         culled=samples.culled,

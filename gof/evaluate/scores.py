@@ -85,12 +85,15 @@ class VelocityScore(ClipScore):
     """The result's own DVE.
 
     `inside` pools the Gaussians inside the domain alone; `fluctuation` is what is left without the mean of each height;
+    `within_sd` is the share of the velocity's components within one v_sd of the truth, 0.68 where errors are normal and
+    v_sd is right, None where no Gaussian has one;
     `skill_over_NAME` = 1 - (L2 / L2 of the control)^2; `on_emission` is None for a dataset without a flame grid.
     """
 
     frames: tuple[FrameScore, ...]
     inside: Agreement
     fluctuation: DVEResult
+    within_sd: float | None = None
     order: int
     opacity: Opacity
     skill_over_zero: float | None

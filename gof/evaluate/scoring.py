@@ -243,6 +243,7 @@ def _velocity_score(
         frames=tuple(FrameScore(t, f.l2, f.cos_sim, f.n, f.undefined) for t, f in frames),
         inside=Agreement.of(sequence.inside),
         fluctuation=sequence.fluctuation,
+        within_sd=sequence.within_sd,
         order=order,
         opacity=opacity,
         on_emission=emission,

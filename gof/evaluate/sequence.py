@@ -68,7 +68,13 @@ def dve_sequence(
         raise GofError(
             "no Gaussian has weight at any scored time; are t_mu and t_sigma in seconds on the dataset clock?"
         )
-    scored = DVESequence(DVEResult.from_sums(pooled), results, times.tolist(), DVEResult.from_sums(inside))
+    scored = DVESequence(
+        pooled=DVEResult.from_sums(pooled),
+        frames=results,
+        times_s=times.tolist(),
+        inside=DVEResult.from_sums(inside),
+        within_sd=pooled.within / pooled.doubted if pooled.doubted > 0 else None,
+    )
     if not controls:
         return scored
     return replace(scored, controls=score_controls(gaussians, frames, seed), fluctuation=fluctuation(frames))

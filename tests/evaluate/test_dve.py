@@ -190,9 +190,11 @@ def test_a_faint_but_enormously_fast_gaussian_is_not_culled():
 def test_order_of_the_gaussians_does_not_matter():
     rng = np.random.default_rng(5)
     n = 200_000
+    sure = np.full(n, np.inf)
     weight, v, t = 10.0 ** rng.uniform(-6, 0, n), rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
+    inside, wide = np.ones(n), np.zeros(n, bool)
     a, b = (
-        weighted_sums(Samples(0.0, np.arange(n), v[i], weight[i], v[i], t[i], t[i], np.ones(n), np.zeros(n, bool), 0))
+        weighted_sums(Samples(0.0, np.arange(n), v[i], weight[i], v[i], sure, t[i], t[i], inside, wide, 0))
         for i in (np.arange(n), rng.permutation(n))
     )
     for name in ("weight", "error2", "truth2", "cosine"):
@@ -301,3 +303,24 @@ def test_sums_add_up():
     total = a + b + Sums()
     assert total.n == a.n + b.n and total.weight == a.weight + b.weight
     np.testing.assert_allclose(total.error2_axis, np.add(a.error2_axis, b.error2_axis))
+
+
+@pytest.mark.parametrize("wrong", [0.5, 2.0])
+def test_doubt_is_scored_by_what_lies_within_it(wrong):
+    """Half of the weight is off by 1 m/s along x and says so, half by more along x and z; one says nothing."""
+    field = VelocityField.from_array(np.zeros((8, 8, 8, 3)), (-4, -4, -4), 1.0)
+    velocity = np.array([[1.0, 0, 0], [wrong, 0, wrong], [9.0, 9, 9]])
+    says = np.array([1.0, 1.0, np.inf])
+    gaussians = make_gaussians(
+        3,
+        position=np.zeros((3, 3)),
+        velocity=velocity,
+        velocity_sd=says,
+        scale=np.full((3, 3), 0.1),
+        opacity=np.full(3, 0.5),
+    )
+    expected = (1 + 1) / 2 if wrong <= 1 else (1 + 1 / 3) / 2
+    still = Sequence([0.0], lambda time_s: field)
+    assert dve_sequence(gaussians, still).within_sd == pytest.approx(expected)
+    gaussians.velocity_sd[:] = np.inf
+    assert dve_sequence(gaussians, still).within_sd is None

@@ -23,9 +23,9 @@ class Bake:
     was. Needs OpenFOAM (`apt-get install openfoam`).
     Then `python -m gof_benchmark.fires.how_real OUT/*/grids` says how close to real fires they are.
 
-    Fires that come with the benchmark: pool_methane (0.2 m square), pool_propane (0.3 m round), jet, two_burners,
-    pool_wind. A description of your own: copy one of their files in gof_benchmark/solvers/openfoam/fires and change it;
-    what its fields mean: FoamFire in case.py there.
+    Fires that come with the benchmark: pool_methane (0.2 m square), pool_small (0.1 m), pool_wide (0.4 m),
+    pool_propane (0.3 m round), jet, two_burners, pool_wind. A description of your own: copy one of their files in
+    gof_benchmark/solvers/openfoam/fires and change it; what its fields mean: FoamFire in case.py there.
     """
 
     fires: tyro.conf.Positional[tuple[str, ...]]
