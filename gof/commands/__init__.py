@@ -36,6 +36,9 @@ COMMANDS = {
     "view": Command(
         "gof.commands.view", "result in the browser, in 3D with a time slider; also while it is being optimised", 110
     ),
+    "share": Command(
+        "gof.commands.share", "results in one HTML file that plays anywhere, to send to somebody; side by side", 105
+    ),
     "capture": Command(
         "gof.commands.capture", "the camera rig: LED board, frame times from footage, calibration, board masks", 120
     ),
