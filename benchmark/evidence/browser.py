@@ -9,6 +9,7 @@ import os
 import select
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -23,6 +24,13 @@ OPTIONS = (
     "--disable-sync --disable-extensions --mute-audio --hide-scrollbars --use-gl=angle --use-angle=swiftshader "
     "--enable-unsafe-swiftshader --remote-debugging-pipe"
 ).split()
+# It reads its commands from file 3 and answers on file 4.
+ON_FILES_3_AND_4 = """
+import fcntl, os, sys
+high = [fcntl.fcntl(int(number), fcntl.F_DUPFD, 10) for number in sys.argv[1:3]]
+os.dup2(high[0], 3), os.dup2(high[1], 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
 
 
 def chromium() -> str | None:
@@ -54,9 +62,9 @@ class Browser:
         theirs_in, self._to = os.pipe()
         self._from, theirs_out = os.pipe()
         command = [program, *OPTIONS, f"--user-data-dir={self._profile.name}", "about:blank"]
-        shell = ["sh", "-c", f'exec "$@" 3<&{theirs_in} 4>&{theirs_out}', "sh", *command]  # it talks on files 3 and 4
+        begun = [sys.executable, "-c", ON_FILES_3_AND_4, str(theirs_in), str(theirs_out), *command]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self._process = subprocess.Popen(shell, pass_fds=(theirs_in, theirs_out), **quiet)
+        self._process = subprocess.Popen(begun, pass_fds=(theirs_in, theirs_out), **quiet)
         os.close(theirs_in), os.close(theirs_out)
         target = self._ask("Target.createTarget", {"url": "about:blank"})["targetId"]
         self._session = self._ask("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]

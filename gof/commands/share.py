@@ -23,9 +23,10 @@ from gof.terminal import console
 class ShareConfig:
     """Write results to one HTML file that plays in any browser, also on a phone, from the disk and without a network.
 
-    It has the Gaussians themselves (quantised; what that costs is measured and printed), so that one can stop time, play
-    at 1/100 of the speed, turn the camera, colour by speed or by its doubt, and show velocity lines. With --dataset it also has
-    the dataset's cameras, the scene behind the flame, the recorded pictures, and the true velocity where it is known.
+    It has the Gaussians themselves (quantised; what that costs is measured and printed), so that one can stop time,
+    play at 1/100 of the speed, turn the camera, colour by speed or by its doubt, and show velocity lines. With --dataset
+    it also has the dataset's cameras, the scene behind the flame, the recorded pictures, and the true velocity where it
+    is known.
 
     Examples:
       gof share out/demo                                   a demo, with everything beside it
@@ -34,7 +35,7 @@ class ShareConfig:
     """
 
     results: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders of `gof reconstruct`, or files of any method that docs/importers.md lists, in one world and on one clock."""
+    """Folders of `gof reconstruct`, or files of any method of docs/importers.md, in one world and on one clock."""
     foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
     dataset: Path | None = None
     """Dataset folder: cameras, plates, recorded pictures, true velocity; default: the one in a demo's folder."""

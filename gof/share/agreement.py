@@ -28,7 +28,9 @@ class Agreement:
     velocity_m_s: float
 
 
-def measure(own: TransientGaussians, drawn: TransientGaussians, cameras: list[Camera], times_s: list[float]) -> Agreement:
+def measure(
+    own: TransientGaussians, drawn: TransientGaussians, cameras: list[Camera], times_s: list[float]
+) -> Agreement:
     """Compare row by row the same Gaussians before and after."""
     from gof.render import render
 
@@ -37,9 +39,7 @@ def measure(own: TransientGaussians, drawn: TransientGaussians, cameras: list[Ca
         share = min(1.0, LONGEST_SIDE / max(camera.width, camera.height))
         small = camera.scaled(max(1, round(camera.width * share)), max(1, round(camera.height * share)))
         for time_s in times_s:
-            first, second = (
-                np.clip(render(g, small, time_s, shutter="global")["color"], 0, 1) for g in (own, drawn)
-            )
+            first, second = (np.clip(render(g, small, time_s, shutter="global")["color"], 0, 1) for g in (own, drawn))
             error = float(np.mean((first - second) ** 2))
             psnr.append(-10 * np.log10(error) if error > 0 else np.inf)
             (before, opacity), (after, _) = own.at(time_s), drawn.at(time_s)

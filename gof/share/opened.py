@@ -53,8 +53,8 @@ def open_result(path: Path, options: ImportOptions, name: str | None = None) -> 
     gaussians = imported.gaussians
     if not isinstance(gaussians, TransientGaussians):
         raise DataFormatError(
-            f"{path}: positions sampled in time; a page moves Gaussians by x0 + (t - t_mu) v. `gof view` and `gof report` "
-            "show such a result"
+            f"{path}: positions sampled in time; a page moves Gaussians by x0 + (t - t_mu) v. `gof view` shows such a "
+            "result"
         )
     if not len(gaussians):
         raise DataFormatError(f"{path}: holds no Gaussian")

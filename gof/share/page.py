@@ -96,11 +96,12 @@ def share_page(
         "start": _middle_camera(dataset),
         "cameras": [_camera(*item) for item in zip(cameras, plates, frames or [None], strict=True)],
         "results": [
-            {"name": r.name, "header": p.header(), "data": text} for r, p, text in zip(results, packed, texts, strict=True)
+            {"name": r.name, "header": p.header(), "data": text}
+            for r, p, text in zip(results, packed, texts, strict=True)
         ],
         "speed_max": _speed_scale(results, truths),
         "doubt_max": _doubt_scale(results),
-        "line_s": _round_up(LINE_SHARE * (last_s - first_s), 1),
+        "line_s": float(f"{LINE_SHARE * (last_s - first_s):.1g}"),
         "lines": LINES,
         "scheme": _scheme(),
         "file": out.stem,
@@ -227,7 +228,7 @@ def _round_up(value: float, digits: int) -> float:
     if value <= 0:
         return 0.0
     unit = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
-    return float(f"{np.ceil(value / unit) * unit:.6g}")
+    return float(f"{np.ceil(value / unit - 1e-4) * unit:.6g}")
 
 
 def _scheme() -> list[int]:
@@ -261,5 +262,5 @@ def in_words(agreement: Agreement) -> str:
         return "draws the unquantised picture"
     return (
         f"{agreement.psnr_db:.1f} dB from the unquantised picture at worst, centres within {agreement.moved_px:.2g} px, "
-        f"velocities within {agreement.velocity_m_s:.1g} m/s"
+        f"velocities within {1e3 * agreement.velocity_m_s:.1g} mm/s"
     )

@@ -13,7 +13,16 @@ from gof.dataset import Dataset
 
 PLATE_SIDE, PLATE_QUALITY = 960, 86
 # Longest side in px, quality of WebP, every n-th frame: the first that fits the budget is taken.
-LADDER = [(960, 82, 1), (640, 80, 1), (480, 74, 1), (360, 70, 1), (320, 60, 1), (240, 55, 1), (240, 50, 2), (200, 40, 4)]
+LADDER = [
+    (960, 82, 1),
+    (640, 80, 1),
+    (480, 74, 1),
+    (360, 70, 1),
+    (320, 60, 1),
+    (240, 55, 1),
+    (240, 50, 2),
+    (200, 40, 4),
+]
 SAMPLED = 3  # frames of each camera that tell how large all will be
 
 

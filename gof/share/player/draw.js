@@ -134,8 +134,10 @@ class Drawer {
   }
 
   /**
-   * shot: view, time, grow, largest (of colours, and of lines), thick.   panes: rectangle (left, top, width, height in pixels), cloud
-   * (number, or null), colouring, lines ("own", "true" or null), behind (bitmap or null), strength.
+   * shot: view, time (s), grow (factor of sizes), largest and fastest (m/s of the last colour: of Gaussians, of lines), span
+   * (s) and thick (px) of lines.   panes: rectangle (left, top, width, height, px), cloud (number),
+   * splats (whether it is drawn), colouring, lines ("own", "true" or null), share (of Gaussians with a line), behind (bitmap
+   * or null) as the camera `filmed` took it, strength.
    */
   draw(shot, panes) {
     const { gl } = this;
@@ -151,7 +153,7 @@ class Drawer {
     for (const pane of panes) {
       gl.viewport(...place(pane.rectangle));
       gl.scissor(...place(pane.rectangle));
-      if (pane.cloud !== null && pane.splats) this.gaussians(this.splat, shot, pane);
+      if (pane.splats) this.gaussians(this.splat, shot, pane);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     panes.forEach((pane, number) => {
@@ -160,7 +162,7 @@ class Drawer {
       gl.disable(gl.BLEND);
       this.composite(pane, number, place(pane.rectangle), shot);
       gl.enable(gl.BLEND);
-      if (pane.cloud !== null && pane.lines) this.gaussians(this.line, shot, pane);
+      if (pane.lines) this.gaussians(this.line, shot, pane);
     });
   }
 
@@ -213,7 +215,7 @@ class Drawer {
     gl.uniform1i(uniforms.blended, 0);
     gl.uniform1i(uniforms.behind, 1);
     gl.uniform1f(uniforms.strength, pane.behind ? pane.strength : 0);
-    gl.uniform4fv(uniforms.picture, lensIn(shot.view.camera, width, height).picture);
+    gl.uniform4fv(uniforms.picture, lensIn(pane.filmed, width, height).picture);
     gl.uniform2f(uniforms.origin, left, bottom);
     gl.uniform2f(uniforms.size, width, height);
     gl.bindVertexArray(this.none);

@@ -29,8 +29,9 @@ const state = {
 let dirty = true;
 let wake = () => {};
 let touched = 0; // when the view was last changed by hand, ms
-let quality = 1; // share of the screen's pixels, while something moves
-const measured = { sort: 0, interval: 0, shown: 0 };
+const QUALITIES = [1, 0.75, 0.5, 0.35]; // shares of the screen's pixels a side, while something moves
+let quality = 0;
+const measured = { sort: 0, interval: 0, shown: 0, frames: 0 };
 
 // ---------------------------------------------------------------- sorting
 
@@ -69,6 +70,12 @@ function nearness() {
   return Math.max(0, 1 - Math.max(turn, moved) / ((FADE_DEGREES * Math.PI) / 180));
 }
 
+/** The camera that looks most nearly as the view does: its recorded picture is the one to compare with. */
+function nearest() {
+  const along = (camera) => dot(homeView(camera).axes[2], state.view.axes[2]);
+  return share.cameras.reduce((best, _, i) => (along(i) > along(best) + 1e-9 ? i : best), state.camera);
+}
+
 function frameAt(time) {
   const times = share.frame_s;
   if (!times.length) return -1;
@@ -98,10 +105,12 @@ async function paint(scale) {
   const once = [...new Set(shown)]; // the recorded pane shows the first result's Gaussians
   const frame = frameAt(time);
   const here = atCamera();
+  const filmed = here ? state.camera : nearest();
+  const filming = colouring === RADIANCE && frame >= 0 && (here || !(state.lines && hasTruth)); // lines are in this view
   const [{ orders, ms }, plate, picture] = await Promise.all([
     sorted({ shown: once, time, eye: view.eye, forward: view.axes[2] }),
     state.plate && colouring === RADIANCE ? pictures.plate(state.camera) : null,
-    here && colouring === RADIANCE && frame >= 0 ? pictures.frame(state.camera, frame) : null,
+    filming ? pictures.frame(filmed, frame) : null,
   ]);
   const ratio = (window.devicePixelRatio || 1) * scale;
   const canvas = byId("canvas");
@@ -119,6 +128,7 @@ async function paint(scale) {
       lines: !state.lines ? null : own ? "own" : known ? "true" : null,
       share: Math.min(1, share.lines / clouds[shown[i]].count),
       behind: own ? plate : picture,
+      filmed: own ? view.camera : share.cameras[filmed],
       strength: own ? strength : 1,
     };
   });
@@ -128,29 +138,30 @@ async function paint(scale) {
   drawer.draw(shot, panes);
   measured.sort = ms;
   measured.shown = orders.reduce((sum, rows) => sum + rows.length, 0);
-  name(numbers, panes, frame, here, ratio);
+  name(numbers, panes, { frame, here, filmed }, ratio);
 }
 
 /** What every pane shows, at its corner. */
-function name(numbers, panes, frame, here, ratio) {
+function name(numbers, panes, shot, ratio) {
   const captions = byId("captions");
   while (captions.children.length > panes.length) captions.lastChild.remove();
   panes.forEach(({ rectangle, cloud, behind }, i) => {
     const p = captions.children[i] ?? captions.appendChild(document.createElement("p"));
-    const [title, note] = caption(numbers[i], cloud, frame, here, behind);
+    const [title, note] = caption(numbers[i], cloud, shot, behind);
     if (p.dataset.says !== title + note) {
       p.dataset.says = title + note;
       const small = document.createElement("small");
       small.textContent = note;
       p.replaceChildren(title, small);
     }
-    p.style.left = `${rectangle[0] / ratio}px`;
-    p.style.top = `${rectangle[1] / ratio}px`;
-    p.style.maxWidth = `${rectangle[2] / ratio}px`;
+    const [left, top, width] = lensIn(share.cameras[state.camera], rectangle[2], rectangle[3]).picture;
+    p.style.left = `${(rectangle[0] + left) / ratio}px`;
+    p.style.top = `${(rectangle[1] + top) / ratio}px`;
+    p.style.maxWidth = `${width / ratio}px`;
   });
 }
 
-function caption(number, cloud, frame, here, behind) {
+function caption(number, cloud, { frame, here, filmed }, behind) {
   const { colouring } = state;
   if (number !== RECORDED) return [panes().length > 1 || share.results.length > 1 ? share.results[number].name : "", ""];
   const known = clouds[cloud].columns.v_true;
@@ -159,9 +170,11 @@ function caption(number, cloud, frame, here, behind) {
   if (colouring === DOUBT) return known ? ["True error of the velocity", `of a component, ${whose}`] : ["True error", "not known"];
   if (behind) {
     const held = share.held_out.includes(frame) ? ", held out" : "";
-    return [`Recorded, ${share.cameras[state.camera].name}`, `frame ${frame + 1} of ${share.frame_s.length}${held}`];
+    const where = here ? "" : ", the nearest camera's own view";
+    return [`Recorded, ${share.cameras[filmed].name}`, `frame ${frame + 1} of ${share.frame_s.length}${held}${where}`];
   }
-  return ["Recorded", here ? "this camera's pictures are not in this file" : "no camera stood here; choose one to see its pictures"];
+  if (state.lines && known) return ["True velocity", whose];
+  return ["Recorded", "this camera's pictures are not in this file"];
 }
 
 function change(byHand = false) {
@@ -192,7 +205,7 @@ async function loop() {
     before = now;
     dirty = false;
     try {
-      await paint(moves() ? quality : 1);
+      await paint(moves() ? QUALITIES[quality] : 1);
     } catch (error) {
       fail(error);
       return;
@@ -203,14 +216,17 @@ async function loop() {
 
 /** Fewer pixels where the device is slow, more where it has time to spare; only while something moves. */
 function pace(interval) {
-  if (!moves() || interval > 1000) return;
-  measured.interval += 0.1 * (interval - measured.interval);
-  if (measured.interval > 40 && quality > 0.3) [quality, measured.interval] = [Math.max(0.3, quality * 0.85), 30];
-  else if (measured.interval < 20 && quality < 1) quality = Math.min(1, quality * 1.02);
+  if (!moves() || interval > 5000) return;
+  measured.interval = measured.interval ? measured.interval + 0.2 * (interval - measured.interval) : interval;
+  const late = measured.interval > 45;
+  measured.frames = late || measured.interval < 18 ? measured.frames + 1 : 0;
+  if (measured.frames < (late ? 5 : 90)) return;
+  quality = Math.max(0, Math.min(QUALITIES.length - 1, quality + (late ? 1 : -1)));
+  [measured.frames, measured.interval] = [0, 0];
 }
 
 function advance(ms) {
-  state.time += Math.min(ms, 200) / 1e3 / state.slow;
+  state.time += Math.min(ms, 500) / 1e3 / state.slow;
   if (state.time <= share.length_s) return;
   if (state.loop && share.length_s > 0) state.time %= share.length_s;
   else [state.time, state.playing] = [share.length_s, false];
@@ -239,6 +255,13 @@ function check(field, chosen) {
 
 function panes() {
   return [...state.panes];
+}
+
+/** All results and what was recorded, where there is room; on a phone two results at most. */
+function usualPanes() {
+  const wide = window.matchMedia("(min-width: 761px)").matches;
+  const results = share.results.map((_, i) => i).slice(0, wide ? 4 : 2);
+  return wide && hasFrames ? [...results, RECORDED] : results;
 }
 
 function chooseCamera(number) {
@@ -295,7 +318,7 @@ function show() {
   check("colours", (value) => value === state.colouring);
   byId("lines").checked = state.lines;
   byId("plate").checked = state.plate;
-  byId("loop").checked = state.loop;
+  byId("loop").setAttribute("aria-pressed", state.loop);
   byId("slow").value = state.slow;
   const size = byId("size");
   size.value = Math.round(100 * state.size);
@@ -325,14 +348,14 @@ function showScale() {
   byId("scale-ticks").replaceChildren(...ticks);
   byId("scale-note").textContent = doubt
     ? "How unsure the velocity is, as the result says: standard deviation of a component. Grey: nobody says."
-    : `Speed.${state.lines ? ` A line is the way of ${milliseconds(share.line_s)} ms.` : ""}`;
+    : `Speed.${state.lines ? ` A line is the way of ${+(1e3 * share.line_s).toPrecision(2)} ms.` : ""}`;
 }
 
 function showFacts() {
   const now = [
     ["drawn now", `${measured.shown.toLocaleString("en")} Gaussians`],
     ["sorting", `${measured.sort.toFixed(1)} ms, off the main thread`],
-    ["frames", measured.interval ? `${(1e3 / measured.interval).toFixed(0)} a second while moving, at ${Math.round(100 * quality)} % of the pixels a side` : "not measured yet"],
+    ["frames", measured.interval ? `${(1e3 / measured.interval).toFixed(0)} a second while moving, at ${100 * QUALITIES[quality]} % of the pixels a side` : "not measured yet"],
     ["blending", drawer.exact ? "16-bit floats" : "8 bits: this device has no float pictures; colours are approximate"],
   ];
   const list = byId("facts");
@@ -373,7 +396,10 @@ function toHash() {
   return said.toString();
 }
 
-/** Whether the address said a time. What it says and cannot be is left as it is. */
+/**
+ * Whether the address said a time. What it does not say, or says and cannot be, is as on a page just opened: a link means
+ * the same whatever was shown before.
+ */
 function fromHash(hash) {
   const said = new URLSearchParams(hash.replace(/^#/, ""));
   const number = (key, low, high) => {
@@ -381,19 +407,19 @@ function fromHash(hash) {
     return Number.isFinite(value) ? Math.min(high, Math.max(low, value)) : null;
   };
   const camera = share.cameras.findIndex(({ name }) => name === said.get("cam"));
-  if (camera >= 0) state.camera = camera;
+  state.camera = camera >= 0 ? camera : share.start;
   state.view = (said.has("view") && viewFromText(said.get("view"), share.cameras[state.camera])) || homeView();
   const time = number("t", 0, 1e3 * share.length_s);
   if (time !== null) state.time = time / 1e3;
   const colouring = COLOURINGS.indexOf(said.get("colour"));
-  if (offered().includes(colouring)) state.colouring = colouring;
-  state.lines = said.has("lines") ? said.get("lines") === "1" : state.lines;
-  state.plate = said.has("plate") ? said.get("plate") !== "0" : state.plate;
-  state.size = number("size", 0.05, 1.5) ?? state.size;
-  state.slow = [1, 2, 5, 10, 20, 50, 100].includes(number("slow", 1, 100)) ? number("slow", 1, 100) : state.slow;
+  state.colouring = offered().includes(colouring) ? colouring : RADIANCE;
+  state.lines = said.get("lines") === "1";
+  state.plate = said.get("plate") !== "0";
+  state.size = number("size", 0.05, 1.5) ?? 1;
+  state.slow = [1, 2, 5, 10, 20, 50, 100].includes(number("slow", 1, 100)) ? number("slow", 1, 100) : 10;
   const wanted = (said.get("show") ?? "").split(" ").map((name) => (name === "recorded" ? RECORDED : parseInt(name, 10)));
   const found = wanted.filter((n) => (n === RECORDED ? hasFrames || hasTruth : share.results[n]));
-  if (found.length) state.panes = new Set(found);
+  state.panes = new Set(found.length ? found : usualPanes());
   document.body.classList.toggle("bare", said.get("bare") === "1");
   if (said.get("play") === "1") state.playing = true;
   return time !== null;
@@ -451,7 +477,6 @@ function listen() {
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, [event.clientX, event.clientY]);
-    closePanel();
   });
   canvas.addEventListener("pointermove", (event) => {
     if (!fingers.has(event.pointerId)) return;
@@ -494,7 +519,7 @@ function listen() {
   });
   byId("play").addEventListener("click", () => play(!state.playing));
   byId("slow").addEventListener("change", (event) => ((state.slow = Number(event.target.value)), change()));
-  byId("loop").addEventListener("change", (event) => (state.loop = event.target.checked));
+  byId("loop").addEventListener("click", () => ((state.loop = !state.loop), change()));
   byId("lines").addEventListener("change", (event) => ((state.lines = event.target.checked), change()));
   byId("plate").addEventListener("change", (event) => ((state.plate = event.target.checked), change()));
   byId("size").addEventListener("input", (event) => ((state.size = event.target.value / 100), change(true)));
@@ -567,13 +592,10 @@ function begin() {
   byId("subtitle").textContent = share.subtitle;
   drawer = new Drawer(byId("canvas"), shaders, clouds, share.scheme);
   sorted = startSorter();
-  const wide = window.matchMedia("(min-width: 761px)").matches;
-  state.panes = new Set(share.results.map((_, i) => i).slice(0, wide ? 4 : 2));
-  if (wide && hasFrames) state.panes.add(RECORDED);
   const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (!fromHash(location.hash) && !still) state.playing = share.length_s > 0;
   chips("cameras", "radio", share.cameras.map(({ name }, i) => [i, name]), () => false, chooseCamera);
-  const recorded = hasFrames || hasTruth ? [[RECORDED, hasFrames ? "Recorded" : "Truth"]] : [];
+  const recorded = hasFrames || hasTruth ? [[RECORDED, hasTruth ? "Truth" : "Recorded"]] : [];
   chips("panes", "checkbox", [...recorded, ...share.results.map(({ name }, i) => [i, name])], (n) => state.panes.has(n), choosePane);
   const names = { [RADIANCE]: "Radiance", [SPEED]: "Speed", [DOUBT]: "Doubt" };
   chips("colours", "radio", offered().map((n) => [n, names[n]]), (n) => n === state.colouring, chooseColouring);

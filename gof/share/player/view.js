@@ -59,12 +59,12 @@ function lensIn(camera, width, height) {
 }
 
 function viewToText(view) {
-  return [...view.eye, ...view.axes[0], ...view.axes[2], ...view.pivot].map((v) => +v.toFixed(4)).join(",");
+  return [...view.eye, ...view.axes[0], ...view.axes[2], ...view.pivot].map((v) => +v.toFixed(4)).join("_");
 }
 
 /** Null where the text is no view. */
 function viewFromText(text, camera) {
-  const n = text.split(",").map(Number);
+  const n = text.split("_").map(Number);
   if (n.length !== 12 || !n.every(Number.isFinite)) return null;
   const forward = unit(n.slice(6, 9));
   const down = unit(cross(forward, n.slice(3, 6)));
