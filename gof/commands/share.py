@@ -24,9 +24,9 @@ class ShareConfig:
     """Write results to one HTML file that plays in any browser, also on a phone, from the disk and without a network.
 
     It has the Gaussians themselves (quantised; what that costs is measured and printed), so that one can stop time,
-    play at 1/100 of the speed, turn the camera, colour by speed or by its doubt, and show velocity lines. With --dataset
-    it also has the dataset's cameras, the scene behind the flame, the recorded pictures, and the true velocity where it
-    is known.
+    play at 1/100 of the speed, turn the camera, colour by speed or by its doubt, and show velocity lines. With
+    --dataset it also has the dataset's cameras, the scene behind the flame, the recorded pictures, and the true
+    velocity where it is known.
 
     Examples:
       gof share out/demo                                   a demo, with everything beside it

@@ -1,7 +1,7 @@
 """`gof share`: results as one HTML file that plays from the disk and asks nothing of the network.
 
-The page's own code lies in `player/`: `unpack.js` turns the columns of `quantise.py` into numbers, `sort.js` orders them in a
-worker, `draw.js` and the shaders draw, `view.js` turns the camera, `player.js` is what people touch.
+The page's own code lies in `player/`: `unpack.js` turns the columns of `quantise.py` into numbers, `sort.js` orders
+them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `player.js` is what people touch.
 """
 
 from __future__ import annotations
@@ -261,6 +261,6 @@ def in_words(agreement: Agreement) -> str:
     if not np.isfinite(agreement.psnr_db):
         return "draws the unquantised picture"
     return (
-        f"{agreement.psnr_db:.1f} dB from the unquantised picture at worst, centres within {agreement.moved_px:.2g} px, "
-        f"velocities within {1e3 * agreement.velocity_m_s:.1g} mm/s"
+        f"{agreement.psnr_db:.1f} dB from the unquantised picture at worst, "
+        f"centres within {agreement.moved_px:.2g} px, velocities within {1e3 * agreement.velocity_m_s:.1g} mm/s"
     )

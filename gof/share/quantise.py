@@ -1,7 +1,7 @@
 """Transient Gaussians in 27 bytes each, as the page of `gof share` carries them, and back.
 
-Every quantity is a column of whole numbers on a grid between its least and its greatest value; t_sigma, scale, opacity and
-v_sd on a grid of their logarithms. The page unpacks by the same description (`player/unpack.js`).
+Every quantity is a column of whole numbers on a grid between its least and its greatest value; t_sigma, scale, opacity
+and v_sd on a grid of their logarithms. The page unpacks by the same description (`player/unpack.js`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the page carries: quantised Gaussians against closed forms, the true velocity, pictures within a budget, the command."""
+"""What the page carries: quantised Gaussians, the true velocity, pictures within a budget; and the command."""
 
 import json
 import re
