@@ -28,7 +28,9 @@ COMMANDS = {
         "gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with", 60
     ),
     "convert": Command(
-        "gof.commands.convert", "any method's result -> .npz, .ply or .ftgs.ply in metres, seconds and m/s", 70
+        "gof.commands.convert",
+        "any method's result -> .npz, .ply, .ftgs.ply, .glb or PLYs by frame, in metres, seconds and m/s",
+        70,
     ),
     "leaderboard": Command(
         "gof.commands.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time", 80

@@ -183,6 +183,7 @@ function change(byHand = false) {
     touched = performance.now();
     setTimeout(() => change(), STILL_MS + 20);
   }
+  show(); // controls answer at once, also where drawing takes long
   wake();
 }
 
