@@ -12,6 +12,8 @@ from gof.errors import DataFormatError, GofError
 from gof.gaussians import MovingGaussians, TransientGaussians
 from gof.io.importers import ImportOptions, read_result
 
+VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
+
 
 @dataclass(frozen=True)
 class Opened:
@@ -81,10 +83,10 @@ def time_span(result: MovingGaussians, dataset: Dataset | None) -> tuple[float, 
 
 
 def middle_of(gaussians: TransientGaussians, time_s: float) -> tuple[np.ndarray, float]:
-    """Where the flame is at a time, (3,) m, and how far it reaches from there, m; scale 1 m where nothing is seen."""
+    """Where the flame is at a time: the middle (3,) m of what holds 96 % of it along each axis, and its longest half, m."""
     position, opacity = gaussians.at(time_s)
-    seen = (opacity >= 1 / 255) & (gaussians.dynamic | ~gaussians.dynamic.any())
+    seen = (opacity >= VISIBLE) & (gaussians.dynamic | ~gaussians.dynamic.any())
     if not seen.any():
         seen = np.ones(len(gaussians), bool)
-    middle = np.median(position[seen], axis=0)
-    return middle.astype(np.float64), max(float(np.percentile(np.abs(position[seen] - middle), 98)), 1e-3)
+    low, high = np.percentile(position[seen].astype(np.float64), [2, 98], axis=0)
+    return (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)

@@ -36,6 +36,7 @@ SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")
 SHADERS = [f"{name}.{kind}.glsl" for name in ("splat", "line", "pane") for kind in ("vert", "frag")]
 LINES = 9000  # Gaussians of a result that have a velocity line; a quarter of them or fewer live at a time
 LINE_SHARE = 0.03  # of the clip, that a velocity line lasts
+FILLED = 0.65  # of the picture's height, by the flame, where no dataset has a camera
 CHECKED = 3  # cameras, and times, at which quantisation is measured
 
 
@@ -136,9 +137,9 @@ def assemble(content: dict[str, Any], title: str) -> str:
 
 
 def front_camera(middle: np.ndarray, reach: float) -> Camera:
-    """A camera before the flame, twice as high in its picture as it reaches: where no dataset says where to stand."""
+    """A camera before a flame, so far that the flame fills most of its picture: where no dataset says where to stand."""
     width, height, focal = 720, 960, 1400.0
-    eye = middle + np.array([0.0, -max(1.2 * reach * 2 * focal / height, 4 * reach), 0.0])
+    eye = middle - np.array([0.0, max(2 * reach * focal / (FILLED * height), 3 * reach), 0.0])
     rows = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rows, -rows @ eye

@@ -130,8 +130,9 @@ def test_the_camera_before_a_flame_sees_all_of_it():
     pixels, depth = camera.project(g.position)
     assert (depth > 0).all()
     inside = (pixels > 0).all(-1) & (pixels < [camera.width, camera.height]).all(-1)
-    assert inside.mean() > 0.95
-    assert np.ptp(pixels[:, 1]) > camera.height / 4, "and not as a speck"
+    assert inside.mean() > 0.9
+    low, high = np.percentile(pixels[:, 1], [2, 98])
+    assert 0.4 * camera.height < high - low < 0.9 * camera.height, "and not as a speck"
 
 
 def test_pictures_keep_to_their_budget(tmp_path):
