@@ -8,9 +8,9 @@ import numpy as np
 
 from gof.cameras import Camera
 from gof.gaussians import TransientGaussians
+from gof.share.opened import VISIBLE
 
 LONGEST_SIDE = 720  # px of the pictures that are compared
-VISIBLE = 1 / 255
 
 
 @dataclass(frozen=True)

@@ -137,7 +137,7 @@ def assemble(content: dict[str, Any], title: str) -> str:
 
 
 def front_camera(middle: np.ndarray, reach: float) -> Camera:
-    """A camera before a flame, so far that the flame fills most of its picture: where no dataset says where to stand."""
+    """A camera before a flame, so far that it fills most of the picture: where no dataset says where to stand."""
     width, height, focal = 720, 960, 1400.0
     eye = middle - np.array([0.0, max(2 * reach * focal / (FILLED * height), 3 * reach), 0.0])
     rows = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
