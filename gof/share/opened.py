@@ -83,7 +83,7 @@ def time_span(result: MovingGaussians, dataset: Dataset | None) -> tuple[float, 
 
 
 def middle_of(gaussians: TransientGaussians, time_s: float) -> tuple[np.ndarray, float]:
-    """Where the flame is at a time: the middle (3,) m of 96 % of it along each axis, and half of its longest side, m."""
+    """Where the flame is at a time: the middle (3,) m of 96 % of it along each axis, and half its longest side, m."""
     position, opacity = gaussians.at(time_s)
     seen = (opacity >= VISIBLE) & (gaussians.dynamic | ~gaussians.dynamic.any())
     if not seen.any():

@@ -221,7 +221,8 @@ function pace(interval) {
   measured.interval = measured.interval ? measured.interval + 0.2 * (interval - measured.interval) : interval;
   const late = measured.interval > 45;
   measured.frames = late || measured.interval < 18 ? measured.frames + 1 : 0;
-  if (measured.frames < (late ? 5 : 90)) return;
+  const enough = late ? (measured.interval > 150 ? 1 : 5) : 90;
+  if (measured.frames < enough) return;
   quality = Math.max(0, Math.min(QUALITIES.length - 1, quality + (late ? 1 : -1)));
   [measured.frames, measured.interval] = [0, 0];
 }
