@@ -23,7 +23,7 @@ class ConvertConfig:
     .glb (glTF with KHR_gaussian_splatting at one instant, with velocities); a name without a suffix is a folder of
     3DGS PLYs, one for each frame.
 
-    Examples:
+    What people type:
       gof convert out/fire/result.npz fire.glb --time 0.15
       gof convert out/fire/result.npz frames --frame-time 0.01 --start 0 --end 0.35
     """

@@ -28,7 +28,7 @@ class ShareConfig:
     --dataset it also has the dataset's cameras, the scene behind the flame, the recorded pictures, and the true
     velocity where it is known.
 
-    Examples:
+    What people type:
       gof share out/demo                                   a demo, with everything beside it
       gof share out/fire --dataset data/fire               one result and what was filmed
       gof share out/fire out/other.ply --names ours theirs --dataset data/fire      side by side, with one camera

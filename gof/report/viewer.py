@@ -21,7 +21,7 @@ from gof.share.opened import middle_of, newest, time_span
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 ARROWS = 3000  # lines a browser draws without stuttering
 COLORS = ("as filmed", "speed", "doubt of the speed")
-FILLED = 0.7  # of the window's height, by the flame, when it opens
+FILLED = 0.9  # of the window's height, by the near side of a round flame, when it opens
 NEARER_THAN_CAMERAS = 0.85  # of their distance from the flame: where one stands at most
 CAMERA_SIZE = 0.07  # of that distance: how large cameras are drawn
 STEP_S = 0.03  # pause between two looks at the slider and at the file
@@ -159,7 +159,7 @@ class Viewer:
         if self.dataset is not None:
             away = self.dataset.cameras[len(self.dataset.cameras) // 2].position - middle
             farthest = NEARER_THAN_CAMERAS * self._camera_distance(middle)
-        distance = min(size / (FILLED * np.tan(start.fov / 2)), farthest)
+        distance = min(size + size / (FILLED * np.tan(start.fov / 2)), farthest)
         start.look_at, start.position = middle, middle + distance * away / np.linalg.norm(away)
 
     def _camera_distance(self, middle: np.ndarray) -> float:

@@ -17,7 +17,7 @@ VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 
 @dataclass(frozen=True)
 class Opened:
-    """One result to show. `path` is the file it was read from, `folder` what was named (its own folder for a file)."""
+    """One result to show: what people call it, the importer that read it, and the file it was read from."""
 
     name: str
     method: str
