@@ -181,6 +181,19 @@ def test_scales_reach_from_0_to_what_is_fast(tmp_path):
     assert content_of(page.path)["speed_max"] == 0 and content_of(page.path)["length_s"] == 0
 
 
+def test_cameras_for_novel_views_come_last_with_their_pictures(tmp_path):
+    """A method never saw what they recorded, so theirs is the picture to compare with."""
+    folder = small_dataset(tmp_path / "data").path
+    description = json.loads((folder / "dataset.json").read_text())
+    description["cameras"][0]["role"] = "eval"
+    (folder / "dataset.json").write_text(json.dumps(description))
+    one = Opened("a", "gof", tmp_path / "r.npz", random_gaussians(20))
+    content = content_of(share_page([one], tmp_path / "page.html", Dataset.open(folder)).path)
+    assert [c["name"] for c in content["cameras"]] == ["cam_1", "cam_2", "cam_0"]
+    assert len(content["cameras"][2]["frames"]) == 3
+    assert all(c["plate"] is None for c in content["cameras"]), "this result has a static scene of its own"
+
+
 def test_results_need_names_of_their_own(tmp_path):
     two = [Opened("same", "gof", tmp_path / "r.npz", random_gaussians(5))] * 2
     with pytest.raises(GofError, match="--names"):
