@@ -89,6 +89,8 @@ def test_everything_a_newcomer_opens_is_there(demo):
     page = (out / "report.html").read_text()
     assert page.count("data:image/") >= 5 and 'src="http' not in page
     assert (out / "preview.png").stat().st_size > 1000
+    player = (out / "share.html").read_text()
+    assert "<canvas" in player and '"name":"reconstruction"' in player and "http://" not in player
     assert len(TransientGaussians.load(out / "reconstruct" / "result.ply")) > 1000
 
 
@@ -112,7 +114,7 @@ def test_a_third_start_does_nothing(demo):
         p: p.stat().st_mtime_ns for p in (folder / "demo").rglob("*") if p.is_file() and p.name not in ("scores.json",)
     }
     done = subprocess.run(command(folder, folder / "toy.json"), capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0 and done.stdout.count("finished before") == 5
+    assert done.returncode == 0 and done.stdout.count("finished before") == 6
     assert {p: p.stat().st_mtime_ns for p in times} == times
 
 

@@ -25,6 +25,13 @@ WRONG = {  # command and what it needs, by option: values that it cannot have
         "--start": NO[:3],
         "--end": NO[:3],
     },
+    "convert RESULT OUT.glb": {"--time": NO[:3]},
+    "share RESULT --out OUT.html": {
+        "--pictures": NO[:4],
+        "--frame-time": NO,
+        "--time-unit": NO,
+        "--time-zero": NO[:3],
+    },
     "leaderboard RESULT": {"--time": NO[:3]},
     "view RESULT": {"--port": ("-1", "65536", "1000000")},
     "report DATASET --dataset DATASET": {"--camera": ("-1", "99")},

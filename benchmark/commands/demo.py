@@ -26,7 +26,8 @@ from gof_benchmark.scenes import load_scene
 class DemoConfig:
     """Make a real (small) fire with ground truth, reconstruct it from three videos, score it, bring it into Blender.
 
-    Everything lands in OUT; open OUT/report.html. Stopped at any time, the same command goes on where it was.
+    Everything lands in OUT; open OUT/report.html, send OUT/share.html. Stopped at any time, the same command goes on
+    where it was.
     """
 
     out: Path = Path("out/demo")
@@ -114,6 +115,12 @@ def stages_of(config: DemoConfig) -> list[Stage]:
         ),
         Stage("import", ["import", result, *into_blender], [made, result], [out / "result.blend", preview]),
         Stage("report", ["report", out, "--dataset", dataset], [evaluation(config), preview], [out / "report.html"]),
+        Stage(
+            "share",
+            ["share", result.parent, "--names", "reconstruction", "--dataset", dataset, "--out", out / "share.html"],
+            [made, result],
+            [out / "share.html"],
+        ),
     ]
 
 
@@ -135,6 +142,7 @@ def main(argv: list[str]) -> int:
         write_json(config.json, content)
     summarise(scores)
     print(f"total of this run {time.perf_counter() - start:.0f} s; open {config.out / 'report.html'}")
+    print(f"{config.out / 'share.html'} is the flame itself, in one file to send")
     return 0
 
 
@@ -145,7 +153,7 @@ def run_stages(config: DemoConfig) -> None:
         if stage.finished:
             print(f"{stage.name}: finished before")
             continue
-        if stage.name in ("evaluate", "import", "report"):  # made from what has changed; the others resume
+        if stage.name in ("evaluate", "import", "report", "share"):  # made from what has changed; the others resume
             for path in stage.outputs:
                 path.unlink(missing_ok=True)
         if stage.name == "report":  # which reads them here

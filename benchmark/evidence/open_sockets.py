@@ -36,6 +36,7 @@ def commands(out: Path) -> dict[str, list[str]]:
         "reconstruct": [data, "--out", work, *effort],
         "evaluate": [result, "--truth", data, "--out", work],
         "convert": [result, str(out / "converted.ply")],
+        "share": [work, "--dataset", data],
         "leaderboard": [work, "--truth", data, "--out", str(out / "board")],
         "import": [result, "--dataset", data, "--blend", str(out / "scene.blend"), "--samples", "1"],
         "report": [work, "--dataset", data],

@@ -28,13 +28,18 @@ COMMANDS = {
         "gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with", 60
     ),
     "convert": Command(
-        "gof.commands.convert", "any method's result -> .npz, .ply or .ftgs.ply in metres, seconds and m/s", 70
+        "gof.commands.convert",
+        "any method's result -> .npz, .ply, .ftgs.ply, .glb or PLYs by frame, in metres, seconds and m/s",
+        70,
     ),
     "leaderboard": Command(
         "gof.commands.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time", 80
     ),
     "view": Command(
         "gof.commands.view", "result in the browser, in 3D with a time slider; also while it is being optimised", 110
+    ),
+    "share": Command(
+        "gof.commands.share", "results in one HTML file that plays anywhere, to send to somebody; side by side", 105
     ),
     "capture": Command(
         "gof.commands.capture", "the camera rig: LED board, frame times from footage, calibration, board masks", 120

@@ -1,4 +1,4 @@
-"""`gof convert`: any known result to our formats, or to FTGS-PLY for the FreeTimeGS players."""
+"""`gof convert`: any known result to our formats, or to those of other programs."""
 
 from __future__ import annotations
 
@@ -17,19 +17,30 @@ from gof.terminal import console
 
 @dataclass
 class ConvertConfig:
-    """Read a result of any known method; write .npz (exact), .ply (3DGS attributes, time and velocity) or .ftgs.ply."""
+    """Read a result of any known method and write it for gof or for another program.
+
+    The suffix of OUT chooses: .npz (exact), .ply (3DGS attributes, time and velocity), .ftgs.ply (FreeTimeGS players),
+    .glb (glTF with KHR_gaussian_splatting at one instant, with velocities); a name without a suffix is a folder of
+    3DGS PLYs, one for each frame.
+
+    What people type:
+      gof convert out/fire/result.npz fire.glb --time 0.15
+      gof convert out/fire/result.npz frames --frame-time 0.01 --start 0 --end 0.35
+    """
 
     result: tyro.conf.Positional[Path]
     """File or folder of any method that docs/importers.md lists."""
     out: tyro.conf.Positional[Path]
-    """File to write; the suffix says which format. An existing file is not replaced."""
+    """File or folder to write; the suffix says which format. What exists is not replaced."""
     foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
     frame_time: float | None = None
-    """Seconds between two frames, for results that count frames."""
+    """Seconds between two frames, for results that count frames and for a folder of PLYs."""
+    time: float | None = None
+    """Second of the instant in a .glb; default: the middle of the Gaussians' times."""
     start: float | None = None
-    """First second of the clip in an .ftgs.ply (time 0); default: when the first Gaussian appears."""
+    """First second of the clip in an .ftgs.ply (time 0) or a folder; default: when the first Gaussian appears."""
     end: float | None = None
-    """Last second of the clip in an .ftgs.ply (time 1); default: when the last Gaussian is gone."""
+    """Last second of the clip in an .ftgs.ply (time 1) or a folder; default: when the last Gaussian is gone."""
     json: Path | None = None
     """File to write what was read and written to."""
 
@@ -39,7 +50,7 @@ def main(argv: list[str]) -> int:
     config = tyro.cli(ConvertConfig, prog="gof convert", args=argv)
     began = time.perf_counter()
     imported = read_result(config.result, config.foreign.options(config.frame_time))
-    made = convert(imported, config.out, config.start, config.end, config.frame_time)
+    made = convert(imported, config.out, config.start, config.end, config.frame_time, config.time)
     seconds = time.perf_counter() - began
     count = len(imported.gaussians)
     out = console()

@@ -1,4 +1,4 @@
-"""Any known result to our formats, or to FTGS-PLY for the FreeTimeGS players."""
+"""Any known result to our formats, or to those of other programs: FTGS-PLY, GLB, a sequence of PLYs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
+from gof.io import gltf, ply_frames
 from gof.io.importers import Imported, freetime
 from gof.options import require_number
 
@@ -18,23 +19,31 @@ def convert(
     start_s: float | None = None,
     end_s: float | None = None,
     frame_time_s: float | None = None,
+    time_s: float | None = None,
 ) -> list[str]:
-    """Write a result by suffix: .npz (exact), .ply (3DGS attributes plus time and velocity), .ftgs.ply.
+    """Write a result by suffix: .npz (exact), .ply (3DGS attributes plus time and velocity), .ftgs.ply, .glb.
+
+    A name without a suffix is a folder of 3DGS PLYs, one every `frame_time_s`.
 
     Returns what the format made of it, in words.
 
     Args:
-        start_s, end_s: first and last second of the clip in an .ftgs.ply; default: when the first Gaussian appears and
-            when the last one is gone.
+        start_s, end_s: first and last second of the clip in an .ftgs.ply or a folder of PLYs; default: when the first
+            Gaussian appears and when the last one is gone.
         frame_time_s: seconds between two frames; with both of the above it tells an .ftgs.ply its number of frames.
+        time_s: instant of a .glb; default: the middle of the Gaussians' times.
     Raises:
         DataFormatError: the file exists, the suffix is unknown, positions sampled in time are to become a closed form,
-            or start_s or end_s is given for another format.
+            start_s, end_s or time_s is given for another format, or a folder of PLYs without frame_time_s.
     """
     require_number("--start", start_s)
     require_number("--end", end_s)
-    if (start_s, end_s) != (None, None) and not out.name.endswith(".ftgs.ply"):
-        raise DataFormatError(f"{out}: --start and --end mean something in .ftgs.ply only; leave them out")
+    require_number("--time", time_s)
+    sequence = out.suffix == ""
+    if (start_s, end_s) != (None, None) and not (sequence or out.name.endswith(".ftgs.ply")):
+        raise DataFormatError(f"{out}: --start and --end mean something in .ftgs.ply and folders only; leave them out")
+    if time_s is not None and out.suffix != ".glb":
+        raise DataFormatError(f"{out}: --time means something in .glb only; leave it out")
     if out.exists():
         raise DataFormatError(f"{out}: exists already; remove it or choose another name")
     gaussians = imported.gaussians
@@ -42,7 +51,14 @@ def convert(
         raise DataFormatError(f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)")
     if out.name.endswith(".ftgs.ply"):
         return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
-    gaussians.save(out, f"{imported.method}: {imported.path.name}")
+    source = f"{imported.method}: {imported.path.name}"
+    if out.suffix == ".glb":
+        return _save_glb(gaussians, out, time_s, source)
+    if sequence:
+        if not frame_time_s:
+            raise DataFormatError(f"{out}: a folder of PLYs needs --frame-time, the seconds from one file to the next")
+        return ply_frames.save(gaussians, out, *_clip(gaussians, out, start_s, end_s), frame_time_s)
+    gaussians.save(out, source)
     return []
 
 
@@ -56,10 +72,23 @@ def _save_ftgs(
     frames = None
     if frame_time_s and start_s is not None and end_s is not None:
         frames = round((end_s - start_s) / frame_time_s) + 1
+    start_s, end_s = _clip(gaussians, out, start_s, end_s)
+    freetime.save(gaussians, out, start_s, end_s, frames)
+    return freetime.losses(gaussians, start_s, end_s)
+
+
+def _save_glb(gaussians: TransientGaussians, out: Path, time_s: float | None, source: str) -> list[str]:
+    notes = []
+    if time_s is None:
+        moving = gaussians.t_mu[gaussians.dynamic]
+        time_s = float(np.median(moving)) if len(moving) else 0.0
+        notes.append(f"the instant is {time_s:.4f} s, the middle of the Gaussians' times; --time chooses another")
+    return notes + gltf.save(gaussians, out, time_s, source)
+
+
+def _clip(gaussians: TransientGaussians, out: Path, start_s: float | None, end_s: float | None) -> tuple[float, float]:
+    """First and last second to write: what was given, else when the first one appears and the last one is gone."""
     born, dead = gaussians.life() if gaussians.dynamic.any() else (0.0, 1.0)
     if not np.isfinite([born, dead]).all() and None in (start_s, end_s):
         raise DataFormatError(f"{out}: some Gaussians are always on, so the clip's --start and --end must be given")
-    start_s = born if start_s is None else start_s
-    end_s = dead if end_s is None else end_s
-    freetime.save(gaussians, out, start_s, end_s, frames)
-    return freetime.losses(gaussians, start_s, end_s)
+    return born if start_s is None else start_s, dead if end_s is None else end_s

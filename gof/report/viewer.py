@@ -16,10 +16,14 @@ from gof.harmonics import plain_color
 from gof.io.importers import ImportOptions, read_result
 from gof.report.own_pages import only_own_pages
 from gof.rotations import quaternions_wxyz, rotation_matrices
+from gof.share.opened import middle_of, newest, time_span
 
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 ARROWS = 3000  # lines a browser draws without stuttering
 COLORS = ("as filmed", "speed", "doubt of the speed")
+FILLED = 0.9  # of the window's height, by the near side of a round flame, when it opens
+NEARER_THAN_CAMERAS = 0.85  # of their distance from the flame: where one stands at most
+CAMERA_SIZE = 0.07  # of that distance: how large cameras are drawn
 STEP_S = 0.03  # pause between two looks at the slider and at the file
 
 
@@ -48,32 +52,6 @@ def mapped(values: np.ndarray, largest: float) -> np.ndarray:
     share = np.clip(values / max(largest, 1e-12), 0, 1)
     rgb = cv2.applyColorMap(np.uint8(255 * share)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
     return rgb.astype(np.float32) / 255
-
-
-def time_span(result: MovingGaussians, dataset: Dataset | None) -> tuple[float, float]:
-    """First and last second worth showing: the dataset's frames, else the middle times of the moving Gaussians."""
-    if dataset is not None:
-        return float(dataset.times_s[0]), float(dataset.times_s[-1])
-    if not isinstance(result, TransientGaussians):
-        return result.covered_s
-    times = result.t_mu[result.dynamic]
-    return (float(times.min()), float(times.max())) if len(times) else (0.0, 0.0)
-
-
-def newest(path: Path) -> Path:
-    """The file to show: a folder's finished result, else its snapshot.
-
-    Raises:
-        GofError: a folder of ours with neither yet.
-    """
-    if not (path / "settings.json").is_file():
-        return path
-    for name in ("result.npz", "snapshot.npz"):
-        if (path / name).is_file():
-            return path / name
-    raise GofError(
-        f"{path}: the reconstruction there has no result and no snapshot yet; the first comes after 250 steps"
-    )
 
 
 class Viewer:
@@ -113,7 +91,7 @@ class Viewer:
         scene.set_up_direction("+z")
         self.time = gui.add_slider("time, ms", 0.0, max(1e3 * (last - first), 1e-3), 1e3 * step / 4, 0.0)
         self.play = gui.add_checkbox("play", True)
-        self.slow = gui.add_slider("slow motion", 1.0, 50.0, 1.0, 10.0)
+        self.slow = gui.add_slider("slow motion", 1.0, 100.0, 1.0, 10.0)
         self.arrows = gui.add_checkbox("velocity", False)
         self.color = gui.add_dropdown("colour", COLORS)
         self.text = gui.add_markdown("")
@@ -169,18 +147,30 @@ class Viewer:
         )
 
     def _stand(self) -> None:
-        """Look at the flame from the middle camera, or from a distance of twice its size."""
-        seen = splats(self.result.state_at(self.first_s), self.first_s)["centers"]
-        middle = np.median(seen, axis=0) if len(seen) else np.zeros(3)
-        size = max(float(np.percentile(np.abs(seen - middle), 98)), 1e-3) if len(seen) else 1.0
+        """Look at the flame from where the middle camera stands, so near that it fills most of the window.
+
+        Nearer than the cameras: their own pictures would hide it.
+        """
+        time_s = self.first_s + self.length_s / 2
+        middle, size = middle_of(self.result.state_at(time_s), time_s)
         start = self.server.initial_camera
-        start.look_at, start.position = middle, middle + size * np.array([0.0, -4.0, 0.5])
+        away = np.array([0.0, -1.0, 0.12])
+        farthest = np.inf
         if self.dataset is not None:
-            start.position = self.dataset.cameras[len(self.dataset.cameras) // 2].position
+            away = self.dataset.cameras[len(self.dataset.cameras) // 2].position - middle
+            farthest = NEARER_THAN_CAMERAS * self._camera_distance(middle)
+        distance = min(size + size / (FILLED * np.tan(start.fov / 2)), farthest)
+        start.look_at, start.position = middle, middle + distance * away / np.linalg.norm(away)
+
+    def _camera_distance(self, middle: np.ndarray) -> float:
+        """m, of the nearest camera from a point."""
+        return min(float(np.linalg.norm(camera.position - middle)) for camera in self.dataset.cameras)
 
     def _show_cameras(self) -> None:
         if self.dataset is None:
             return
+        time_s = self.first_s + self.length_s / 2
+        size = CAMERA_SIZE * self._camera_distance(middle_of(self.result.state_at(time_s), time_s)[0])
         for number, camera in enumerate(self.dataset.cameras):
             pose = np.linalg.inv(camera.world_to_camera)
             fov = 2 * np.arctan(camera.height / 2 / camera.K[1, 1])
@@ -189,7 +179,7 @@ class Viewer:
                 f"/cameras/{camera.name}",
                 float(fov),
                 camera.width / camera.height,
-                scale=0.2,
+                scale=size,
                 color=(110, 110, 110),
                 image=np.uint8(255 * self.dataset.image(number, middle)),
                 wxyz=quaternions_wxyz(pose[:3, :3]),

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
 from gof.report.viewer import COLORS, Viewer, mapped, newest, splats, time_span
@@ -51,6 +52,31 @@ def test_a_running_reconstruction_shows_its_latest_snapshot(tmp_path):
     assert newest(tmp_path).name == "snapshot.npz"
     random_gaussians(5).save(tmp_path / "result.npz", source="test")
     assert newest(tmp_path).name == "result.npz"
+
+
+def test_it_opens_nearer_than_the_cameras_with_the_flame_in_sight(tmp_path, tiny_dataset):
+    """Beside a camera, its own picture would hide the flame; without a dataset the flame still fills the window."""
+    pytest.importorskip("viser")
+    g = replace(random_gaussians(300), dynamic=np.ones(300, bool), velocity=np.zeros((300, 3)))
+    g.save(tmp_path / "g.npz")
+    dataset = Dataset.open(tiny_dataset)
+    for known in (dataset, None):
+        viewer = Viewer(tmp_path / "g.npz", known, port=0)
+        try:
+            start = viewer.server.initial_camera
+            eye, target = np.array(start.position), np.array(start.look_at)
+            away = eye - target
+            np.testing.assert_allclose(target, [0, 0, 1], atol=0.2)
+            nearest = min(np.linalg.norm(c.position - target) for c in dataset.cameras)
+            if known:
+                assert np.linalg.norm(away) < 0.9 * nearest
+                ray = known.cameras[len(known.cameras) // 2].position - target
+                assert away @ ray > 0.999 * np.linalg.norm(away) * np.linalg.norm(ray), "seen as that camera sees it"
+            depth = (eye - g.position) @ away / np.linalg.norm(away)
+            height = np.abs(g.position[:, 2] - target[2]) / depth / np.tan(start.fov / 2)
+            assert (depth > 0).all() and 0.4 < np.percentile(height, 98) < 1, "of half the window's height"
+        finally:
+            viewer.server.stop()
 
 
 def test_a_real_server_shows_times_and_new_snapshots(tmp_path):

@@ -1,0 +1,616 @@
+"use strict";
+
+// The page: what is shown, who may change it, and a loop that draws it when it has changed.
+
+const RADIANCE = 0, SPEED = 1, DOUBT = 2;
+const COLOURINGS = ["radiance", "speed", "doubt"];
+const TRUTH_OF = { [SPEED]: 3, [DOUBT]: 4 }; // how the true velocity colours the same Gaussians (splat.vert.glsl)
+const FADE_DEGREES = 4; // a plate is true for its camera only: it is gone this far from it
+const STILL_MS = 250; // after this the picture is drawn in full resolution
+
+const byId = (id) => document.getElementById(id);
+const share = JSON.parse(byId("share").textContent);
+const shaders = share.shaders;
+const clouds = share.results.map((result) => ({
+  count: result.header.count,
+  columns: unpack(result.header, bytes(result.data), share.first_s),
+}));
+for (const result of share.results) result.data = null;
+const pictures = new Pictures(share.cameras);
+const hasFrames = share.cameras.some((camera) => camera.frames);
+const hasTruth = clouds.some(({ columns }) => columns.v_true);
+const RECORDED = share.results.length; // the number of the pane beside the results' own
+
+const state = {
+  time: 0, playing: false, slow: 10, loop: true,
+  camera: share.start, view: null, colouring: RADIANCE, lines: false, plate: true, size: 1,
+  panes: new Set([0]),
+};
+let dirty = true;
+let wake = () => {};
+let touched = 0; // when the view was last changed by hand, ms
+const QUALITIES = [1, 0.75, 0.5, 0.35]; // shares of the screen's pixels a side, while something moves
+let quality = 0;
+const measured = { sort: 0, interval: 0, shown: 0, frames: 0 };
+
+// ---------------------------------------------------------------- sorting
+
+function startSorter() {
+  const worker = new Worker(URL.createObjectURL(new Blob([share.sorter], { type: "text/javascript" })));
+  const waiting = [];
+  worker.onmessage = ({ data }) => waiting.shift()(data);
+  const kept = ["x0", "v", "t_mu", "t_sigma", "opacity"];
+  worker.postMessage({ clouds: clouds.map(({ columns }) => Object.fromEntries(kept.map((name) => [name, columns[name]]))) });
+  return (question) =>
+    new Promise((resolve) => {
+      waiting.push(resolve);
+      worker.postMessage(question);
+    });
+}
+
+// ---------------------------------------------------------------- drawing
+
+let drawer, sorted;
+
+function homeView(camera = state.camera) {
+  return cameraView(share.cameras[camera], share.centre);
+}
+
+function atCamera() {
+  const home = homeView();
+  const apart = Math.max(...home.axes.flat().map((value, i) => Math.abs(value - state.view.axes.flat()[i])));
+  return Math.max(apart, Math.hypot(...add(home.eye, state.view.eye, -1)) / reach(home)) < 1e-3;
+}
+
+/** 1 where the camera stands, 0 some degrees away. */
+function nearness() {
+  const home = homeView();
+  const turn = Math.max(...home.axes.map((axis, i) => Math.acos(Math.min(1, dot(axis, state.view.axes[i])))));
+  const moved = Math.hypot(...add(home.eye, state.view.eye, -1)) / reach(home);
+  return Math.max(0, 1 - Math.max(turn, moved) / ((FADE_DEGREES * Math.PI) / 180));
+}
+
+/** The camera that looks most nearly as the view does: its recorded picture is the one to compare with. */
+function nearest() {
+  const along = (camera) => dot(homeView(camera).axes[2], state.view.axes[2]);
+  return share.cameras.reduce((best, _, i) => (along(i) > along(best) + 1e-9 ? i : best), state.camera);
+}
+
+function frameAt(time) {
+  const times = share.frame_s;
+  if (!times.length) return -1;
+  return times.reduce((best, t, i) => (Math.abs(t - time) < Math.abs(times[best] - time) ? i : best), 0);
+}
+
+/** Rectangles [left, top, width, height] for so many panes: the grid in which the camera's picture is largest. */
+function grid(count, width, height, camera) {
+  const scale = (columns) =>
+    Math.min(width / columns / camera.width, height / Math.ceil(count / columns) / camera.height);
+  let columns = 1;
+  for (let c = 2; c <= count; c++) if (scale(c) >= scale(columns) * 0.999) columns = c;
+  const rows = Math.ceil(count / columns);
+  const edge = (i, parts, length) => Math.round((i * length) / parts);
+  return Array.from({ length: count }, (_, i) => {
+    const [column, row] = [i % columns, Math.floor(i / columns)];
+    const [left, top] = [edge(column, columns, width), edge(row, rows, height)];
+    return [left, top, edge(column + 1, columns, width) - left, edge(row + 1, rows, height) - top];
+  });
+}
+
+/** Draw what the state says, and what the panes are called. Resolves when it is on the canvas. */
+async function paint(scale) {
+  const { view, time, colouring } = state;
+  const numbers = [...state.panes].sort((a, b) => (a === RECORDED ? -1 : b === RECORDED ? 1 : a - b));
+  const shown = numbers.map((number) => (number === RECORDED ? 0 : number));
+  const once = [...new Set(shown)]; // the recorded pane shows the first result's Gaussians
+  const frame = frameAt(time);
+  const here = atCamera();
+  const filmed = here ? state.camera : nearest();
+  const filming = colouring === RADIANCE && frame >= 0 && (here || !(state.lines && hasTruth)); // lines are in this view
+  const [{ orders, ms }, plate, picture] = await Promise.all([
+    sorted({ shown: once, time, eye: view.eye, forward: view.axes[2] }),
+    state.plate && colouring === RADIANCE ? pictures.plate(state.camera) : null,
+    filming ? pictures.frame(filmed, frame) : null,
+  ]);
+  const ratio = (window.devicePixelRatio || 1) * scale;
+  const canvas = byId("canvas");
+  const size = [canvas.clientWidth, canvas.clientHeight].map((length) => Math.max(1, Math.round(length * ratio)));
+  drawer.resize(...size);
+  const strength = nearness();
+  const panes = grid(numbers.length, ...size, view.camera).map((rectangle, i) => {
+    const own = numbers[i] !== RECORDED;
+    const known = !!clouds[shown[i]].columns.v_true;
+    return {
+      rectangle,
+      cloud: shown[i],
+      splats: own || (known && colouring !== RADIANCE),
+      colouring: own ? colouring : TRUTH_OF[colouring] ?? RADIANCE,
+      lines: !state.lines ? null : own ? "own" : known ? "true" : null,
+      share: Math.min(1, share.lines / clouds[shown[i]].count),
+      behind: own ? plate : picture,
+      filmed: own ? view.camera : share.cameras[filmed],
+      strength: own ? strength : 1,
+    };
+  });
+  orders.forEach((rows, i) => drawer.order(once[i], rows));
+  const largest = colouring === DOUBT ? share.doubt_max : share.speed_max;
+  const shot = { view, time, grow: state.size, largest, fastest: share.speed_max, span: share.line_s, thick: 1.6 * ratio };
+  drawer.draw(shot, panes);
+  measured.sort = ms;
+  measured.shown = orders.reduce((sum, rows) => sum + rows.length, 0);
+  name(numbers, panes, { frame, here, filmed }, ratio);
+}
+
+/** What every pane shows, at its corner. */
+function name(numbers, panes, shot, ratio) {
+  const captions = byId("captions");
+  while (captions.children.length > panes.length) captions.lastChild.remove();
+  panes.forEach(({ rectangle, cloud, behind }, i) => {
+    const p = captions.children[i] ?? captions.appendChild(document.createElement("p"));
+    const [title, note] = caption(numbers[i], cloud, shot, behind);
+    if (p.dataset.says !== title + note) {
+      p.dataset.says = title + note;
+      const small = document.createElement("small");
+      small.textContent = note;
+      p.replaceChildren(title, small);
+    }
+    const [left, top, width] = lensIn(share.cameras[state.camera], rectangle[2], rectangle[3]).picture;
+    p.style.left = `${(rectangle[0] + left) / ratio}px`;
+    p.style.top = `${(rectangle[1] + top) / ratio}px`;
+    p.style.maxWidth = `${width / ratio}px`;
+  });
+}
+
+function caption(number, cloud, { frame, here, filmed }, behind) {
+  const { colouring } = state;
+  if (number !== RECORDED) return [panes().length > 1 || share.results.length > 1 ? share.results[number].name : "", ""];
+  const known = clouds[cloud].columns.v_true;
+  const whose = `at the Gaussians of ${share.results[cloud].name}`;
+  if (colouring === SPEED) return known ? ["True speed", whose] : ["True speed", "this dataset does not know it"];
+  if (colouring === DOUBT) return known ? ["True error of the velocity", `of a component, ${whose}`] : ["True error", "not known"];
+  if (behind) {
+    const held = share.held_out.includes(frame) ? ", held out" : "";
+    const where = here ? "" : ", the nearest camera's own view";
+    return [`Recorded, ${share.cameras[filmed].name}`, `frame ${frame + 1} of ${share.frame_s.length}${held}${where}`];
+  }
+  if (state.lines && known) return ["True velocity", whose];
+  return ["Recorded", "this camera's pictures are not in this file"];
+}
+
+function change(byHand = false) {
+  dirty = true;
+  if (byHand) {
+    touched = performance.now();
+    setTimeout(() => change(), STILL_MS + 20);
+  }
+  show(); // controls answer at once, also where drawing takes long
+  wake();
+}
+
+function moves() {
+  return state.playing || performance.now() - touched < STILL_MS;
+}
+
+const animationFrame = () => new Promise((resolve) => requestAnimationFrame(resolve));
+
+async function loop() {
+  let before = 0;
+  for (;;) {
+    if (!dirty && !state.playing) {
+      await new Promise((resolve) => (wake = resolve));
+      before = 0;
+    }
+    const now = await animationFrame();
+    if (before) pace(now - before);
+    if (state.playing) advance(before ? now - before : 0);
+    before = now;
+    dirty = false;
+    try {
+      await paint(moves() ? QUALITIES[quality] : 1);
+    } catch (error) {
+      fail(error);
+      return;
+    }
+    show();
+  }
+}
+
+/** Fewer pixels where the device is slow, more where it has time to spare; only while something moves. */
+function pace(interval) {
+  if (!moves() || interval > 5000) return;
+  measured.interval = measured.interval ? measured.interval + 0.2 * (interval - measured.interval) : interval;
+  const late = measured.interval > 45;
+  measured.frames = late || measured.interval < 18 ? measured.frames + 1 : 0;
+  const enough = late ? (measured.interval > 150 ? 1 : 5) : 90;
+  if (measured.frames < enough) return;
+  quality = Math.max(0, Math.min(QUALITIES.length - 1, quality + (late ? 1 : -1)));
+  [measured.frames, measured.interval] = [0, 0];
+}
+
+function advance(ms) {
+  state.time += Math.min(ms, 500) / 1e3 / state.slow;
+  if (state.time <= share.length_s) return;
+  if (state.loop && share.length_s > 0) state.time %= share.length_s;
+  else [state.time, state.playing] = [share.length_s, false];
+}
+
+// ---------------------------------------------------------------- controls
+
+/** Round buttons of which one (radio) or any number (checkbox) is chosen. */
+function chips(field, kind, names, chosen, choose) {
+  const box = byId(field).querySelector(".chips");
+  names.forEach(([value, text]) => {
+    const label = document.createElement("label");
+    const input = Object.assign(document.createElement("input"), { type: kind, name: field, value });
+    const span = Object.assign(document.createElement("span"), { textContent: text, title: text });
+    input.checked = chosen(value);
+    input.addEventListener("change", () => choose(value, input.checked));
+    label.append(input, span);
+    box.append(label);
+  });
+  byId(field).hidden = names.length < 2;
+}
+
+function check(field, chosen) {
+  for (const input of byId(field).querySelectorAll("input")) input.checked = chosen(Number(input.value));
+}
+
+function panes() {
+  return [...state.panes];
+}
+
+/** All results and what was recorded, where there is room; on a phone two results at most. */
+function usualPanes() {
+  const wide = window.matchMedia("(min-width: 761px)").matches;
+  const results = share.results.map((_, i) => i).slice(0, wide ? 4 : 2);
+  return wide && hasFrames ? [...results, RECORDED] : results;
+}
+
+function chooseCamera(number) {
+  if (!share.cameras[number]) return;
+  state.camera = number;
+  state.view = homeView();
+  change();
+}
+
+function choosePane(number, on) {
+  if (on) state.panes.add(number);
+  else if (state.panes.size > 1) state.panes.delete(number);
+  check("panes", (value) => state.panes.has(value));
+  change();
+}
+
+function chooseColouring(number) {
+  state.colouring = number;
+  change();
+}
+
+function play(on) {
+  if (on && state.time >= share.length_s) state.time = 0;
+  state.playing = on && share.length_s > 0;
+  change();
+}
+
+function step(direction) {
+  const times = share.frame_s.length > 1 ? share.frame_s : Array.from({ length: 101 }, (_, i) => (i * share.length_s) / 100);
+  const beyond = times.filter((t) => (t - state.time) * direction > 1e-6);
+  state.time = beyond.length ? (direction > 0 ? beyond[0] : beyond.at(-1)) : state.time;
+  play(false);
+}
+
+const milliseconds = (s) => (1e3 * s).toFixed(1);
+const offered = () => [RADIANCE, SPEED, DOUBT].filter((n) => n === RADIANCE || (n === SPEED ? share.speed_max : share.doubt_max) > 0);
+
+/** Bring the controls in line with the state. */
+function show() {
+  const slider = byId("time");
+  const share1000 = share.length_s ? (1e3 * state.time) / share.length_s : 0;
+  slider.value = share1000;
+  slider.style.setProperty("--done", `${share1000 / 10}%`);
+  const frame = frameAt(state.time);
+  const frames = share.frame_s.length ? `frame ${frame + 1} of ${share.frame_s.length}` : "";
+  slider.setAttribute("aria-valuetext", `${milliseconds(state.time)} milliseconds ${frames}`);
+  const small = Object.assign(document.createElement("small"), { textContent: frames });
+  byId("now").replaceChildren(`${milliseconds(state.time)} ms`, small);
+  const button = byId("play");
+  button.classList.toggle("playing", state.playing);
+  button.setAttribute("aria-label", state.playing ? "Pause" : "Play");
+  const here = atCamera();
+  check("cameras", (value) => here && value === state.camera);
+  check("colours", (value) => value === state.colouring);
+  byId("lines").checked = state.lines;
+  byId("plate").checked = state.plate;
+  byId("loop").setAttribute("aria-pressed", state.loop);
+  byId("slow").value = state.slow;
+  const size = byId("size");
+  size.value = Math.round(100 * state.size);
+  size.style.setProperty("--done", `${(100 * (size.value - size.min)) / (size.max - size.min)}%`);
+  byId("size-text").textContent = `${size.value} %`;
+  byId("reset").disabled = here;
+  showScale();
+  if (byId("about").open) showFacts();
+}
+
+/** The legend in m/s of whatever is coloured by a velocity. */
+function showScale() {
+  const doubt = state.colouring === DOUBT;
+  const visible = state.colouring !== RADIANCE || state.lines;
+  byId("scale").hidden = !visible;
+  const says = `${doubt} ${visible} ${state.colouring}`;
+  if (!visible || byId("scale").dataset.says === says) return;
+  byId("scale").dataset.says = says;
+  const largest = doubt ? share.doubt_max : share.speed_max;
+  const stops = Array.from({ length: 17 }, (_, i) => share.scheme.slice(3 * Math.min(255, 16 * i)).slice(0, 3));
+  byId("scale-bar").style.background = `linear-gradient(90deg, ${stops.map((rgb) => `rgb(${rgb})`).join(", ")})`;
+  byId("scale-bar").setAttribute("aria-label", `Colours from 0 to ${largest.toPrecision(3)} metres per second and more`);
+  const ticks = [0, 0.25, 0.5, 0.75, 1].map((s) => {
+    const text = s === 1 ? `${largest.toPrecision(2)}+ m/s` : (s * largest).toPrecision(2).replace(/^0\.0$/, "0");
+    return Object.assign(document.createElement("span"), { textContent: s ? text : "0" });
+  });
+  byId("scale-ticks").replaceChildren(...ticks);
+  byId("scale-note").textContent = doubt
+    ? "How unsure the velocity is, as the result says: standard deviation of a component. Grey: nobody says."
+    : `Speed.${state.lines ? ` A line is the way of ${+(1e3 * share.line_s).toPrecision(2)} ms.` : ""}`;
+}
+
+function showFacts() {
+  const now = [
+    ["drawn now", `${measured.shown.toLocaleString("en")} Gaussians`],
+    ["sorting", `${measured.sort.toFixed(1)} ms, off the main thread`],
+    ["frames", measured.interval ? `${(1e3 / measured.interval).toFixed(0)} a second while moving, at ${100 * QUALITIES[quality]} % of the pixels a side` : "not measured yet"],
+    ["blending", drawer.exact ? "16-bit floats" : "8 bits: this device has no float pictures; colours are approximate"],
+  ];
+  const list = byId("facts");
+  list.replaceChildren();
+  for (const [term, text] of [...share.facts, ...now]) {
+    list.append(Object.assign(document.createElement("dt"), { textContent: term }));
+    list.append(Object.assign(document.createElement("dd"), { textContent: text }));
+  }
+}
+
+let silence;
+
+function say(text) {
+  const said = byId("said");
+  said.textContent = text;
+  said.classList.add("shown");
+  clearTimeout(silence);
+  silence = setTimeout(() => said.classList.remove("shown"), 2000);
+}
+
+function fail(error) {
+  byId("failure").textContent = error.message;
+  byId("failure").hidden = false;
+}
+
+// ---------------------------------------------------------------- links
+
+/** View, time and what is shown, as it stands behind the # of the page's address. */
+function toHash() {
+  const said = new URLSearchParams({ t: milliseconds(state.time), cam: share.cameras[state.camera].name });
+  if (!atCamera()) said.set("view", viewToText(state.view));
+  if (state.colouring) said.set("colour", COLOURINGS[state.colouring]);
+  if (state.lines) said.set("lines", 1);
+  if (!state.plate) said.set("plate", 0);
+  if (state.size !== 1) said.set("size", state.size);
+  if (state.slow !== 10) said.set("slow", state.slow);
+  said.set("show", panes().map((n) => (n === RECORDED ? "recorded" : n)).join(" "));
+  return said.toString();
+}
+
+/**
+ * Whether the address said a time. What it does not say, or says and cannot be, is as on a page just opened: a link means
+ * the same whatever was shown before.
+ */
+function fromHash(hash) {
+  const said = new URLSearchParams(hash.replace(/^#/, ""));
+  const number = (key, low, high) => {
+    const value = said.has(key) ? Number(said.get(key)) : NaN;
+    return Number.isFinite(value) ? Math.min(high, Math.max(low, value)) : null;
+  };
+  const camera = share.cameras.findIndex(({ name }) => name === said.get("cam"));
+  state.camera = camera >= 0 ? camera : share.start;
+  state.view = (said.has("view") && viewFromText(said.get("view"), share.cameras[state.camera])) || homeView();
+  const time = number("t", 0, 1e3 * share.length_s);
+  if (time !== null) state.time = time / 1e3;
+  const colouring = COLOURINGS.indexOf(said.get("colour"));
+  state.colouring = offered().includes(colouring) ? colouring : RADIANCE;
+  state.lines = said.get("lines") === "1";
+  state.plate = said.get("plate") !== "0";
+  state.size = number("size", 0.05, 1.5) ?? 1;
+  state.slow = [1, 2, 5, 10, 20, 50, 100].includes(number("slow", 1, 100)) ? number("slow", 1, 100) : 10;
+  const wanted = (said.get("show") ?? "").split(" ").map((name) => (name === "recorded" ? RECORDED : parseInt(name, 10)));
+  const found = wanted.filter((n) => (n === RECORDED ? hasFrames || hasTruth : share.results[n]));
+  state.panes = new Set(found.length ? found : usualPanes());
+  document.body.classList.toggle("bare", said.get("bare") === "1");
+  if (said.get("play") === "1") state.playing = true;
+  return time !== null;
+}
+
+async function copyLink() {
+  const link = `${location.href.split("#")[0]}#${toHash()}`;
+  history.replaceState(null, "", `#${toHash()}`);
+  try {
+    await navigator.clipboard.writeText(link);
+  } catch {
+    const area = Object.assign(document.createElement("textarea"), { value: link });
+    document.body.append(area);
+    area.select();
+    const done = document.execCommand("copy");
+    area.remove();
+    if (!done) return say("The link is in the address bar");
+  }
+  say("Link copied: this view, this time");
+}
+
+async function savePicture() {
+  await paint(1);
+  byId("canvas").toBlob((blob) => {
+    const address = URL.createObjectURL(blob);
+    Object.assign(document.createElement("a"), { href: address, download: `${share.file}-${milliseconds(state.time)}ms.png` }).click();
+    setTimeout(() => URL.revokeObjectURL(address), 1000);
+  });
+}
+
+// ---------------------------------------------------------------- hands
+
+function listen() {
+  const canvas = byId("canvas");
+  const fingers = new Map();
+  const turn = (dx, dy) => {
+    state.view = orbited(state.view, -dx, dy);
+    change(true);
+  };
+  const move = (dx, dy) => {
+    const { camera } = state.view;
+    const scale = lensIn(camera, canvas.clientWidth, canvas.clientHeight).focal[0] / reach(state.view);
+    state.view = panned(state.view, -dx / scale / reach(state.view), -dy / scale / reach(state.view));
+    change(true);
+  };
+  const zoom = (factor) => {
+    state.view = dollied(state.view, factor, reach(homeView()));
+    change(true);
+  };
+  const middle = () => {
+    const all = [...fingers.values()];
+    const mean = [0, 1].map((k) => all.reduce((sum, p) => sum + p[k], 0) / all.length);
+    return [...mean, all.length > 1 ? Math.hypot(all[0][0] - all[1][0], all[0][1] - all[1][1]) : 0];
+  };
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    if (!fingers.has(event.pointerId)) return;
+    const [x0, y0, apart0] = middle();
+    fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    const [x1, y1, apart1] = middle();
+    if (fingers.size > 1) {
+      move(x1 - x0, y1 - y0);
+      if (apart0 > 0 && apart1 > 0) zoom(apart0 / apart1);
+    } else if (event.buttons & 6 || event.shiftKey) move(x1 - x0, y1 - y0);
+    else turn((x1 - x0) * 0.008, -(y1 - y0) * 0.008);
+  });
+  for (const over of ["pointerup", "pointercancel"])
+    canvas.addEventListener(over, (event) => fingers.delete(event.pointerId));
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    zoom(Math.exp(Math.max(-0.4, Math.min(0.4, event.deltaY * (event.deltaMode ? 0.05 : 0.0015)))));
+  }, { passive: false });
+  canvas.addEventListener("keydown", (event) => {
+    const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    if (way && event.shiftKey) move(-40 * way[0], -40 * way[1]);
+    else if (way) turn(-0.09 * way[0], 0.09 * way[1]);
+    else if (event.key === "+" || event.key === "=") zoom(0.9);
+    else if (event.key === "-") zoom(1 / 0.9);
+    else return;
+    event.preventDefault();
+  });
+  canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+  canvas.addEventListener("webglcontextrestored", () => {
+    drawer = new Drawer(canvas, shaders, clouds, share.scheme);
+    change();
+  });
+  new ResizeObserver(() => change()).observe(canvas);
+
+  byId("time").addEventListener("input", (event) => {
+    state.time = (event.target.value / 1e3) * share.length_s;
+    state.playing = false;
+    change(true);
+  });
+  byId("play").addEventListener("click", () => play(!state.playing));
+  byId("slow").addEventListener("change", (event) => ((state.slow = Number(event.target.value)), change()));
+  byId("loop").addEventListener("click", () => ((state.loop = !state.loop), change()));
+  byId("lines").addEventListener("change", (event) => ((state.lines = event.target.checked), change()));
+  byId("plate").addEventListener("change", (event) => ((state.plate = event.target.checked), change()));
+  byId("size").addEventListener("input", (event) => ((state.size = event.target.value / 100), change(true)));
+  byId("copy").addEventListener("click", copyLink);
+  byId("save").addEventListener("click", savePicture);
+  byId("reset").addEventListener("click", () => chooseCamera(state.camera));
+  byId("about").addEventListener("toggle", showFacts);
+  byId("more").addEventListener("click", () => {
+    const open = document.body.classList.toggle("open");
+    byId("more").setAttribute("aria-expanded", open);
+    byId("more").textContent = open ? "Close" : "Controls";
+  });
+  window.addEventListener("hashchange", () => {
+    if (fromHash(location.hash)) state.playing = false;
+    check("panes", (value) => state.panes.has(value));
+    change();
+  });
+  window.addEventListener("keydown", pressed);
+}
+
+function closePanel() {
+  if (document.body.classList.contains("open")) byId("more").click();
+}
+
+function pressed(event) {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const types = event.target.closest?.("select, summary, button, input:not([type=range])");
+  if (types && (event.key === " " || event.key === "Enter")) return; // they have a use for it themselves
+  const all = offered();
+  const keys = {
+    " ": () => play(!state.playing),
+    ",": () => step(-1),
+    ".": () => step(1),
+    c: () => chooseColouring(all[(all.indexOf(state.colouring) + 1) % all.length]),
+    v: () => share.speed_max > 0 && (state.lines = !state.lines),
+    b: () => (state.plate = !state.plate),
+    0: () => chooseCamera(state.camera),
+    Escape: closePanel,
+  };
+  if (/^[1-9]$/.test(event.key)) chooseCamera(Number(event.key) - 1);
+  else if (keys[event.key]) keys[event.key]();
+  else return;
+  event.preventDefault();
+  change();
+}
+
+// ---------------------------------------------------------------- begin
+
+/** What a script may ask of the page: the picture of the state as a data: URL, and ms a frame, drawn to the end. */
+const player = {
+  state, measured, toHash,
+  async picture() {
+    await paint(1);
+    return byId("canvas").toDataURL();
+  },
+  async time(frames) {
+    await paint(1);
+    drawer.finish();
+    const began = performance.now();
+    for (let i = 0; i < frames; i++) {
+      state.time = (share.length_s * i) / frames;
+      await paint(1);
+      drawer.finish();
+    }
+    return (performance.now() - began) / frames;
+  },
+};
+
+function begin() {
+  byId("subtitle").textContent = share.subtitle;
+  drawer = new Drawer(byId("canvas"), shaders, clouds, share.scheme);
+  sorted = startSorter();
+  const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (!fromHash(location.hash) && !still) state.playing = share.length_s > 0;
+  chips("cameras", "radio", share.cameras.map(({ name }, i) => [i, name]), () => false, chooseCamera);
+  const recorded = hasFrames || hasTruth ? [[RECORDED, hasTruth ? "Truth" : "Recorded"]] : [];
+  chips("panes", "checkbox", [...recorded, ...share.results.map(({ name }, i) => [i, name])], (n) => state.panes.has(n), choosePane);
+  const names = { [RADIANCE]: "Radiance", [SPEED]: "Speed", [DOUBT]: "Doubt" };
+  chips("colours", "radio", offered().map((n) => [n, names[n]]), (n) => n === state.colouring, chooseColouring);
+  byId("lines-row").hidden = !(share.speed_max > 0);
+  byId("plate-row").hidden = !share.cameras.some((camera) => camera.plate);
+  listen();
+  show();
+  loop();
+}
+
+window.player = player;
+try {
+  begin();
+} catch (error) {
+  fail(error);
+}
