@@ -183,7 +183,8 @@ def test_4dgs_of_wu(run, views, tmp_path):
         "OptimizationParams = dict(dataloader=True, iterations=40, coarse_iterations=20, batch_size=1)\n"
     )
     script, model = code_folder / "train.py", tmp_path / "model"
-    words = ["-s", views / "multipleview", "--model_path", model, "--configs", config, "--port", 6031, "--expname", "x"]
+    words = ["-s", views / "multipleview", "--model_path", model, "--configs", config]
+    words += ["--port", 6031, "--expname", "x", "--save_iterations", 40]
     code, out, err = run("--method", "wu", "--curve", tmp_path / "c.csv", script, *words, packages=False)
     assert code == 0 and "no file changed" in out, err[-3000:]
     losses = [float(row["loss"]) for row in csv.DictReader((tmp_path / "c.csv").open())]
@@ -210,7 +211,7 @@ def test_4dgs_of_yang(run, views, tmp_path):
     config = tmp_path / "short.yaml"
     config.write_text(YANG_SETTINGS.format(data=views, model=tmp_path / "model"))
     script = code_folder / "train.py"
-    words = ["--config", config, "--test_iterations", -1]
+    words = ["--config", config, "--test_iterations", -1, "--save_iterations", 40]
     code, out, err = run("--method", "yang", "--curve", tmp_path / "c.csv", script, *words, packages=False)
     assert code == 0 and "no file changed" in out, err[-3000:]
     losses = [float(row["loss"]) for row in csv.DictReader((tmp_path / "c.csv").open())]
