@@ -30,8 +30,8 @@ COMMANDS = {
     "convert": Command(
         "gof.commands.convert", "any method's result -> .npz, .ply or .ftgs.ply in metres, seconds and m/s", 70
     ),
-    "run-on-cpu": Command(
-        "gof.commands.run_on_cpu", "other methods' own training code, unmodified, without CUDA: for their rows", 75
+    "baseline": Command(
+        "gof.commands.baseline", "other methods' own training code, unmodified, without CUDA: for their rows", 75
     ),
     "leaderboard": Command(
         "gof.commands.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time", 80

@@ -1,4 +1,4 @@
-"""The command line that `gof run-on-cpu` starts in a process of its own."""
+"""The command line that `gof baseline` starts in a process of its own."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def main() -> int:
     rows = [(name, f"{m.title} ({m.repository})" if m.commit else m.title) for name, m in METHODS.items()]
     listed = "\n".join(f"  {name:<10} {title}" for name, title in rows)
     parser = argparse.ArgumentParser(
-        prog="gof run-on-cpu",
+        prog="gof baseline",
         description="Run public Gaussian-splatting research code, unmodified, without CUDA: your checkout, its own "
         "script and arguments. docs/baselines.md has what each method needs.",
         epilog=f"methods:\n{listed}\n\nOptions of ours come before SCRIPT; all after it is the script's.",
@@ -38,7 +38,7 @@ def main() -> int:
     parser.add_argument("arguments", nargs=argparse.REMAINDER, metavar="ARGS")
     options = parser.parse_args()
     method, script = METHODS[options.method], options.script
-    print(f"gof run-on-cpu: {method.title}, {provenance(method, script)}; licence: {method.licence}", flush=True)
+    print(f"gof baseline: {method.title}, {provenance(method, script)}; licence: {method.licence}", flush=True)
     try:
         if options.trajectory:
             if len(options.arguments) != 2:
@@ -47,7 +47,7 @@ def main() -> int:
         else:
             launch(method, script, options.arguments, options.curve, options.without_lpips)
     except GofError as e:
-        print(f"gof run-on-cpu: {e}", file=sys.stderr)
+        print(f"gof baseline: {e}", file=sys.stderr)
         return 1
     return 0
 

@@ -22,6 +22,7 @@ from gof.errors import DataFormatError
 from gof.render import rasterize
 
 NEAR = 0.2
+LEAST_WINDOW = 0.05  # Gaussians whose temporal window is below are not drawn
 SAME = 1e-3  # relative; two descriptions of one camera agree
 UPPER = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # of xx xy xz yy yz zz, row by row
 
@@ -117,7 +118,7 @@ class DepthRasterizer(_Rasterizer):
 
 
 class SpacetimeRasterizer(_Rasterizer):
-    """Covariances and colours at the time must come from the method's own Python, as two options of it say."""
+    """Gaussians of 4DGS (Yang): as its Python made them at a time, or in four dimensions, conditioned on it here."""
 
     def forward(
         self,
@@ -136,22 +137,69 @@ class SpacetimeRasterizer(_Rasterizer):
         prefilter_var=-1.0,
     ):
         settings = self.raster_settings
-        spacetime = settings.gaussian_dim == 4
-        if spacetime and (cov3D_precomp is None or (shs is not None and not settings.force_sh_3d)):
-            raise DataFormatError(
-                "diff_gaussian_rasterization: what of 4DGS (Yang) is compiled into its rasteriser does not run here; "
-                "set compute_cov3D_python and convert_SHs_python to True in the configuration, its own options "
-                "for the same in Python"
-            )
-        if prefilter_var > 0:
-            raise DataFormatError("diff_gaussian_rasterization: 'prefilter_var' is compiled in; leave it at -1")
-        covariance = _covariance(settings, scales, rotations, cov3D_precomp)
-        color, radii, depth, alpha = draw(settings, means3D, means2D, opacities, shs, colors_precomp, covariance)
+        count, lives = len(means3D), None
+        if settings.gaussian_dim == 4 and cov3D_precomp is None:
+            if not settings.rot_4d or None in (ts, scales, scales_t, rotations, rotations_r):
+                raise DataFormatError(
+                    "diff_gaussian_rasterization: of Gaussians in four dimensions only those of rot_4d=True are drawn, "
+                    "with 'ts', 'scales', 'scales_t', 'rotations' and 'rotations_r'"
+                )
+            offset, sigma, window = conditioned(settings, ts, scales, scales_t, rotations, rotations_r, prefilter_var)
+            lives = window.detach() > LEAST_WINDOW
+            rows = (means3D + offset, means2D, opacities.reshape(-1) * window, shs, colors_precomp, flow_2d, ts, sigma)
+            rows = [None if row is None else row[lives] for row in rows]
+            means3D, means2D, opacities, shs, colors_precomp, flow_2d, ts, sigma = rows
+        else:
+            sigma = _covariance(settings, scales, rotations, cov3D_precomp)
+        if shs is not None and settings.gaussian_dim == 4 and not settings.force_sh_3d:
+            shs = harmonics_at(settings, shs, ts)
+        color, radii, depth, alpha = draw(settings, means3D, means2D, opacities, shs, colors_precomp, sigma)
         if flow_2d is None or not bool(flow_2d.any()):
             flow = torch.zeros(2, settings.image_height, settings.image_width)
         else:
-            flow = draw(settings._replace(bg=torch.zeros(2)), means3D, None, opacities, None, flow_2d, covariance)[0]
-        return color, radii, depth, alpha, flow, covariance[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
+            flow = draw(settings._replace(bg=torch.zeros(2)), means3D, None, opacities, None, flow_2d, sigma)[0]
+        six = sigma[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
+        if lives is not None:
+            radii = torch.zeros(count, dtype=torch.int32).masked_scatter(lives, radii)
+            six = torch.zeros(count, 6).index_put((lives.nonzero()[:, 0],), six)
+        return color, radii, depth, alpha, flow, six
+
+
+def conditioned(settings, ts, scales, scales_t, rotations, rotations_r, prefilter_var):
+    """Gaussians in space and time, at the time of the settings.
+
+    The 4D rotation x -> l x r in the component order t, z, y, x, as `gof.io.importers.yang` has it.
+
+    Args:
+        ts, scales_t: (N, 1).   scales: (N, 3).   rotations, rotations_r: (N, 4), l and r, taken as they are.
+    Returns:
+        what is added to the means (N, 3), spatial covariances (N, 3, 3), factors of the opacities (N,).
+    """
+    a, b, c, d = rotations.unbind(-1)
+    p, q, r, s = rotations_r.unbind(-1)
+    left = torch.stack([a, -b, -c, -d, b, a, -d, c, c, d, a, -b, d, -c, b, a], -1).reshape(-1, 4, 4)
+    right = torch.stack([p, q, r, s, -q, p, -s, r, -r, s, p, -q, -s, -r, q, p], -1).reshape(-1, 4, 4)
+    axes = (left @ right).flip(1, 2) * (torch.cat([scales, scales_t], 1) * settings.scale_modifier)[:, None, :]
+    sigma = axes @ axes.transpose(1, 2)
+    cross, variance = sigma[:, :3, 3], sigma[:, 3, 3]
+    delay = settings.timestamp - ts.reshape(-1)
+    velocity = cross / variance[:, None]
+    window = torch.exp(-0.5 * delay**2 / (variance + max(float(prefilter_var), 0.0)))
+    return velocity * delay[:, None], sigma[:, :3, :3] - velocity[:, :, None] * cross[:, None, :], window
+
+
+def harmonics_at(settings, shs, ts):
+    """(N, 16, 3) of coefficients (N, K, 3) that swing as cos(2 pi k dt / duration) in blocks k = 0, 1, 2 of 16."""
+    bands = int(settings.sh_degree_t)
+    if bands == 0:
+        return shs[:, :16]
+    if settings.sh_degree != 3 or ts is None or shs.shape[1] < 16 * (bands + 1):
+        raise DataFormatError(
+            f"diff_gaussian_rasterization: colours that swing need sh_degree 3, 'ts' and {16 * (bands + 1)} "
+            f"coefficients; there are sh_degree {settings.sh_degree} and {shs.shape[1]}"
+        )
+    phase = 2 * torch.pi * (ts.reshape(-1, 1, 1) - settings.timestamp) / settings.time_duration
+    return sum(torch.cos(k * phase) * shs[:, 16 * k : 16 * (k + 1)] for k in range(bands + 1))
 
 
 def draw(settings, means3D, means2D, opacities, shs, colors_precomp, covariance, depth=True):

@@ -211,8 +211,99 @@ def test_the_variant_with_time():
     assert radii.shape == (60,)
     np.testing.assert_allclose(back, six, rtol=1e-5)
     assert not draw(**given, flow_2d=torch.zeros(60, 2))[4].any()
-    with pytest.raises(DataFormatError, match="compute_cov3D_python and convert_SHs_python"):
+    with pytest.raises(DataFormatError, match="only those of rot_4d=True"):
         draw(**arguments(g))
+
+
+def in_four_dimensions(n, seed=0):
+    """Raw Gaussians of 4DGS (Yang) and what the importer, which was checked against its CUDA code, makes of them."""
+    from gof.io.importers import yang
+
+    rng = np.random.default_rng(seed)
+    unit = rng.normal(size=(2, n, 4))
+    unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
+    raw = {
+        "ts": rng.uniform(0, 1, (n, 1)),
+        "scales": np.exp(rng.normal(np.log(0.08), 0.3, (n, 3))),
+        "scales_t": rng.uniform(0.1, 0.3, (n, 1)),
+        "rotations": unit[0],
+        "rotations_r": unit[1],
+    }
+    scale = np.concatenate([raw["scales"], raw["scales_t"]], 1)
+    return raw, *yang.condition_on_time(yang.covariance_4d(scale, unit[0], unit[1]))
+
+
+@pytest.mark.parametrize("prefilter", [-1.0, 0.02])
+def test_gaussians_in_four_dimensions_are_conditioned_on_the_time(prefilter):
+    cam, g = camera(40, 30), gaussians(60, 6, 0.08)
+    raw, velocity, sigma, variance = in_four_dimensions(60)
+    shs = np.random.default_rng(1).normal(0, 0.3, (60, 48, 3))
+    own = spacetime(cam, sh_degree=3)._replace(sh_degree_t=2)
+    given = arguments(g, grad=True, colors_precomp=None, shs=shs, **raw)
+    color, radii, depth, alpha, _, six = inria.module("spacetime").GaussianRasterizer(own)(
+        **given, prefilter_var=prefilter
+    )
+    delay = 0.5 - raw["ts"][:, 0]
+    window = np.exp(-0.5 * delay**2 / (variance + max(prefilter, 0)))
+    lives = window > 0.05
+    assert 5 < lives.sum() < 60
+    mean = g["position"] + velocity * delay[:, None]
+    swing = sum(np.cos(2 * np.pi * k * delay)[:, None, None] * shs[:, 16 * k : 16 * k + 16] for k in range(3))
+    shown = {
+        "position": mean[lives],
+        "rotation": g["rotation"][lives],
+        "scale": g["scale"][lives],
+        "opacity": (g["opacity"] * window)[lives],
+        "color": reference.harmonics_color(swing, mean, cam.position, 3)[lives],
+    }
+    want, opaque, z = reference.render(*shown.values(), cam, near=NEAR, covariance=sigma[lives])
+    close(color.permute(1, 2, 0), want)
+    close(alpha[0], opaque)
+    close(depth[0], z)
+    upper = sigma[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] * lives[:, None]
+    np.testing.assert_allclose(six.detach(), upper, atol=1e-6)
+    assert radii.shape == (60,) and not radii[~lives].any() and radii[lives].any()
+    color.sum().backward()
+    for name in ("means3D", "means2D", "ts", "scales", "scales_t", "rotations", "rotations_r", "shs", "opacities"):
+        gradient = given[name].grad
+        assert gradient[lives].abs().max() > 0 and not gradient[~lives].any(), name
+    with pytest.raises(DataFormatError, match="need sh_degree 3"):
+        inria.module("spacetime").GaussianRasterizer(own._replace(sh_degree=2))(**given)
+
+
+def test_gradients_through_the_time_equal_central_differences():
+    cam, g = camera(24, 20), gaussians(6, 5, 0.12)
+    g["opacity"] = 0.1 + 0.5 * g["opacity"]
+    raw, *_ = in_four_dimensions(6, seed=3)
+    raw["scales_t"][:] = 0.4  # all live, also where a difference is taken
+    weights = np.random.default_rng(0).normal(size=(20, 24, 3))
+    given = arguments(g, grad=True, **raw)
+    image = inria.module("spacetime").GaussianRasterizer(spacetime(cam))(**given)[0]
+    (image.permute(1, 2, 0) * torch.tensor(weights, dtype=torch.float32)).sum().backward()
+
+    def cost(name, values):
+        from gof.io.importers import yang
+
+        now = raw | {name: values}
+        scale = np.concatenate([now["scales"], now["scales_t"]], 1)
+        covariance = yang.covariance_4d(scale, now["rotations"], now["rotations_r"])
+        velocity, sigma, variance = yang.condition_on_time(covariance)
+        delay = 0.5 - now["ts"]
+        window = np.exp(-0.5 * delay[:, 0] ** 2 / variance)
+        shown = g | {"position": g["position"] + velocity * delay, "opacity": g["opacity"] * window}
+        return (reference.render(*shown.values(), cam, near=NEAR, covariance=sigma)[0] * weights).sum()
+
+    for name in raw:
+        want = np.empty(raw[name].shape)
+        for index in np.ndindex(*want.shape):
+            step = np.zeros(want.shape)
+            step[index] = 1e-6
+            want[index] = (cost(name, raw[name] + step) - cost(name, raw[name] - step)) / 2e-6
+        have = given[name].grad.numpy()
+        if name.startswith("rotations"):  # the twin's are unit ones: along themselves they do not count
+            have = have - (have * raw[name]).sum(1, keepdims=True) * raw[name]
+        assert np.abs(want).max() > 0
+        np.testing.assert_allclose(have, want, atol=5e-3 * np.abs(want).max(), err_msg=name)
 
 
 def gsplat_arguments(g, cams, grad=False):

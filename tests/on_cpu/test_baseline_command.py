@@ -1,4 +1,4 @@
-"""`gof run-on-cpu` as a user runs it: look-alike trainers of our own, and real checkouts where given."""
+"""`gof baseline` as a user runs it: look-alike trainers of our own, and real checkouts where given."""
 
 import csv
 import os
@@ -42,7 +42,7 @@ def run(tmp_path):
         if packages and "gsplat" not in words:
             paths += [str(tmp_path / "vision")]
         done = subprocess.run(
-            [sys.executable, "-m", "gof", "run-on-cpu", *map(str, words)],
+            [sys.executable, "-m", "gof", "baseline", *map(str, words)],
             capture_output=True,
             text=True,
             cwd=tmp_path,
@@ -179,7 +179,7 @@ def test_4dgs_of_wu(run, views, tmp_path):
     code_folder = checkout("WU")
     config = tmp_path / "short.py"
     config.write_text(
-        "ModelHiddenParams = dict(no_do=False, no_dshs=False)\n"
+        "ModelHiddenParams = dict(no_do=False, no_dshs=False, multires=[1, 2], net_width=32)\n"
         "OptimizationParams = dict(dataloader=True, iterations=40, coarse_iterations=20, batch_size=1)\n"
     )
     script, model = code_folder / "train.py", tmp_path / "model"
@@ -192,9 +192,9 @@ def test_4dgs_of_wu(run, views, tmp_path):
     saved = tmp_path / "wu.npz"
     code, out, err = run("--method", "wu", "--trajectory", saved, script, model, views, packages=False)
     assert code == 0, err[-3000:]
-    from gof.trajectory import Trajectory
+    from gof.io.importers import read_result
 
-    trajectory = Trajectory.load(saved)
+    trajectory = read_result(saved).gaussians
     step = trajectory.time_s[1] - trajectory.time_s[0]
     centre = (trajectory.position[2:] - trajectory.position[:-2]) / (2 * step)
     assert np.abs(trajectory.velocity).max() > 0
@@ -265,7 +265,7 @@ exhaust_test: False
 ModelParams: {{sh_degree: 1, source_path: "{data}", model_path: "{model}", images: "images", resolution: 1,
   white_background: False, data_device: "cuda", eval: True, extension: ".png", num_extra_pts: 0, loaded_pth: "",
   frame_ratio: 1, dataloader: False}}
-PipelineParams: {{convert_SHs_python: True, compute_cov3D_python: True, debug: False, env_map_res: 0,
+PipelineParams: {{convert_SHs_python: False, compute_cov3D_python: False, debug: False, env_map_res: 0,
   env_optimize_until: 1000000000, env_optimize_from: 0, eval_shfs_4d: True}}
 OptimizationParams: {{iterations: 40, densify_from_iter: 500, densify_until_iter: 0}}
 """

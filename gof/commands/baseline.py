@@ -1,4 +1,4 @@
-"""`gof run-on-cpu`: other methods' training code without CUDA, in a process of its own."""
+"""`gof baseline`: other methods' training code without CUDA, in a process of its own."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ ENVIRONMENT = {"OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": "1", "PYTHONUNBU
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof run-on-cpu`; what it replaces in PyTorch it replaces in another process."""
+    """The command line of `gof baseline`; what it replaces in PyTorch it replaces in another process."""
     command = [sys.executable, "-m", "gof.on_cpu", *argv]
     return subprocess.run(command, env=ENVIRONMENT | os.environ, check=False).returncode
