@@ -36,7 +36,7 @@ def test_what_a_page_names_exists(page):
     for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
         if "://" not in target:
             assert (page.parent / target).exists(), f"link to {target}"
-    for name in re.findall(r"\b(test_\w+)\b(?!\.py)", text):
+    for name in re.findall(r"(?<![-\w])(test_\w+)\b(?!\.py)", text):
         assert name in TESTS, f"test {name}"
     for module in modules_run_by(text) - {"evidence.NAME"}:
         path = ROOT / "benchmark" / module.replace(".", "/")

@@ -82,7 +82,8 @@ def evaluated(tiny_dataset, tmp_path) -> Path:
 
 @pytest.mark.parametrize(
     "about",
-    [{"name": 5}, [1], {"train_seconds": "fast"}, {"train_seconds": -1.0}, {"name": "a\udcff"}, {"name": ""}, "x"],
+    [{"name": 5}, [1], {"train_seconds": "fast"}, {"train_seconds": -1.0}, {"name": "a\udcff"}, {"name": ""}, "x"]
+    + [{"unfinished": " "}, {"made_by": 3}, {"given": "plates"}],
 )
 def test_a_method_file_is_checked(evaluated, about):
     (evaluated / "method.json").write_text(json.dumps(about))

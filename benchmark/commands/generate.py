@@ -29,7 +29,9 @@ class GenerateConfig:
     """Dataset folder to make or to finish."""
     preset: str | None = None
     """Cost preset instead of the scene's own settings: toy, preview, draft, standard or paper."""
-    views: tuple[Literal["nerfstudio", "dnerf", "colmap", "dynerf", "firebundle"], ...] = ()
+    views: tuple[
+        Literal["nerfstudio", "dnerf", "points", "colmap", "dynerf", "multipleview", "freetimegs", "firebundle"], ...
+    ] = ()
     """Also write the dataset in the layouts that other people's code reads."""
     workers: int = 2
     """Blender processes at a time on this machine."""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.cameras import Camera
 from gof.files import atomic_path, path_in
 from gof.rotations import quaternions_wxyz
 
@@ -21,9 +22,20 @@ FLAT = 0.004  # relative change of depth to the neighbouring pixels; corners and
 
 
 def write(source: ViewSource) -> None:
-    cameras = source.dataset.cameras
-    depths = [source.plate_depth(camera) for camera in range(len(cameras))]
-    position, colour = _points(source, depths)
+    cameras = range(len(source.dataset.cameras))
+    names = [source.dataset.name(camera, "static") for camera in cameras]
+    write_model(source, path_in(source.dataset.path, "sparse/0"), list(cameras), names)
+
+
+def write_model(source: ViewSource, folder: Path, numbers: list[int], names: list[str]) -> None:
+    """Write cameras.txt, images.txt and points3D.txt.
+
+    Args:
+        numbers: of the dataset's cameras, one per picture of the model.   names: of the pictures.
+    """
+    cameras = [source.dataset.cameras[number] for number in numbers]
+    depths = [source.plate_depth(number) for number in numbers]
+    position, colour = surface_points(source, sorted(set(numbers)))
     seen: list[list[tuple[float, float, int]]] = [[] for _ in cameras]  # per picture: x, y, number of the point
     tracks: list[list[tuple[int, int]]] = [[] for _ in position]  # per point: picture, index in `seen`
     for index, camera in enumerate(cameras):
@@ -31,23 +43,22 @@ def write(source: ViewSource) -> None:
         for point in np.nonzero(_is_seen(pixels, depth, depths[index]))[0]:
             tracks[point].append((index + 1, len(seen[index])))
             seen[index].append((*pixels[point], int(point) + 1))
-    folder = path_in(source.dataset.path, "sparse/0")
-    _write_lines(folder / "cameras.txt", _camera_lines(source))
-    _write_lines(folder / "images.txt", _image_lines(source, seen))
+    _write_lines(folder / "cameras.txt", _camera_lines(cameras))
+    _write_lines(folder / "images.txt", _image_lines(cameras, names, seen))
     _write_lines(folder / "points3D.txt", _point_lines(position, colour, tracks))
 
 
-def _camera_lines(source: ViewSource) -> Iterator[str]:
-    for index, c in enumerate(source.dataset.cameras):
+def _camera_lines(cameras: list[Camera]) -> Iterator[str]:
+    for index, c in enumerate(cameras):
         lens = _words([c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]], ".17g")
         yield f"{index + 1} PINHOLE {c.width} {c.height} {lens}"
 
 
-def _image_lines(source: ViewSource, seen: list[list[tuple[float, float, int]]]) -> Iterator[str]:
-    for index, camera in enumerate(source.dataset.cameras):
+def _image_lines(cameras: list[Camera], names: list[str], seen: list[list[tuple[float, float, int]]]) -> Iterator[str]:
+    for index, (camera, name) in enumerate(zip(cameras, names, strict=True)):
         turn, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
         pose = _words([*quaternions_wxyz(turn), *shift], ".17g")
-        yield f"{index + 1} {pose} {index + 1} {source.dataset.name(index, 'static')}"
+        yield f"{index + 1} {pose} {index + 1} {name}"
         yield " ".join(f"{x:.6f} {y:.6f} {point}" for x, y, point in seen[index])
 
 
@@ -68,13 +79,14 @@ def _write_lines(path: Path, lines: Iterator[str]) -> None:
         temporary.write_text("".join(f"{line}\n" for line in lines))
 
 
-def _points(source: ViewSource, depths: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) of random pixels that lie on flat surfaces, and their colours (N, 3) uint8."""
+def surface_points(source: ViewSource, numbers: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) of random pixels of some cameras that lie on flat surfaces, and their colours (N, 3) uint8."""
     import cv2
 
     rng = np.random.default_rng(0)
     positions, colours = [], []
-    for index, (camera, depth) in enumerate(zip(source.dataset.cameras, depths, strict=True)):
+    for index in numbers:
+        camera, depth = source.dataset.cameras[index], source.plate_depth(index)
         rows, columns = np.nonzero(is_flat(depth))
         chosen = rng.permutation(len(rows))[:POINTS_PER_CAMERA]
         rows, columns = rows[chosen], columns[chosen]

@@ -19,7 +19,7 @@ def write(source: ViewSource) -> None:
     order = sorted(range(len(dataset.cameras)), key=lambda camera: source.trains[camera])
     rows = []
     for number, camera in enumerate(order):
-        rows.append(_poses_bounds(source, camera))
+        rows.append(poses_bounds(source, camera))
         link_pictures(source, camera, number)
     with atomic_path(path_in(dataset.path, "dynerf/poses_bounds.npy")) as path:
         np.save(path, np.array(rows))
@@ -37,7 +37,7 @@ def link_pictures(source: ViewSource, camera: int, number: int) -> None:
         link(dataset.file(camera, "rgb", frame), target)
 
 
-def _poses_bounds(source: ViewSource, camera: int) -> np.ndarray:
+def poses_bounds(source: ViewSource, camera: int) -> np.ndarray:
     """(17,) row of a camera: the 3x5 matrix and the near and far depth, m."""
     lens = source.dataset.cameras[camera]
     right, up, back, centre = source.opengl_pose(camera)[:3].T

@@ -32,6 +32,9 @@ COMMANDS = {
         "any method's result -> .npz, .ply, .ftgs.ply, .glb or PLYs by frame, in metres, seconds and m/s",
         70,
     ),
+    "baseline": Command(
+        "gof.commands.baseline", "other methods' own training code, unmodified, without CUDA: for their rows", 75
+    ),
     "leaderboard": Command(
         "gof.commands.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time", 80
     ),

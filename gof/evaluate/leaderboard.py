@@ -26,26 +26,53 @@ class EvaluatedResult:
 
     Attributes:
         train_s: seconds of the training; None when the folder does not say.
+        unfinished, notes: see `AboutMethod`.
     """
 
     folder: Path
     name: str
     scores: Scores
     train_s: float | None
+    unfinished: str | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class AboutMethod:
-    """method.json, by hand: what a method is called, and the seconds that its training took."""
+    """method.json, by hand.
+
+    Attributes:
+        name: of the method; with `made_by` after it, if that is given ("CPU re-run").
+        train_seconds: that its training took.
+        unfinished: why the training is not the method's best ("stopped at 3000 of 12000 steps"); such a row says so in
+            its name and competes with nobody.
+        given: what the method was given ("plates", "starting points", "all pictures, held-out ones too").
+    """
 
     name: str | None = None
     train_seconds: float | None = None
+    made_by: str | None = None
+    unfinished: str | None = None
+    given: tuple[str, ...] = ()
 
     def __post_init__(self):
         if self.name is not None and not self.name.strip():
             raise DataFormatError("name: is empty; leave it out, and the folder's name stands for it")
+        for field in ("made_by", "unfinished"):
+            if getattr(self, field) is not None and not getattr(self, field).strip():
+                raise DataFormatError(f"{field}: is empty; leave it out, or say it")
         if self.train_seconds is not None and not 0 <= self.train_seconds < float("inf"):
             raise DataFormatError(f"train_seconds: {self.train_seconds} is no number of seconds")
+
+    def title(self, folder: Path) -> str:
+        """What the row is called."""
+        remarks = [remark for remark in (self.made_by, self.unfinished) if remark]
+        name = self.name or folder.resolve().name
+        return f"{name} ({', '.join(remarks)})" if remarks else name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (f"given: {', '.join(self.given)}",) if self.given else ()
 
     @classmethod
     def read(cls, folder: Path) -> AboutMethod:
@@ -120,13 +147,15 @@ COLUMNS = {
 class Row:
     """A line of the leaderboard: a result, or a control of the first one. The figures are named as in COLUMNS.
 
-    A line with `other_footage` shows what somebody published for other fires; it competes with nobody.
+    A line with `other_footage` shows what somebody published for other fires, and one with `unfinished` a training that
+    was stopped before its end; they compete with nobody.
     """
 
     name: str
     method: str
     control: bool = False
     other_footage: bool = False
+    unfinished: str | None = None
     notes: tuple[str, ...] = ()
     flow_prior: str | None = None
     l2: float | None = None
@@ -160,7 +189,7 @@ class Row:
     @property
     def competes(self) -> bool:
         """Whether its figures may be the best of a column."""
-        return not self.control and not self.other_footage
+        return not self.control and not self.other_footage and not self.unfinished
 
     def text(self, column: str) -> str:
         value = getattr(self, column)
@@ -180,7 +209,7 @@ class Leaderboard:
 def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
     """The results in folders with a scores.json of `gof evaluate`, with names that differ.
 
-    Seconds to train: "train_seconds" of DIR/method.json (which may also give "name"), or the sum of
+    Seconds to train: "train_seconds" of DIR/method.json (see `AboutMethod`), or the sum of
     DIR/reconstruct/costs.json or DIR/costs.json; None when there is neither.
 
     Raises:
@@ -195,7 +224,7 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
         scores = Scores.read(folder / "scores.json")
         about = AboutMethod.read(folder)
         train_s = _train_seconds(folder) if about.train_seconds is None else about.train_seconds
-        results.append(EvaluatedResult(folder, about.name or folder.resolve().name, scores, train_s))
+        results.append(EvaluatedResult(folder, about.title(folder), scores, train_s, about.unfinished, about.notes))
     names = [result.name for result in results]
     return [
         replace(result, name=f"{result.name} ({i + 1})") if names.count(result.name) > 1 else result
@@ -216,7 +245,8 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
         Row(
             name=result.name,
             method=result.scores.import_.method,
-            notes=(*result.scores.import_.notes, *result.scores.warnings),
+            unfinished=result.unfinished,
+            notes=(*result.notes, *result.scores.import_.notes, *result.scores.warnings),
             **{key: column.value(result) for key, column in COLUMNS.items()},
         )
         for result in results

@@ -59,6 +59,7 @@ def rasterize(
     sparse_grad: bool = False,
     absgrad: bool = False,
     covars=None,
+    means2d=None,
     max_alpha: float = MAX_ALPHA,
 ):
     """Draw Gaussians with gsplat's argument names, shapes and camera convention; differentiable.
@@ -85,11 +86,13 @@ def rasterize(
             At most 8 channels then, depth counted.
         covars: (N, 3, 3) world covariances instead of quats and scales, which are None then; the upper triangle is read
             and gets the gradient.
+        means2d: (C, N, 2), a tensor of the caller's that gets the gradient of the 2D means, per px, through whatever
+            made it; its values are not read. Not with absgrad. None: a new leaf, which is returned.
         max_alpha: the clamp of alpha; gsplat's is 0.999.
     Returns:
         colors (C, H, W, X), alphas (C, H, W, 1), and a dict with width, height, n_cameras and per camera and Gaussian:
-        "means2d" (C, N, 2) px, whose `.grad` is filled by the backward pass, "radii" (C, N) int32 px, 3 standard
-        deviations rounded up (0 = not drawn, or outside the picture).
+        "means2d" (C, N, 2) px, whose `.grad` the backward pass fills if it is not the caller's, "radii" (C, N) int32
+        px, 3 standard deviations rounded up (0 = not drawn, or outside the picture).
     Raises:
         NonFiniteError (a ValueError), DataFormatError: named argument and rows, or shape.
 
@@ -117,6 +120,8 @@ def rasterize(
             raise DataFormatError("'covars' stands instead of 'quats' and 'scales'; give None for these")
         upper, right = np.triu_indices(3)
         covars = covars[:, upper, right]
+    if means2d is not None and (tuple(means2d.shape) != (c, n, 2) or absgrad):
+        raise DataFormatError(f"'means2d' has shape {tuple(means2d.shape)}, expected {(c, n, 2)}, without absgrad")
     if sh_degree is not None:
         colors = colors[..., : (sh_degree + 1) ** 2, :]
     per_camera = colors.ndim == (3 if sh_degree is None else 4)
@@ -131,11 +136,12 @@ def rasterize(
     drawing = {"deterministic": deterministic, "max_alpha": max_alpha, "absgrad": absgrad}
     options = _Options(width, height, with_color, depth_mode, sh_degree, projection | drawing)
     images, alphas, centres, radii = [], [], [], []
-    learns = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (*gaussians.values(), viewmats))
-    # A leaf that every camera reads, so that autograd fills its .grad.
-    means2d = torch.zeros(c, n, 2, requires_grad=learns)
+    probe = means2d
+    if probe is None:  # a leaf that every camera reads, so that autograd fills its .grad
+        learns = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (*gaussians.values(), viewmats))
+        probe = torch.zeros(c, n, 2, requires_grad=learns)
     if absgrad:
-        means2d.absgrad = torch.zeros(c, n, 2)
+        probe.absgrad = torch.zeros(c, n, 2)
     for i in range(c):
         image, alpha, mean2d, radius = _Rasterize.apply(
             means,
@@ -146,8 +152,8 @@ def rasterize(
             colors[i] if per_camera else colors,
             viewmats[i],
             None if backgrounds is None else backgrounds[i],
-            means2d[i],
-            means2d.absgrad[i] if absgrad else None,
+            probe[i],
+            probe.absgrad[i] if absgrad else None,
             Ks[i],
             options,
         )
@@ -155,11 +161,14 @@ def rasterize(
         alphas.append(alpha)
         centres.append(mean2d)
         radii.append(radius)
-    means2d.data.copy_(torch.stack(centres))
+    drawn_at = torch.stack(centres)
+    if means2d is None:
+        probe.data.copy_(drawn_at)
+        drawn_at = probe
     return (
         torch.stack(images),
         torch.stack(alphas),
-        {"means2d": means2d, "radii": torch.stack(radii), "width": width, "height": height, "n_cameras": c},
+        {"means2d": drawn_at, "radii": torch.stack(radii), "width": width, "height": height, "n_cameras": c},
     )
 
 

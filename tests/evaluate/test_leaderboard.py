@@ -79,6 +79,23 @@ def test_tables(results):
     )
 
 
+def test_a_training_that_was_stopped_says_so_and_competes_with_nobody(results, tmp_path):
+    folder = tmp_path / "stopped"
+    folder.mkdir()
+    (folder / "scores.json").write_text((results / "exact/scores.json").read_text())
+    about = {"name": "Theirs", "made_by": "CPU re-run", "train_seconds": 1.0, "given": ["plates", "starting points"]}
+    (folder / "method.json").write_text(json.dumps(about | {"unfinished": "stopped at 300 of 7000 steps"}))
+    rows = rows_of(collect([results / "slow", folder, results / "gone"]))
+    assert rows[1].name == "Theirs (CPU re-run, stopped at 300 of 7000 steps)" and not rows[1].competes
+    assert rows[1].l2 < rows[0].l2 and best_rows(rows)["l2"] != 1, "the best score of all wins nothing"
+    assert rows[1].notes[0] == "given: plates, starting points"
+    line = to_markdown(rows).splitlines()[3]
+    assert line.startswith("| *Theirs ") and "300 of 7000" in line and "**" not in line
+    (folder / "method.json").write_text(json.dumps(about))
+    rows = rows_of(collect([results / "slow", folder, results / "gone"]))
+    assert rows[1].name == "Theirs (CPU re-run)" and rows[1].competes and best_rows(rows)["l2"] == 1
+
+
 def test_pareto_front():
     points = [(1, 5), (2, 4), (3, 6), (2, 9), (0.5, 1), (4, 6)]  # (seconds, score)
     assert pareto(points, +1) == [4, 0, 3] and pareto(points, -1) == [4]

@@ -1,0 +1,105 @@
+"""A dataset with smaller pictures, in a folder of its own: `python -m gof_benchmark.views.shrunk DATASET OUT`.
+
+For trainings on few cores: views (`gof generate` writes them) refer to pictures as they are. The truth is linked, not
+copied. Pictures are area means; linear pictures and true flow are left out.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+
+from gof import extras
+from gof.dataset import CameraEntry, Dataset
+from gof.dataset.description import FILE
+from gof.errors import GofError
+from gof.files import atomic_path, path_in
+
+from . import write as write_view
+from .links import link
+from .source import ViewSource
+
+
+@dataclass
+class ShrunkConfig:
+    """Write a dataset with smaller pictures, and views of it for other methods."""
+
+    dataset: tyro.conf.Positional[Path]
+    """A finished dataset."""
+    out: tyro.conf.Positional[Path]
+    """Folder to write; it must not be there."""
+    longest_side: int = 160
+    """Of the pictures, px."""
+    views: tuple[str, ...] = ()
+    """Layouts to write in it: as --views of gof generate."""
+
+
+def shrink(root: Path, out: Path, longest_side: int) -> None:
+    """Raises GofError: `out` is there, or the pictures are not larger."""
+    source = ViewSource.open(root)
+    dataset = source.dataset
+    if out.exists():
+        raise GofError(f"{out}: is there already; give a new folder")
+    if all(max(camera.width, camera.height) <= longest_side for camera in dataset.cameras):
+        raise GofError(f"{root}: its pictures are not larger than {longest_side} px")
+    entries = []
+    for number, (camera, entry) in enumerate(zip(dataset.cameras, dataset.description.cameras, strict=True)):
+        factor = longest_side / max(camera.width, camera.height)
+        small = camera.scaled(round(camera.width * factor), round(camera.height * factor))
+        for kind in ("rgb", "static", "mask", "board_mask"):
+            if getattr(entry, kind) is not None:
+                _shrink_pictures(dataset, number, kind, out, (small.width, small.height))
+        _shrink_depth(source, number, out, (small.width, small.height))
+        kept = {name: getattr(entry, name) for name in ("role", "roll_deg", "rgb", "static", "mask", "board_mask")}
+        entries.append(CameraEntry.of(small, time_s=entry.time_s, **kept))
+    for name in (dataset.description.velocity, "grids"):
+        if name and path_in(dataset.path, name).is_dir():
+            shutil.copytree(path_in(dataset.path, name), path_in(out, name), copy_function=_link)
+    said = {"pictures": f"area means of {dataset.description.name}, at most {longest_side} px"}
+    described = replace(dataset.description, cameras=tuple(entries), provenance=dataset.description.provenance | said)
+    described.write(out)
+
+
+def _link(source: str, target: str) -> None:
+    link(Path(source), Path(target))
+
+
+def _shrink_pictures(dataset: Dataset, camera: int, kind: str, out: Path, size: tuple[int, int]) -> None:
+    frames = range(len(dataset.times_s)) if kind in ("rgb", "mask") else [0]
+    for frame in frames:
+        picture = cv2.imread(str(dataset.file(camera, kind, frame)), cv2.IMREAD_UNCHANGED)
+        target = path_in(out, dataset.name(camera, kind, frame))
+        with atomic_path(target) as temporary:
+            cv2.imwrite(str(temporary), cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+
+
+def _shrink_depth(source: ViewSource, camera: int, out: Path, size: tuple[int, int]) -> None:
+    """The plate's depth, where it is known: of one of the old pixels under each new one."""
+    name = Path(source.dataset.name(camera, "static")).with_suffix(".exr").as_posix()
+    if not path_in(source.dataset.path, name).is_file():
+        return
+    OpenEXR = extras.load("OpenEXR", "generate", "writing depth")
+    depth = np.minimum(source.plate_depth(camera), np.float32(1e10))
+    channels = {"Z": cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)}
+    head = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic_path(path_in(out, name)) as temporary, OpenEXR.File(head, channels) as file:
+        file.write(str(temporary))
+
+
+def main(argv: list[str] | None = None) -> None:
+    config = tyro.cli(ShrunkConfig, prog="python -m gof_benchmark.views.shrunk", args=argv)
+    shrink(config.dataset, config.out, config.longest_side)
+    for name in config.views:
+        write_view(name, config.out)
+    print(
+        f"{config.out / FILE}: pictures of at most {config.longest_side} px; views: {', '.join(config.views) or 'none'}"
+    )
+
+
+if __name__ == "__main__":
+    main()

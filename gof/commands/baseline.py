@@ -1,0 +1,16 @@
+"""`gof baseline`: other methods' training code without CUDA, in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+# Threads that wait by turning round cost several times the work itself where cores are few.
+ENVIRONMENT = {"OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof baseline`; what it replaces in PyTorch it replaces in another process."""
+    command = [sys.executable, "-m", "gof.on_cpu", *argv]
+    return subprocess.run(command, env=ENVIRONMENT | os.environ, check=False).returncode

@@ -1,0 +1,113 @@
+"""Run somebody's script in this process, with stand-ins for what needs CUDA."""
+
+from __future__ import annotations
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from gof.errors import GofError, MissingDependencyError
+from gof.on_cpu import gaussian_rasterizer, gsplat_rendering, repairs
+from gof.on_cpu.curve import Curve
+from gof.on_cpu.devices import ProcessorForCuda, replace_cuda
+from gof.on_cpu.methods import Method, replace_gsplat
+from gof.on_cpu.small_modules import Unused
+
+
+def launch(
+    method: Method, script: Path, arguments: list[str], curve: Path | None = None, without_lpips: bool = False
+) -> None:
+    """Run the script as `python SCRIPT ARGUMENTS` would. This process is not good for anything else afterwards.
+
+    Args:
+        curve: CSV of the loss over steps and seconds.   without_lpips: LPIPS is NaN, and an error as a loss.
+    Raises:
+        GofError: no such script, or a module that the method needs is absent. Else whatever the script raises.
+    """
+    record = Curve(curve) if curve else None
+    mode = ProcessorForCuda(record.add if record else None)
+    _begin(method, script, mode)
+    if without_lpips:
+        repairs.perceptual_loss_left_out()
+    if record:
+        _count_gaussians(record)
+    sys.argv = [str(script), *arguments]
+    with mode:
+        runpy.run_path(str(script), run_name="__main__")
+
+
+def export(method: Method, script: Path, model: Path, dataset: Path, out: Path) -> None:
+    """Write a trained model as gof-trajectory/1, with the classes of the checkout that the script is of.
+
+    Raises:
+        GofError: a method whose own files are imported, no checkout, or no finished training in `model`.
+    """
+    if method.export is None:
+        raise GofError(f"{method.title}: its own files are read; give them to gof evaluate (docs/importers.md)")
+    mode = ProcessorForCuda()
+    _begin(method, script, mode)
+    with mode:
+        print(method.export(model, dataset, out))
+
+
+def _begin(method: Method, script: Path, mode: ProcessorForCuda) -> None:
+    if not script.is_file():
+        raise GofError(f"{script}: no such script; give the path of a script in your checkout")
+    replace_cuda(mode)
+    prepare(method)
+    sys.path[0] = str(script.parent.resolve())
+
+
+def prepare(method: Method) -> None:
+    """Repairs, then stand-ins. Raises MissingDependencyError: the method's code would not find a library."""
+    try:
+        for repair in method.repairs:
+            repair()
+        if method.gsplat:
+            replace_gsplat()
+    except ModuleNotFoundError as e:
+        raise MissingDependencyError(f"{method.title} needs {e.name}: docs/baselines.md lists its packages") from e
+    for name, build in method.modules.items():
+        put(name, build())
+    for name in method.unused:
+        put(name, Unused(name))
+
+
+def put(name: str, module: ModuleType) -> None:
+    """Make `import name` find the module. A package of the script's own around it is left to be found."""
+    package, _, last = name.rpartition(".")
+    if last == "_C":  # of a package that is compiled as a whole
+        around = ModuleType(package)
+        around.__path__ = []
+        setattr(around, last, module)
+        sys.modules[package] = around
+    sys.modules[name] = module
+
+
+def _count_gaussians(record: Curve) -> None:
+    """Let the curve know how many Gaussians each picture was drawn from."""
+    draw = gaussian_rasterizer.rasterize
+
+    def counted(means, *args, **kwargs):
+        record.count = len(means)
+        return draw(means, *args, **kwargs)
+
+    gaussian_rasterizer.rasterize = gsplat_rendering.rasterize = counted
+
+
+def provenance(method: Method, script: Path) -> str:
+    """One line: which commit of which repository this is, and whether files of it are changed."""
+    folder = script.resolve().parent
+
+    def git(*words):
+        done = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True, check=False)
+        return done.stdout.strip() if done.returncode == 0 else None
+
+    head, changed = git("rev-parse", "HEAD"), git("diff", "--name-only", "--diff-filter=d", "HEAD")
+    if head is None:
+        return "no git checkout: its commit is not known"
+    state = f"{len(changed.splitlines())} files changed" if changed else "no file changed"
+    known = "" if not method.commit or head.startswith(method.commit) else f"; known to run: {method.commit[:12]}"
+    return f"commit {head[:12]}, {state}{known}"

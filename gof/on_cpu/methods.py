@@ -1,0 +1,101 @@
+"""The methods that run here: whose code, at which commit, and what each needs before its script begins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+
+from gof.on_cpu import export_wu, gsplat_rendering, repairs
+from gof.on_cpu import gaussian_rasterizer as inria
+from gof.on_cpu import small_modules as small
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method.
+
+    Attributes:
+        title, licence: of whose code.   repository: on GitHub.   commit: the one that is known to run.
+        modules: stand-ins by the names that the code imports.   unused: modules it imports and does not use.
+        repairs: done before the script begins.   gsplat: its rasteriser is gsplat's.
+        export: (output folder, dataset, file) writes a trajectory and says what; None: its own files are imported.
+    """
+
+    title: str
+    repository: str
+    commit: str
+    licence: str
+    modules: dict[str, Callable[[], ModuleType]] = field(default_factory=dict)
+    unused: tuple[str, ...] = ()
+    repairs: tuple[Callable[[], None], ...] = ()
+    gsplat: bool = False
+    export: Callable[[Path, Path, Path], str] | None = None
+
+
+METHODS = {
+    "wu": Method(
+        title="4D Gaussian Splatting (Wu et al.)",
+        repository="hustvl/4DGaussians",
+        commit="843d5ac636c37e4b611242287754f3d4ed150144",
+        licence="Apache-2.0; its parts of 3D Gaussian Splatting for research only",
+        modules={
+            "diff_gaussian_rasterization": lambda: inria.module("depth"),
+            "simple_knn._C": small.simple_knn,
+            "mmcv": small.mmcv,
+        },
+        unused=("open3d", "tkinter", "lpips"),
+        repairs=(repairs.torchvision_without_its_operators, repairs.no_restart),
+        export=export_wu.export,
+    ),
+    "yang": Method(
+        title="4D Gaussian Splatting (Yang et al.)",
+        repository="fudan-zvg/4d-gaussian-splatting",
+        commit="63725f21d4adc29669e565ae10e6b3ad6e0d1250",
+        licence="MIT; its parts of 3D Gaussian Splatting for research only",
+        modules={
+            "gaussian_renderer.diff_gaussian_rasterization": lambda: inria.module("spacetime"),
+            "simple_knn._C": small.simple_knn,
+            "kornia": small.kornia,
+        },
+        unused=("pointops2_cuda",),
+        repairs=(repairs.torchvision_without_its_operators, repairs.pictures_of_signed_bytes),
+    ),
+    "freetime": Method(
+        title="FreeTimeGsVanilla, a re-implementation of FreeTimeGS",
+        repository="raiscui/FreeTimeGsVanilla",
+        commit="911dcf4",
+        licence="AGPL-3.0",
+        modules={"fused_ssim": small.fused_ssim},
+        unused=("kornia", "plas"),
+        repairs=(repairs.torchvision_without_its_operators,),
+        gsplat=True,
+    ),
+    "3dgs": Method(
+        title="code that calls 3D Gaussian Splatting's rasteriser as it was first published",
+        repository="graphdeco-inria/gaussian-splatting",
+        commit="",
+        licence="for research only",
+        modules={
+            "diff_gaussian_rasterization": lambda: inria.module("plain"),
+            "simple_knn._C": small.simple_knn,
+        },
+    ),
+    "gsplat": Method(
+        title="code that calls gsplat",
+        repository="nerfstudio-project/gsplat",
+        commit="",
+        licence="Apache-2.0",
+        modules={"fused_ssim": small.fused_ssim},
+        gsplat=True,
+    ),
+}
+
+
+def replace_gsplat() -> None:
+    """Put our rasteriser in the place of gsplat's, under each name that it has."""
+    import gsplat
+    import gsplat.rendering
+
+    gsplat.rendering.rasterization = gsplat.rasterization = gsplat_rendering.rasterization

@@ -1,0 +1,126 @@
+"""Stand-ins for small compiled, renamed or absent modules, one function each."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+
+import torch
+from scipy.spatial import cKDTree
+
+from gof.errors import MissingDependencyError
+
+WINDOW, SIGMA = 11, 1.5  # SSIM of 3D Gaussian Splatting
+C1, C2 = 0.01**2, 0.03**2
+
+
+def simple_knn() -> ModuleType:
+    """`simple_knn._C`: `distCUDA2`."""
+    found = ModuleType("simple_knn._C")
+    found.distCUDA2 = mean_squared_distance
+    return found
+
+
+def mean_squared_distance(points):
+    """(N,) the mean of the squared distances from each of the points (N, 3) to its three nearest others."""
+    place = points.detach().double().numpy()
+    near = min(4, len(place))
+    distance = cKDTree(place).query(place, k=near)[0].reshape(len(place), near)[:, 1:]
+    return torch.as_tensor((distance**2).sum(1) / max(near - 1, 1)).to(points.dtype)
+
+
+def fused_ssim() -> ModuleType:
+    """`fused_ssim`: its function of the same name."""
+    found = ModuleType("fused_ssim")
+    found.fused_ssim = mean_ssim
+    return found
+
+
+def mean_ssim(img1, img2, padding: str = "same", train: bool = True):
+    """Mean SSIM of pictures (B, C, H, W): 11 px Gaussian window, zeros outside; "valid" leaves 5 px at the edge out."""
+    if padding not in ("same", "valid"):
+        raise ValueError(f"fused_ssim: padding is '{padding}'; 'same' or 'valid'")
+    channels = img1.shape[1]
+    offset = torch.arange(WINDOW, dtype=img1.dtype) - WINDOW // 2
+    weight = torch.exp(-0.5 * (offset / SIGMA) ** 2)
+    weight = (weight / weight.sum()).repeat(channels, 1, 1, 1)
+
+    def blur(image):
+        across = torch.nn.functional.conv2d(image, weight, padding=(0, WINDOW // 2), groups=channels)
+        return torch.nn.functional.conv2d(across, weight.mT, padding=(WINDOW // 2, 0), groups=channels)
+
+    mean1, mean2 = blur(img1), blur(img2)
+    var1, var2 = blur(img1 * img1) - mean1**2, blur(img2 * img2) - mean2**2
+    both = blur(img1 * img2) - mean1 * mean2
+    ssim = (2 * mean1 * mean2 + C1) * (2 * both + C2) / ((mean1**2 + mean2**2 + C1) * (var1 + var2 + C2))
+    edge = WINDOW // 2 if padding == "valid" else 0
+    return ssim[:, :, edge : ssim.shape[2] - edge, edge : ssim.shape[3] - edge].mean()
+
+
+def mmcv() -> ModuleType:
+    """`mmcv` of before version 2: `Config`, which lives in `mmengine` today."""
+    found = ModuleType("mmcv")
+    try:
+        found.Config = import_module("mmengine.config").Config
+    except ModuleNotFoundError as e:
+        raise MissingDependencyError(f"this method reads its configurations with mmengine, which needs {e.name}") from e
+    return found
+
+
+def kornia() -> ModuleType:
+    """`kornia`: `create_meshgrid` in pixels."""
+    found = ModuleType("kornia")
+    found.create_meshgrid = pixel_grid
+    return found
+
+
+def pixel_grid(height: int, width: int, normalized_coordinates: bool = True, device=None, dtype=None):
+    """(1, height, width, 2) x and y of every pixel, from 0."""
+    if normalized_coordinates:
+        raise ValueError("create_meshgrid: only normalized_coordinates=False is made here")
+    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    return torch.stack([columns, rows], -1)[None].to(dtype or torch.float32)
+
+
+class Unused(ModuleType):
+    """A module that the script imports and does not use; using it is an error that says so."""
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return Nothing(f"{self.__name__}.{name}")
+
+
+class Nothing:
+    """Something of an `Unused` module: it has a name and can be imported, no more."""
+
+    def __init__(self, name: str):
+        self._name = name
+
+    def __call__(self, *args, **kwargs):
+        raise MissingDependencyError(f"{self._name} is not made here: docs/baselines.md says which settings do without")
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return Nothing(f"{self._name}.{name}")
+
+
+class NoPerceptualLoss(torch.nn.Module):
+    """LPIPS where its network's weights are not at hand: NaN as a score; in a loss, NaN would end the training."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__()
+
+    def forward(self, *images):
+        if torch.is_grad_enabled() and any(image.requires_grad for image in images):
+            raise MissingDependencyError("LPIPS is left out (--without-lpips) and is no loss: set its weight to 0")
+        return torch.tensor(float("nan"))
+
+    update = forward
+
+    def compute(self):
+        return torch.tensor(float("nan"))
+
+    def reset(self):
+        pass

@@ -1,0 +1,113 @@
+"""The layouts that other methods' trainings read, told apart from the dataset by rules written here and by pycolmap."""
+
+import struct
+
+import cv2
+import numpy as np
+import pytest
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError, GofError
+from gof.ply_file import read_vertices
+from gof_benchmark import views
+from gof_benchmark.views import shrunk
+from tests.on_cpu import made_up_fire as fire
+
+pytest.importorskip("OpenEXR")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    return fire.write(tmp_path_factory.mktemp("views") / "fire")
+
+
+def test_starting_points_lie_on_surfaces_and_in_the_flame(root):
+    rows, _ = read_vertices(root / "points3d.ply")
+    place = np.stack([rows[axis] for axis in "xyz"], -1)
+    colour = np.stack([rows[c] for c in ("red", "green", "blue")], -1).astype(int)
+    assert rows.dtype.names == ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue")
+    on_surface = (np.abs(place[:, 1] - 2) < 0.02) | (np.abs(place[:, 2]) < 0.02)
+    track = np.stack([fire.blob(k) for k in range(fire.FRAMES)])
+    from_flame = np.linalg.norm(place[~on_surface, None] - track, axis=-1).min(1)
+    assert on_surface.sum() > 1000 and 1000 < (~on_surface).sum() <= 4000
+    assert from_flame.max() < 0.5 and np.median(from_flame) < 0.25
+    assert (colour[on_surface].max(1) - colour[on_surface].min(1)).max() == 0, "walls are grey"
+    assert (colour[~on_surface, 0] > colour[~on_surface, 2] + 20).mean() > 0.9, "flame is red"
+
+
+def test_multiple_views_of_wu(root):
+    """What its reader does: pictures by number, names from the sixth letter on, one focal length of camera 1."""
+    folder, dataset = root / "multipleview", Dataset.open(root)
+    for number, camera in enumerate(dataset.cameras, start=1):
+        assert len(list((folder / f"cam{number:02d}").iterdir())) == fire.FRAMES
+        for frame in range(fire.FRAMES):
+            picture = folder / f"cam{number:02d}" / f"frame_{frame + 1:05d}.jpg"
+            assert picture.read_bytes() == dataset.file(number - 1, "rgb", frame).read_bytes(), camera.name
+    content = (folder / "sparse_/cameras.bin").read_bytes()
+    count, key, model, width, height, fx, fy, cx, cy = struct.unpack("<QiiQQ4d", content)
+    assert (count, key, model, width, height, fx, fy, cx, cy) == (1, 1, 1, 48, 80, 100, 100, 24, 40)
+    assert np.load(folder / "poses_bounds_multipleview.npy").shape == (3, 17)
+    assert (folder / "points3D_multipleview.ply").read_bytes() == (root / "points3d.ply").read_bytes()
+    names = [f"image{k}.png" for k in (1, 2, 3)]
+    assert [name[5:-4].zfill(2) for name in names] == ["01", "02", "03"]
+    pycolmap = pytest.importorskip("pycolmap")
+    (folder / "sparse_/points3D.bin").write_bytes(struct.pack("<Q", 0))  # pycolmap wants one; its reader does not
+    read = pycolmap.Reconstruction(str(folder / "sparse_"))
+    (folder / "sparse_/points3D.bin").unlink()
+    assert sorted(image.name for image in read.images.values()) == names
+    for image in read.images.values():
+        pose = dataset.cameras[int(image.name[5:-4]) - 1].world_to_camera
+        np.testing.assert_allclose(image.cam_from_world().matrix(), pose[:3], atol=1e-9)
+
+
+def test_layout_of_freetimegs(root):
+    """The first camera by name is held out by its trainer; frames held out here are absent from the others."""
+    folder, dataset = root / "freetimegs", Dataset.open(root)
+    cameras = sorted(path.name for path in (folder / "images").iterdir())
+    assert cameras == ["00_validation", "cam_0", "cam_1", "cam_2"]
+    for name in cameras:
+        frames = {int(path.stem) for path in (folder / "images" / name).iterdir()}
+        assert frames == set(range(fire.FRAMES)) - (set() if name == cameras[0] else set(fire.TEST))
+    pycolmap = pytest.importorskip("pycolmap")
+    read = pycolmap.Reconstruction(str(folder / "sparse/0"))
+    poses = {image.name.split("/")[0]: image.cam_from_world().matrix() for image in read.images.values()}
+    assert sorted(poses) == cameras
+    np.testing.assert_allclose(poses["00_validation"], poses["cam_0"])
+    for camera in dataset.cameras:
+        np.testing.assert_allclose(poses[camera.name], camera.world_to_camera[:3], atol=1e-9)
+    assert len(read.points3D) > 1000
+    for frame in dataset.train_frames:
+        place = np.load(folder / f"triangulation/points3d_frame{frame:06d}.npy")
+        colour = np.load(folder / f"triangulation/colors_frame{frame:06d}.npy")
+        assert place.shape == colour.shape and place.dtype == np.float32 and 1 < colour.max() <= 255
+        flame = place[(np.abs(place[:, 1] - 2) > 0.02) & (np.abs(place[:, 2]) > 0.02)]
+        assert np.linalg.norm(flame.mean(0) - fire.blob(frame)) < 0.1
+    assert not list(folder.glob(f"triangulation/*frame{fire.TEST[0]:06d}.npy")), "nothing of a held-out frame"
+
+
+def test_what_a_layout_cannot_hold_is_named(tmp_path):
+    root = fire.dataset(tmp_path / "fire")
+    text = (root / "dataset.json").read_text()
+    (root / "dataset.json").write_text(text.replace('"cam_0"', '"000"'))
+    with pytest.raises(DataFormatError, match="must sort after '00_validation'"):
+        views.write("freetimegs", root)
+    (root / "dataset.json").write_text(text.replace("100.0", "101.0", 1))
+    with pytest.raises(DataFormatError, match="one centred field of view"):
+        views.write("multipleview", root)
+
+
+def test_a_dataset_with_smaller_pictures(tmp_path):
+    root = fire.dataset(tmp_path / "fire")
+    out = tmp_path / "small"
+    shrunk.main([str(root), str(out), "--longest-side", "40", "--views", "dnerf", "points"])
+    large, small = Dataset.open(root), Dataset.open(out)
+    picture = cv2.imread(str(large.file(1, "rgb", 3))).astype(float)
+    means = picture.reshape(40, 2, 24, 2, 3).mean((1, 3))
+    assert np.abs(cv2.imread(str(small.file(1, "rgb", 3))) - means).max() <= 0.5
+    point = np.array([[0.1, 0.2, 0.6]])
+    np.testing.assert_allclose(2 * small.cameras[2].project(point)[0], large.cameras[2].project(point)[0])
+    assert small.test_frames == large.test_frames and (out / "transforms_train.json").is_file()
+    with pytest.raises(GofError, match="is there already"):
+        shrunk.shrink(root, out, 40)
+    with pytest.raises(GofError, match="not larger than 80"):
+        shrunk.shrink(root, tmp_path / "same", 80)
