@@ -89,6 +89,7 @@ def unguarded(tree):
 
 # Files of `gof` that open with a question whether an extra's library is there: their other imports of it are safe.
 NATIVE = ROOT / "gof" / "render" / "native"  # imported where `backend.kernels` says that numba is there
+ON_CPU = ROOT / "gof" / "on_cpu"  # a process of its own, which only who trains with torch begins
 ASKED = {
     "torch": (
         "gof/evaluate/perceptual.py",
@@ -96,7 +97,9 @@ ASKED = {
         "gof/ingest/depth.py",
         "gof/io/importers/source.py",
     )
-    + ("gof/reconstruct/optical_flow.py", "gof/render/torch_api.py"),
+    + ("gof/reconstruct/optical_flow.py", "gof/render/torch_api.py")
+    + tuple(f"gof/on_cpu/{p.name}" for p in ON_CPU.glob("*.py")),
+    "gsplat": ("gof/on_cpu/methods.py",),
     "transformers": ("gof/ingest/depth.py",),
     "memfof": ("gof/reconstruct/optical_flow.py",),
     "pyserial": ("gof/capture/controller.py",),

@@ -111,7 +111,7 @@ def test_options_that_would_be_ignored_are_refused(tiny_dataset, tmp_path, capsy
     for command, word in (
         (["evaluate", result, "--truth", tiny_dataset, "--disparity", tmp_path], "--published"),
         (["reconstruct", tiny_dataset, "--out", tmp_path / "o", "--flow-weights", tmp_path], "--flow memfof"),
-        (["convert", result, tmp_path / "a.npz", "--start", "0"], ".ftgs.ply only"),
+        (["convert", result, tmp_path / "a.npz", "--start", "0"], ".ftgs.ply and folders only"),
         (["evaluate", result, "--truth", tiny_dataset, "--world", tmp_path / "nothing"], "--world"),
     ):
         assert main([str(part) for part in command]) == 1
