@@ -18,14 +18,12 @@ import tyro
 
 from gof.dataset import Dataset
 from gof.evaluate import line_chart
-from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import observe
-from gof.reconstruct.presets import METHODS
-from gof.reconstruct.shrink import shrink
 from gof_benchmark.field_score import within
+from gof_benchmark.preview_field import open_small, preview_field
 
-LONGEST_SIDE, VOXELS = 320, 72  # as `gof reconstruct --preset preview`
 PARTS = 10
 
 
@@ -60,8 +58,8 @@ def main(argv: list[str] | None = None) -> None:
     print("|---|---|---|---|---|")
     series = {}
     for path in config.datasets:
-        dataset = shrink(Dataset.open(path), LONGEST_SIDE)
-        seen = seen_flow_field(observe(dataset), METHODS["gof"], VOXELS)
+        dataset = open_small(path)
+        seen = preview_field(observe(dataset))
         gas = FlowPrior.load().correct(seen, metres=dataset.description.in_metres)
         parts = reliability(gas, dataset)
         ends = [f"{said:.2f}, {true:.2f}" for said, true in parts[[0, -1]]]

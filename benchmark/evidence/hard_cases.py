@@ -22,14 +22,12 @@ from gof.colour import linear_to_srgb, srgb_to_linear
 from gof.dataset import Dataset
 from gof.dataset.description import DatasetDescription
 from gof.fields import VelocityField
-from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import observe
-from gof.reconstruct.presets import METHODS
 from gof.reconstruct.shrink import shrink
 from gof_benchmark.field_score import score, within
-
-LONGEST_SIDE, VOXELS = 320, 72  # as `gof reconstruct --preset preview`
+from gof_benchmark.preview_field import open_small, preview_field
 
 
 @dataclass(frozen=True)
@@ -170,14 +168,14 @@ def cases(dataset: Dataset) -> dict[str, tuple[Dataset, bool]]:
 
 def fields_of(dataset: Dataset, metres: bool) -> tuple[FlowField, FlowField]:
     """As it is seen, and with the flow prior."""
-    seen = seen_flow_field(observe(dataset), METHODS["gof"], VOXELS)
+    seen = preview_field(observe(dataset))
     return seen, FlowPrior.load().correct(seen, metres=metres)
 
 
 def main(argv: list[str] | None = None) -> None:
     """Print the table."""
     config = tyro.cli(HardCases, prog="python -m gof_benchmark.evidence.hard_cases", args=argv)
-    dataset = shrink(Dataset.open(config.dataset), LONGEST_SIDE)
+    dataset = open_small(config.dataset)
     print("| what is wrong | as seen: L2, CosSim, speed | with the prior | within |")
     print("|---|---|---|---|")
     for name, (bad, metres) in cases(dataset).items():

@@ -20,15 +20,14 @@ import tyro
 from scipy.ndimage import gaussian_filter
 
 from gof.dataset import Dataset
-from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlameDescriber, FlowPrior
 from gof.reconstruct.fusion import fuse_frame
 from gof.reconstruct.observation import observe
 from gof.reconstruct.presets import METHODS
-from gof.reconstruct.shrink import shrink
 from gof.reconstruct.voxels import FlameVoxels
+from gof_benchmark.preview_field import open_small, preview_field
 
-LONGEST_SIDE, VOXELS = 320, 72  # as `gof reconstruct --preset preview`
 BLUR = 1.5  # px, std-dev with which voxels are drawn into a picture: they are about as large as a pixel
 
 
@@ -145,8 +144,8 @@ def main(argv: list[str] | None = None) -> None:
     print("| dataset | known | L2 | CosSim | layers | standing | passing |")
     print("|---|---|---|---|---|---|---|")
     for path in config.datasets:
-        dataset = shrink(Dataset.open(path), LONGEST_SIDE)
-        field = seen_flow_field(observe(dataset), METHODS["gof"], VOXELS)
+        dataset = open_small(path)
+        field = preview_field(observe(dataset))
         field = replace(field, frames=tuple(replace(frame, image=frame.image[:0]) for frame in field.frames))
         for name, cells in rows(field, dataset.description.in_metres, dataset).items():
             print(f"| {path.name} | {name} | {cells} |", flush=True)

@@ -16,14 +16,10 @@ import numpy as np
 import tyro
 
 from gof.cameras import Camera
-from gof.dataset import Dataset
-from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import Observation, observe
-from gof.reconstruct.presets import METHODS
-from gof.reconstruct.shrink import shrink
-
-LONGEST_SIDE, VOXELS = 320, 72  # as `gof reconstruct --preset preview`
+from gof_benchmark.preview_field import open_small, preview_field
 
 
 @dataclass(frozen=True)
@@ -64,9 +60,9 @@ def main(argv: list[str] | None = None) -> None:
     print("| dataset | camera | footage, degrees | fused: turned by, speed | with the prior: turned by, speed |")
     print("|---|---|---|---|---|")
     for path in config.datasets:
-        dataset = shrink(Dataset.open(path), LONGEST_SIDE)
+        dataset = open_small(path)
         observation = observe(dataset)
-        seen = seen_flow_field(observation, METHODS["gof"], VOXELS)
+        seen = preview_field(observation)
         gas = FlowPrior.load().correct(seen, metres=dataset.description.in_metres)
         for c, camera in enumerate(observation.cameras):
             footage = of_footage(observation, c)

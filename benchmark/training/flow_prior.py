@@ -27,15 +27,12 @@ import tyro
 from gof.dataset import Dataset
 from gof.files import atomic_path
 from gof.progress import progress_bar
-from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
 from gof.reconstruct.observation import observe
 from gof.reconstruct.pace import Pace, PaceClues
-from gof.reconstruct.presets import METHODS
-from gof.reconstruct.shrink import shrink
 from gof_benchmark.field_score import best_constant, buoyant_law, fluctuation_cos_sim, mean_per_height, score, within
-
-LONGEST_SIDE, VOXELS = 320, 72  # as `gof reconstruct --preset preview`
+from gof_benchmark.preview_field import open_small, preview_field
 
 
 @dataclass
@@ -126,8 +123,8 @@ class Flame:
 
     @classmethod
     def of(cls, path: Path) -> Flame:
-        dataset = shrink(Dataset.open(path), LONGEST_SIDE)
-        field = seen_flow_field(observe(dataset), METHODS["gof"], VOXELS)
+        dataset = open_small(path)
+        field = preview_field(observe(dataset))
         describer = FlameDescriber.of(field)
         assert describer is not None, f"{path}: nothing moves"
         fire = json.loads((path / "spec.json").read_text(encoding="utf-8"))["fire"]

@@ -80,25 +80,8 @@ class _Rasterizer(torch.nn.Module):
 
 
 class PlainRasterizer(_Rasterizer):
-    def forward(
-        self,
-        means3D,
-        means2D,
-        opacities,
-        shs=None,
-        colors_precomp=None,
-        scales=None,
-        rotations=None,
-        cov3D_precomp=None,
-    ):
-        covariance = _covariance(self.raster_settings, scales, rotations, cov3D_precomp)
-        color, radii, _, _ = draw(
-            self.raster_settings, means3D, means2D, opacities, shs, colors_precomp, covariance, depth=False
-        )
-        return color, radii
+    depth = False
 
-
-class DepthRasterizer(_Rasterizer):
     def forward(
         self,
         means3D,
@@ -112,9 +95,13 @@ class DepthRasterizer(_Rasterizer):
     ):
         covariance = _covariance(self.raster_settings, scales, rotations, cov3D_precomp)
         color, radii, depth, _ = draw(
-            self.raster_settings, means3D, means2D, opacities, shs, colors_precomp, covariance
+            self.raster_settings, means3D, means2D, opacities, shs, colors_precomp, covariance, depth=self.depth
         )
-        return color, radii, depth
+        return (color, radii, depth) if self.depth else (color, radii)
+
+
+class DepthRasterizer(PlainRasterizer):
+    depth = True
 
 
 class SpacetimeRasterizer(_Rasterizer):
