@@ -13,7 +13,7 @@ from gof.errors import GofError
 from gof.files import write_json
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.optical_flow import FlowName
-from gof.reconstruct.presets import PRESETS, Effort, MethodName, PresetName
+from gof.reconstruct.presets import PRESETS, Effort, MethodName, PresetName, SceneName
 from gof.reconstruct.settings import ReconstructionSettings, Until
 
 
@@ -44,6 +44,10 @@ class ReconstructConfig:
     """Pictures with a longer side, in pixels, are shrunk to it."""
     method: MethodName = "gof"
     """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.presets.METHODS)."""
+    scene: SceneName | None = None
+    """What the flame is drawn in: `plates`, a picture without fire per camera (fast; the flame is in front of
+    everything), or `gaussians`, the still scene in 3D (hides flame behind it, and is seen from any side; the result
+    holds it). Default: plates, with --method paper gaussians."""
     flow: FlowName = "dis"
     """Optical flow of the pictures: OpenCV's DIS, DeepFlow or TV-L1, or MEMFOF with --flow-weights."""
     flow_weights: Path | None = None
@@ -81,6 +85,7 @@ def main(argv: list[str]) -> int:
         dataset,
         config.effort(),
         method=config.method,
+        scene=config.scene,
         flow=config.flow,
         flow_weights=config.flow_weights,
         flow_prior=config.flow_prior,

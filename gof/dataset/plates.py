@@ -18,11 +18,14 @@ LEVELS = 65535  # 16 bits: plates are optimised and lit in steps finer than 1/25
 def save_plates(folder: Path, names: list[str], plates: list[np.ndarray]) -> None:
     """Write folder/plates/NAME.png, 16 bits, from (H, W, 3) display sRGB in [0, 1].
 
+    A fourth value, the PNG's alpha, says how much of a pixel stands before the flame.
+
     Raises:
         DataFormatError: a name leads out of the folder.
     """
     for name, plate in zip(names, plates, strict=True):
-        write_picture(_plate(folder, name), np.rint(np.clip(plate[..., ::-1], 0, 1) * LEVELS).astype(np.uint16))
+        stored = np.concatenate([plate[..., 2::-1], plate[..., 3:]], -1)  # OpenCV's blue, green, red, alpha
+        write_picture(_plate(folder, name), np.rint(np.clip(stored, 0, 1) * LEVELS).astype(np.uint16))
 
 
 def _plate(folder: Path, name: str) -> Path:
@@ -31,6 +34,9 @@ def _plate(folder: Path, name: str) -> Path:
 
 def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray:
     """(H, W, 3) float32 display sRGB in [0, 1]: the view of a camera without flame, as the result knows it.
+
+    (H, W, 4) where the result knows of something that stands before the flame: the fourth value, 0..1, is how much of a
+    pixel does.
 
     Args:
         result: file or folder of the result, None when there is none. Its plates may be smaller than the dataset's
@@ -45,13 +51,15 @@ def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray
     if not path.is_file():
         return static
     stored = read_picture(path, most=static.shape[0] * static.shape[1], unchanged=True)
-    if stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
+    if stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] not in (3, 4):
         raise DataFormatError(
-            f"{path}: not a 16-bit RGB PNG; remove the file to use the dataset's plate, or reconstruct again"
+            f"{path}: not a 16-bit RGB or RGBA PNG; remove the file to use the dataset's plate, or reconstruct again"
         )
-    plate = stored[..., ::-1].astype(np.float32) / LEVELS
-    if plate.shape == static.shape:
-        return plate
-    small, large = plate.shape[1::-1], static.shape[1::-1]
-    added = plate - cv2.resize(static, small, interpolation=cv2.INTER_AREA)
-    return np.clip(static + cv2.resize(added, large, interpolation=cv2.INTER_LINEAR), 0, 1)
+    plate, before = stored[..., 2::-1].astype(np.float32) / LEVELS, stored[..., 3:].astype(np.float32) / LEVELS
+    if plate.shape != static.shape:
+        small, large = plate.shape[1::-1], static.shape[1::-1]
+        added = plate - cv2.resize(static, small, interpolation=cv2.INTER_AREA)
+        plate = np.clip(static + cv2.resize(added, large, interpolation=cv2.INTER_LINEAR), 0, 1)
+        if before.size:
+            before = cv2.resize(before, large, interpolation=cv2.INTER_LINEAR)[..., None]
+    return np.concatenate([plate, before], -1) if before.size else plate

@@ -5,6 +5,7 @@ For views that no camera took; from the cameras themselves a plate is exact. See
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -99,19 +100,31 @@ def make_background(folder: Path, out: Path, options: BackgroundOptions) -> Tran
     BackgroundSettings.of(full, options).claim(out)
     if result.exists():
         return TransientGaussians.load(result)
-    from gof.reconstruct.splatting import optimize_background
-
-    log = StageLog(out / "costs.json")
-    rng = np.random.default_rng(options.seed)
     refuse_leaks(full)
     dataset = shrink(full, options.longest_side)
     plates = [dataset.static(c) for c in range(len(dataset.cameras))]
+    gaussians = still_gaussians(dataset, plates, options, StageLog(out / "costs.json"))
+    for path in (out / "background.ply", result):  # the .npz last: it says that the result is finished
+        gaussians.save(path, source=f"gof background {full.description.name}")
+    return gaussians
 
-    # ---- depth of the plates -----------------------------------------------------------------------------------------
+
+def still_gaussians(
+    dataset: Dataset, plates: Sequence[np.ndarray], options: BackgroundOptions, log: StageLog
+) -> TransientGaussians:
+    """The still scene of a dataset: seeds at the depth of its plates, and their optimisation.
+
+    Args:
+        dataset: at the size of the plates.   plates: C x (H, W, 3) display values.
+        options: `longest_side` is not looked at.   log: gets the stages "depth" and "background".
+    Raises:
+        GofError: see `plate_depths`.
+    """
+    from gof.reconstruct.splatting import optimize_background
+
+    rng = np.random.default_rng(options.seed)
     with log.measure("depth"):
         depths = plate_depths(dataset, plates, options.depth_weights)
-
-    # ---- seeds, and their optimisation -------------------------------------------------------------------------------
     with log.measure("background") as figures, progress_bar("background") as progress:
         seeds = seed_background(dataset.cameras, plates, depths, options.gaussians // 2, rng)
         gaussians = optimize_background(
@@ -125,8 +138,6 @@ def make_background(folder: Path, out: Path, options: BackgroundOptions) -> Tran
             progress,
         )
         figures.update(gaussians=len(gaussians), steps=options.steps)
-    for path in (out / "background.ply", result):  # the .npz last: it says that the result is finished
-        gaussians.save(path, source=f"gof background {full.description.name}")
     return gaussians
 
 
@@ -137,7 +148,7 @@ def add_flame(background: TransientGaussians, flame: Path, out: Path) -> None:
         both.save(out / name, source="gof background and gof reconstruct")
 
 
-def plate_depths(dataset: Dataset, plates: list[np.ndarray], weights: Path | None) -> list[np.ndarray]:
+def plate_depths(dataset: Dataset, plates: Sequence[np.ndarray], weights: Path | None) -> list[np.ndarray]:
     """C x (H, W) camera depth in m, everywhere: the dataset's own maps, else stereo between the plates, completed.
 
     Args:
@@ -170,7 +181,7 @@ def _stored_depth(file: Path, size: tuple[int, int]) -> np.ndarray:
 
 
 def seed_background(
-    cameras: list[Camera], plates: list[np.ndarray], depths: list[np.ndarray], budget: int, rng: np.random.Generator
+    cameras: list[Camera], plates: Sequence[np.ndarray], depths: list[np.ndarray], budget: int, rng: np.random.Generator
 ) -> TransientGaussians:
     """At most `budget` pixels of the plates as Gaussians at their depth, as large as the way to their neighbours.
 

@@ -57,7 +57,10 @@ class FlowField:
 
 
 def seen_flow_field(
-    observation: Observation, method: Method, longest_side: int, progress: Callable[..., None] | None = None
+    observation: Observation,
+    method: Method,
+    longest_side: int,
+    progress: Callable[..., None] | None = None,
 ) -> FlowField:
     """What is seen to move: hull, emission by tomography, and the cameras' optical flows fused in 3D.
 
@@ -67,7 +70,7 @@ def seen_flow_field(
     Raises:
         DataFormatError: the flame cannot be placed in space; see `carve`.   GofError: see `fuse_frame`.
     """
-    voxels = carve(observation.cameras, observation.mask, longest_side)
+    voxels = carve(observation.cameras, observation.mask, longest_side, blocked=observation.blocked)
     light = frame_light(observation)
     frames = []
     for f, time_s in enumerate(observation.time_s):

@@ -30,7 +30,7 @@ class HeldOut:
     """The pictures of a dataset's test frames, read once.
 
     A picture's flame is the dataset's own mask; where there is none (a real capture), the motion mask of that picture.
-    Pixels of the sync board do not count.
+    Pixels of the sync board do not count. Novel views are scored of whole scenes only: nobody gives them a plate.
     """
 
     def __init__(self, dataset: Dataset, static: Sequence[np.ndarray], near: float):
@@ -41,21 +41,25 @@ class HeldOut:
             near: m, Gaussians closer to a camera are not drawn.
         """
         self._near = near
+        self._cameras = len(dataset.cameras)
         self._training = _pictures(dataset, static)
         novel = dataset.evaluation_view()
-        self._novel_static = [] if novel is None else [novel.static(c) for c in range(len(novel.cameras))]
-        self._novel = [] if novel is None else _pictures(novel, self._novel_static)
+        self._novel = [] if novel is None else _pictures(novel, [novel.static(c) for c in range(len(novel.cameras))])
 
     def score(self, gaussians: TransientGaussians, plates: Sequence[np.ndarray]) -> HeldOutScores:
-        """Means over the held-out pictures. plates: C x (H, W, 3) display values that the Gaussians are drawn over."""
+        """Means over the held-out pictures.
+
+        Args:
+            plates: what the Gaussians are drawn over, see `gof.reconstruct.surroundings`; none for a whole scene.
+        """
         values = {name: [] for name in ("psnr", "ssim", "psnr_flame", "ssim_flame", "psnr_flame_novel")}
         for picture in self._training:
             image = self._draw(picture, gaussians, plates)
             for name, score in (("psnr", psnr), ("ssim", ssim)):
                 values[name].append(score(image, picture.truth, picture.counts))
                 values[f"{name}_flame"].append(score(image, picture.truth, picture.flame))
-        for picture in self._novel:
-            image = self._draw(picture, gaussians, self._novel_static)
+        for picture in self._novel if not plates else ():
+            image = self._draw(picture, gaussians, plates)
             values["psnr_flame_novel"].append(psnr(image, picture.truth, picture.flame))
         return HeldOutScores(**{name: _mean(found) for name, found in values.items()})
 
@@ -66,8 +70,8 @@ class HeldOut:
         """
         if not self._training:
             return None
-        frames = len(self._training) // len(plates)
-        shown = [self._training[c * frames + frames // 2] for c in range(len(plates))]
+        frames = len(self._training) // self._cameras
+        shown = [self._training[c * frames + frames // 2] for c in range(self._cameras)]
         if len({picture.truth.shape for picture in shown}) > 1:  # cameras of different sizes do not make a grid
             shown = shown[:1]
         drawn = [self._draw(picture, gaussians, plates) for picture in shown]
@@ -77,7 +81,7 @@ class HeldOut:
         self, picture: _HeldOutPicture, gaussians: TransientGaussians, plates: Sequence[np.ndarray]
     ) -> np.ndarray:
         """(H, W, 3) display values in [0, 1]."""
-        plate = plates[picture.number]
+        plate = plates[picture.number] if plates else None
         drawn = render(gaussians, picture.camera, picture.time_s, background=plate, near=self._near)
         return np.clip(drawn["color"], 0, 1)
 

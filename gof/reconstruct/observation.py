@@ -18,6 +18,7 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.flame_mask import flame_mask
 from gof.reconstruct.lit_plate import lit_plate
+from gof.reconstruct.occluders import blocked_views
 from gof.reconstruct.optical_flow import Flow, dis
 
 
@@ -37,6 +38,7 @@ class Observation:
         mask: (F, C, H, W) bool, where flame may be.
         flow: (F, C, H, W, 2) float32 pixels per second; NaN where no trustworthy flow exists.
         delivered: (F, C) bool, False where a camera gave no picture (a black frame in its place).
+        blocked: (C, H, W) bool, where something still stands before the flame.
     """
 
     cameras: list[Camera]
@@ -50,6 +52,7 @@ class Observation:
     mask: np.ndarray
     flow: np.ndarray
     delivered: np.ndarray
+    blocked: np.ndarray
 
 
 def light_above(image: np.ndarray, static: np.ndarray) -> np.ndarray:
@@ -164,18 +167,22 @@ def observe(
         raise DataFormatError(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
+    cameras = list(dataset.cameras)
+    mask = np.stack([view.mask for view in views], axis=1)
+    intensity = np.stack([_intensity(view) for view in views], axis=1)
     return Observation(
-        cameras=list(dataset.cameras),
+        cameras=cameras,
         frames=frames,
         time_s=dataset.times_s[frames],
         camera_time_s=np.stack([view.times_s[frames] for view in views]),
         image=np.stack([view.image for view in views], axis=1),
         static=np.stack([view.static for view in views]),
         plate=np.stack([view.plate for view in views]),
-        intensity=np.stack([_intensity(view) for view in views], axis=1),
-        mask=np.stack([view.mask for view in views], axis=1),
+        intensity=intensity,
+        mask=mask,
         flow=_flow(views, frames, max_error_px, picture, flow, progress),
         delivered=np.stack([view.delivered for view in views], axis=1),
+        blocked=blocked_views(cameras, mask, intensity),
     )
 
 

@@ -1,4 +1,4 @@
-"""Optimising transient flame Gaussians against the training pictures, over the static plates, with Dr.Jit.
+"""Optimising transient flame Gaussians against the training pictures, in their surroundings, with Dr.Jit.
 
 Loss (paper): 0.8 L1 + 0.2 (1 - SSIM) + 0.1 mean(A_dyn (1 - M)), one random training picture a step. Every picture is
 drawn at its own camera's time, and line by line when that camera has a rolling shutter.
@@ -17,10 +17,11 @@ from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.parameters import columns, from_raw, rows, splats, to_raw
-from gof.render import Target, l1_ssim, render_splats
+from gof.reconstruct.parameters import from_raw, splats, to_raw
+from gof.reconstruct.surroundings import Surroundings
+from gof.render import Target, l1_ssim
 from gof.render.adam import Adam
-from gof.render.backend import Array3f, Float
+from gof.render.backend import Float
 
 SSIM_WEIGHT = 0.2
 CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
@@ -82,7 +83,10 @@ class Monitor(Protocol):
         """Steps done, and the loss in words."""
 
     def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
-        """At EVALUATE_AT and the last step; returns the held-out flame PSNR to show, dB, or None."""
+        """At EVALUATE_AT and the last step; returns the held-out flame PSNR to show, dB, or None.
+
+        Args: see `Surroundings.result`.
+        """
 
     def spent(self) -> Spent:
         """What the steps done have cost, in all runs; kept in the checkpoint."""
@@ -91,23 +95,24 @@ class Monitor(Protocol):
 def optimize(
     seeds: TransientGaussians,
     observation: Observation,
+    surroundings: Surroundings,
     schedule: Schedule,
     units: Units,
     checkpoint: Path,
     monitor: Monitor,
 ) -> tuple[TransientGaussians, list[np.ndarray]]:
-    """Optimise all parameters of `seeds`, and the plates where the schedule moves them.
+    """Optimise all parameters of `seeds`, and what may move of their surroundings.
 
     Args:
-        observation: training pictures (those that were delivered are used), their times, masks and plates.
+        observation: training pictures (those that were delivered are used), their times and masks.
         checkpoint: file to resume from and to write every 500 steps (removed by the caller when done); a disk too full
             for it is reported and does not end the run.
     Returns:
-        the optimised Gaussians, same number and order; and the plates, C x (H, W, 3) display values.
+        the optimised Gaussians, same number and order, in their surroundings: see `Surroundings.result`.
     Raises:
         NonFiniteError: the loss or a parameter became NaN or Inf; names the parameter and the step.
     """
-    flame = _Flame(seeds, observation, schedule, units)
+    flame = _Flame(seeds, observation, surroundings, schedule, units)
     pictures = _TrainingPictures(observation)
     start = load_checkpoint(checkpoint, flame.optimizer)
     mean_loss = None
@@ -136,32 +141,32 @@ def optimize(
 
 
 class _Flame:
-    """The unknowns: raw parameters of the Gaussians, and the plates, in the hands of Adam where they may move."""
+    """The unknowns: raw parameters of the Gaussians, and of their surroundings where they may move, in Adam's hands."""
 
-    def __init__(self, seeds: TransientGaussians, observation: Observation, schedule: Schedule, units: Units):
+    def __init__(
+        self,
+        seeds: TransientGaussians,
+        observation: Observation,
+        surroundings: Surroundings,
+        schedule: Schedule,
+        units: Units,
+    ):
         self.observation = observation
+        self.surroundings = surroundings
         self.voxel_size = units.voxel_size
         self._velocity_sd = seeds.velocity_sd  # the optimisation hardly moves velocities, and learns nothing of it
         self.start_s = float(observation.camera_time_s.min())
-        raw = to_raw(seeds, self.voxel_size, self.start_s)
-        rates = schedule.rates(units)
-        self._plates = {f"plate_{c}": columns(plate.reshape(-1, 3)) for c, plate in enumerate(observation.plate)}
-        if schedule.plate > 0:
-            raw |= self._plates
-            rates |= dict.fromkeys(self._plates, schedule.plate)
+        plates = surroundings.unknowns()
+        raw = to_raw(seeds, self.voxel_size, self.start_s) | plates
+        rates = schedule.rates(units) | dict.fromkeys(plates, schedule.plate)
         # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
         self.optimizer = Adam(lr=1.0, params=raw, beta_2=0.99, epsilon=1e-15, mask_updates=True)
         self.optimizer.set_learning_rate(rates)
 
-    def plate(self, camera: int) -> Array3f:
-        name = f"plate_{camera}"
-        return self.optimizer[name] if name in self.optimizer else self._plates[name]
-
     def state(self) -> tuple[TransientGaussians, list[np.ndarray]]:
-        """The Gaussians, and the plates C x (H, W, 3)."""
-        plates = [rows(self.plate(c)).reshape(plate.shape) for c, plate in enumerate(self.observation.plate)]
+        """See `Surroundings.result`."""
         gaussians = from_raw(self.optimizer, self.voxel_size, self.start_s)
-        return replace(gaussians, velocity_sd=self._velocity_sd), plates
+        return self.surroundings.result(replace(gaussians, velocity_sd=self._velocity_sd), self.optimizer)
 
 
 class _TrainingPictures:
@@ -197,11 +202,10 @@ def _loss(flame: _Flame, pictures: _TrainingPictures, f: int, c: int, alpha_loss
     camera = flame.observation.cameras[c]
     time_s = float(flame.observation.camera_time_s[c, f]) - flame.start_s
     seen = splats(flame.optimizer, flame.voxel_size, time_s, camera)
-    plate = flame.plate(c)
     # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
-    frame = render_splats(seen, camera, background=[plate.x, plate.y, plate.z], near=flame.voxel_size)
-    loss = l1_ssim(frame.color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
-    return loss + alpha_loss * dr.mean(frame.alpha * pictures.outside(f, c))
+    color, share = flame.surroundings.draw(seen, c, flame.voxel_size, flame.optimizer)
+    loss = l1_ssim(color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
+    return loss + alpha_loss * dr.mean(share * pictures.outside(f, c))
 
 
 def _note(loss: float, psnr: float | None) -> str:

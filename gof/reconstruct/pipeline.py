@@ -1,6 +1,6 @@
 """A dataset's videos to transient flame Gaussians: stages, each a function of what those before it found.
 
-    observe -> flow field -> seeds -> optimise -> save
+    observe -> still scene -> flow field -> seeds -> optimise -> save
 
 Every stage leaves pictures of what it did in OUT/stages and its cost in OUT/costs.json.
 """
@@ -25,6 +25,7 @@ from gof.files import only_run_in
 from gof.gaussians import TransientGaussians
 from gof.progress import progress_bar
 from gof.reconstruct import ablations, memory, sanity, stage_images
+from gof.reconstruct.background import BackgroundOptions, still_gaussians
 from gof.reconstruct.checkpoint import Spent, read_spent
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
@@ -33,10 +34,11 @@ from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.optical_flow import Flow, flow_method
 from gof.reconstruct.optimize import Schedule, Units, optimize
-from gof.reconstruct.presets import METHODS, Method, step_ms
+from gof.reconstruct.presets import METHODS, STILL_STEPS, Method, step_ms
 from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
 from gof.reconstruct.settings import ReconstructionSettings, Until
 from gof.reconstruct.shrink import shrink
+from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
 from gof.render.backend import kernels
 
 
@@ -126,14 +128,15 @@ def _run_stages(run: _Run, until: Until) -> Reconstruction | None:
     _say_what_from(run, observation)
     if until == "motion":
         return None
+    still = _still_scene(run, observation)
     field = _flow_field(run, observation)
     if until == "flow-field":
         return None
     held_out = HeldOut(run.dataset, observation.static, near=field.voxels.voxel_size)
-    seeds = _seeds(run, observation, field, held_out)
+    seeds = _seeds(run, observation, still, field, held_out)
     if until == "seeds":
         return None
-    gaussians, plates, curve = _optimise(run, observation, field, seeds, held_out)
+    gaussians, plates, curve = _optimise(run, observation, still, field, seeds, held_out)
     return _save(run, gaussians, plates, curve, held_out)
 
 
@@ -181,13 +184,32 @@ def _observe(run: _Run) -> Observation:
 
 def _say_what_from(run: _Run, observation: Observation) -> None:
     """Which frames, and what that was learned elsewhere, everything that follows comes from."""
-    plates = [f"plates/{camera.name}.png" for camera in run.dataset.cameras]
+    still = [f"plates/{camera.name}.png" for camera in run.dataset.cameras] + ["background.npz"]
     learned = ["flow_prior"] if _uses_flow_prior(run) else []
-    MadeFrom.of(["seeds.npz", *plates, "result.npz", "result.ply"], observation.frames, learned).write(run.out)
+    MadeFrom.of(["seeds.npz", *still, "result.npz", "result.ply"], observation.frames, learned).write(run.out)
 
 
 def _uses_flow_prior(run: _Run) -> bool:
     return run.settings.flow_prior and run.method.flow_prior
+
+
+# ---- Still scene: what the flame burns in, where it is not a plate ---------------------------------------------------
+
+
+def _still_scene(run: _Run, observation: Observation) -> TransientGaussians | None:
+    """Static Gaussians of the plates, in the fire's light where the method has it; None where plates are drawn."""
+    settings = run.settings
+    if settings.scene == "plates":
+        return None
+    made = run.out / "background.npz"
+    if made.exists():
+        return TransientGaussians.load(made)
+    options = BackgroundOptions(
+        steps=max(round(STILL_STEPS * settings.iterations), 1), gaussians=max(settings.gaussians, 2), seed=settings.seed
+    )
+    still = still_gaussians(run.dataset, observation.plate, options, run.log)
+    still.save(made, source=f"gof reconstruct {run.dataset.description.name}: the still scene")
+    return still
 
 
 # ---- Flow field: where the flame is in space, and how fast it moves there --------------------------------------------
@@ -209,7 +231,9 @@ def _flow_field(run: _Run, observation: Observation) -> FlowField:
 # ---- Seeds: the Gaussians that the optimisation starts from ----------------------------------------------------------
 
 
-def _seeds(run: _Run, observation: Observation, field: FlowField, held_out: HeldOut) -> TransientGaussians:
+def _seeds(
+    run: _Run, observation: Observation, still: TransientGaussians | None, field: FlowField, held_out: HeldOut
+) -> TransientGaussians:
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
     rng = np.random.default_rng(settings.seed)
     with run.log.measure("seeds") as figures:
@@ -218,7 +242,8 @@ def _seeds(run: _Run, observation: Observation, field: FlowField, held_out: Held
         seeds = ablations.change_seeds(settings.ablation, seeds, rng)
         seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
-    _show(run, held_out, "4_seeds", "the seeds before any optimisation", seeds, list(observation.plate))
+    shown = (seeds, list(observation.plate)) if still is None else (TransientGaussians.concatenate([still, seeds]), [])
+    _show(run, held_out, "4_seeds", "the seeds before any optimisation", *shown)
     return seeds
 
 
@@ -226,7 +251,12 @@ def _seeds(run: _Run, observation: Observation, field: FlowField, held_out: Held
 
 
 def _optimise(
-    run: _Run, observation: Observation, field: FlowField, seeds: TransientGaussians, held_out: HeldOut
+    run: _Run,
+    observation: Observation,
+    still: TransientGaussians | None,
+    field: FlowField,
+    seeds: TransientGaussians,
+    held_out: HeldOut,
 ) -> tuple[TransientGaussians, list[np.ndarray], Curve]:
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
     schedule = Schedule(settings.iterations, method.velocity_rate, method.plate_rate, seed=settings.seed)
@@ -234,6 +264,11 @@ def _optimise(
     believed_s = ablations.change_times(settings.ablation, observation.camera_time_s, dt)
     observation = replace(observation, camera_time_s=believed_s)
     units = Units(field.voxels.voxel_size, dt)
+    surroundings: Surroundings = (
+        Plates(observation.cameras, observation.plate, observation.blocked, move=schedule.plate > 0)
+        if still is None
+        else StillScene(still, observation.cameras, field.voxels)
+    )
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
     curve = CurveLog(run.out, resumed_s=spent and spent.fitting_s)
@@ -243,7 +278,7 @@ def _optimise(
         progress_bar("optimise") as progress,
     ):
         monitor = _Monitor(_snapshot(run), held_out, curve, progress, time.perf_counter() - before_s)
-        gaussians, plates = optimize(seeds, observation, schedule, units, checkpoint, monitor)
+        gaussians, plates = optimize(seeds, observation, surroundings, schedule, units, checkpoint, monitor)
     return gaussians, plates, curve.curve
 
 
@@ -266,14 +301,14 @@ class _Monitor:
         return point.scores.psnr_flame
 
 
-# ---- Save: the result, the plates it is drawn over, and nothing that was only on the way -----------------------------
+# ---- Save: the result, the plates that a flame is drawn over, and nothing that was only on the way -------------------
 
 
 def _save(
     run: _Run, gaussians: TransientGaussians, plates: list[np.ndarray], curve: Curve, held_out: HeldOut
 ) -> Reconstruction:
     _show(run, held_out, "5_result", "the result", gaussians, plates)
-    save_plates(run.out, [camera.name for camera in run.dataset.cameras], plates)
+    save_plates(run.out, [camera.name for camera in run.dataset.cameras if plates], plates)
     gaussians.save(run.out / "result.ply", source=run.source)
     path = gaussians.save(run.out / "result.npz", source=run.source)
     _checkpoint(run).unlink(missing_ok=True)

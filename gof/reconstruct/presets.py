@@ -9,6 +9,7 @@ from gof.errors import GofError
 
 PresetName = Literal["preview", "draft", "standard", "paper"]
 MethodName = Literal["gof", "paper"]
+SceneName = Literal["plates", "gaussians"]  # what the flame is drawn in, see `gof.reconstruct.surroundings`
 LEAST = {"iterations": 1, "gaussians": 1, "voxels": 4, "longest_side": 16}
 
 
@@ -43,6 +44,7 @@ PRESETS: dict[PresetName, Effort] = {
 }
 
 
+STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000
 NATIVE_SHARE = 0.53  # of a step's time that is left with the native kernels: the demo, 60 000 Gaussians, 180x320
 
 
@@ -63,6 +65,7 @@ class Method:
     """The choices in which ours and the paper's method differ; what each is worth is in docs/reconstruction.md.
 
     Attributes:
+        scene: what the flame is drawn in where nobody says otherwise.
         lit_plates: plates in the fire's light (`lit_plate`), not in the dark.
         round_flame: tomography starts from a round flame, not from the whole hull.
         fusion: both image components of every camera ("full"), or the paper's eq. 5-7.
@@ -75,6 +78,7 @@ class Method:
         plate_rate: learning rate of the plates, display values; 0 = they stay as they are.
     """
 
+    scene: SceneName
     lit_plates: bool
     round_flame: bool
     fusion: str
@@ -89,6 +93,7 @@ class Method:
 
 METHODS: dict[MethodName, Method] = {
     "gof": Method(
+        scene="plates",
         lit_plates=True,
         round_flame=True,
         fusion="full",
@@ -101,6 +106,7 @@ METHODS: dict[MethodName, Method] = {
         plate_rate=0.001,
     ),
     "paper": Method(
+        scene="gaussians",
         lit_plates=False,
         round_flame=False,
         fusion="paper",

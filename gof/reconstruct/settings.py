@@ -12,7 +12,7 @@ from gof.files import digest, stamp
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.flow_prior import WEIGHTS
 from gof.reconstruct.optical_flow import FlowName
-from gof.reconstruct.presets import Effort, MethodName
+from gof.reconstruct.presets import METHODS, Effort, MethodName, SceneName
 from gof.records import claim
 
 FILE = "settings.json"
@@ -27,6 +27,7 @@ class ReconstructionSettings:
         dataset: which one, see `gof.dataset.Dataset.identity`.
         iterations, gaussians, voxels, longest_side: see `gof.reconstruct.presets.Effort`.
         method: see `gof.reconstruct.presets.METHODS`.
+        scene: what the flame is drawn in, see `gof.reconstruct.surroundings`.
         flow: see `gof.reconstruct.optical_flow`.
         flow_prior: whether the fused flow is corrected (`gof.reconstruct.flow_prior`), where the method has it.
         flow_prior_weights: which weights correct it, as `gof.files.digest` of their file.
@@ -35,11 +36,11 @@ class ReconstructionSettings:
         seed: of the seeding and of the order of pictures.
 
     Raises:
-        GofError: the seed is negative.
+        GofError: the seed is negative, or the ablation and the scene do not go together.
     """
 
     SCHEMA: ClassVar[str] = "gof-reconstruction-settings"
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
 
     dataset: str
     iterations: int
@@ -47,6 +48,7 @@ class ReconstructionSettings:
     voxels: int
     longest_side: int
     method: MethodName = "gof"
+    scene: SceneName = "plates"
     flow: FlowName = "dis"
     flow_weights: str | None = None
     flow_prior: bool = True
@@ -57,12 +59,19 @@ class ReconstructionSettings:
     def __post_init__(self):
         if self.seed < 0:
             raise GofError(f"--seed {self.seed}: must be 0 or more")
+        if self.ablation == "joint-opt" and self.scene == "gaussians":
+            raise GofError("--ablation joint-opt moves the plates' pixels; it goes with --scene plates")
 
     @classmethod
     def of(
         cls, dataset: Dataset, effort: Effort, flow_weights: Path | None = None, **choices: Any
     ) -> ReconstructionSettings:
-        """Settings for a dataset with the effort of a preset; `choices` are the fields that `Effort` does not have."""
+        """Settings for a dataset with the effort of a preset; `choices` are the fields that `Effort` does not have.
+
+        Where they name no scene, it is the method's.
+        """
+        if choices.get("scene") is None:
+            choices["scene"] = METHODS[choices.get("method", "gof")].scene
         weights = flow_weights and stamp(flow_weights, ("config.json", "model.safetensors"))
         prior = digest(WEIGHTS) if choices.get("flow_prior", True) else None
         return cls(dataset.identity(), **asdict(effort), flow_weights=weights, flow_prior_weights=prior, **choices)

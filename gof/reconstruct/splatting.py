@@ -8,6 +8,7 @@ pruned.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -38,7 +39,7 @@ POSITION_DECAY = 0.01
 def optimize_background(
     seeds: TransientGaussians,
     cameras: list[Camera],
-    plates: list[np.ndarray],
+    plates: Sequence[np.ndarray],
     depths: list[np.ndarray] | None,
     steps: int,
     budget: int,

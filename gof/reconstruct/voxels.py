@@ -19,7 +19,7 @@ class FlameVoxels:
     Attributes:
         center: (V, 3) world m.        voxel_size: m.
         index: (V, 3) int grid index;  resolution: (3,) int grid size.
-        pixel: (C, V, 2) continuous image position per camera (NaN behind a camera).
+        pixel: (C, V, 2) continuous image position per camera (NaN behind a camera, and behind what hides the voxel).
         jacobian: (C, V, 2, 3) d(pixel)/d(world), px/m.
     """
 
@@ -86,14 +86,21 @@ def flame_box(cameras: list[Camera], masks: np.ndarray) -> tuple[np.ndarray, np.
     return center - 0.75 * size, center + 0.75 * size
 
 
-def carve(cameras: list[Camera], masks: np.ndarray, longest_side: int, min_views: int = 2) -> FlameVoxels:
+def carve(
+    cameras: list[Camera],
+    masks: np.ndarray,
+    longest_side: int,
+    min_views: int = 2,
+    blocked: np.ndarray | None = None,
+) -> FlameVoxels:
     """Voxels whose image lies in the union-over-time mask of every camera that has them in view.
 
-    At least `min_views` of those masks must hold it.
+    At least `min_views` of those masks must hold it. A camera does not have in view what something hides from it.
 
     Args:
         cameras: C cameras.   masks: (F, C, H, W) bool.
         longest_side: voxels along the longest side of the flame's own box (sets the voxel size).
+        blocked: (C, H, W) bool, where something stands before the flame (`occluders`); None: nowhere.
     Raises:
         DataFormatError: see `flame_box`; or the hull is empty (masks or poses disagree).
     """
@@ -104,9 +111,10 @@ def carve(cameras: list[Camera], masks: np.ndarray, longest_side: int, min_views
         resolution = np.maximum(np.ceil((high - low) / voxel - 1e-6).astype(int), 1)
         index = np.stack(np.meshgrid(*map(np.arange, resolution), indexing="ij"), -1).reshape(-1, 3)
         center = low + (index + 0.5) * voxel
-        voxels = FlameVoxels(
-            center, float(voxel), index, resolution, np.stack([cam.project(center)[0] for cam in cameras]), np.empty(0)
-        )
+        pixel = np.stack([cam.project(center)[0] for cam in cameras])
+        voxels = FlameVoxels(center, float(voxel), index, resolution, pixel, np.empty(0))
+        if blocked is not None:
+            pixel[voxels.sample(blocked)] = np.nan
         hit = voxels.sample(union.astype(np.int8), outside=-1)
         keep = ((hit == 1).sum(0) >= min_views) & (hit != 0).all(0)
         if not keep.any():

@@ -219,7 +219,8 @@ def render(
     Args:
         gaussians: N Gaussians with plain colours or spherical harmonics.
         time_s, shutter: see `splats_at`.
-        background: (3,) colour or (H, W, 3) image; None = black.
+        background: (3,) colour or (H, W, 3) image; None = black. A fourth value, 0..1, says how much of a pixel stands
+            before the Gaussians instead of behind them.
         options: near, far, dilation, antialias, min_radius of `gof.render.project.ProjectionOptions`.
     Returns:
         color (H, W, 3), alpha (H, W), depth (H, W) expected camera depth in m (0 where nothing is), dynamic_alpha (H,
@@ -230,17 +231,25 @@ def render(
     splats = splats_at(gaussians, camera, time_s, shutter=shutter)
     require_finite_splats(splats)
     shape = (camera.height, camera.width)
+    before = None
     if background is not None:
-        background = np.broadcast_to(np.asarray(background, np.float32), (*shape, 3))
-        background = [floats(background[..., c]) for c in range(3)]
+        background = np.asarray(background, np.float32)
+        image = np.broadcast_to(background[..., :3], (*shape, 3))
+        before = np.broadcast_to(background[..., 3], shape) if background.shape[-1] == 4 else None
+        background = [floats(image[..., c]) for c in range(3)]
     frame = render_splats(splats, camera, background, dynamic=floats(gaussians.dynamic), depth=True, **options)
 
     def plane(values: Float) -> np.ndarray:
         return np.array(values.numpy()).reshape(shape)  # a copy: numpy must not alias Dr.Jit's memory
 
-    return {
+    drawn = {
         "color": np.stack([plane(c) for c in frame.color], -1),
         "alpha": plane(frame.alpha),
         "depth": plane(frame.expected_depth),
         "dynamic_alpha": plane(frame.dynamic_alpha),
     }
+    if before is not None:
+        through = 1 - before
+        drawn["color"] = image + through[..., None] * (drawn["color"] - image)
+        drawn |= {name: through * drawn[name] for name in ("alpha", "dynamic_alpha")}
+    return drawn

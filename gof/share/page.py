@@ -183,7 +183,7 @@ def _plates(views: list[tuple[Dataset, int]], results: list[Opened]) -> list[str
     if not results[0].gaussians.dynamic.all():
         return [None] * len(views)
     plates = [background(dataset, camera, results[0].path) for dataset, camera in views]
-    return [base64_text(webp(plate, PLATE_SIDE, PLATE_QUALITY)) for plate in plates]
+    return [base64_text(webp(plate[..., :3], PLATE_SIDE, PLATE_QUALITY)) for plate in plates]
 
 
 def _camera(camera: Camera, plate: str | None, frames: list[str | None] | None) -> dict[str, Any]:
