@@ -37,6 +37,20 @@ def test_small_plates_add_their_light_and_leave_the_picture_sharp(dataset, tmp_p
     assert np.abs(background(dataset, 0, tmp_path) - truth).max() < 1e-4
 
 
+@pytest.mark.parametrize("shrunk", [1, 2])
+def test_what_stands_before_the_flame_comes_back(dataset, tmp_path, shrunk):
+    names = [camera.name for camera in dataset.cameras]
+    plate = cv2.resize(dataset.static(0), None, fx=1 / shrunk, fy=1 / shrunk, interpolation=cv2.INTER_AREA)
+    before = np.zeros((*plate.shape[:2], 1))
+    before[: len(before) // 2] = 1
+    save_plates(tmp_path, names, [np.concatenate([plate, before], -1), plate])
+    found = background(dataset, 0, tmp_path)
+    assert found.shape == (*dataset.static(0).shape[:2], 4) and background(dataset, 1, tmp_path).shape[-1] == 3
+    half = len(found) // 2
+    assert (found[: half - 1, :, 3] == 1).all() and (found[half + 1 :, :, 3] == 0).all()
+    assert np.abs(found[..., :3] - dataset.static(0)).max() < 1e-3
+
+
 def test_a_damaged_plate_is_named(dataset, tmp_path):
     save_plates(tmp_path, [camera.name for camera in dataset.cameras], [dataset.static(0), dataset.static(1)])
     path = tmp_path / "plates" / f"{dataset.cameras[0].name}.png"

@@ -2,7 +2,8 @@
 
 A camera that never sees flame in a place says that no flame is there, and its word ends the hull (`voxels.carve`).
 Behind a post it says so wrongly. The flame that all other cameras agree on, rounded (`tomography`), shines through
-where the post stands; the camera itself sees flame on both sides of it and never in it.
+where the post stands; the camera itself sees flame on both sides of it and never in it. Two flames side by side look
+like that too, but to the other cameras as well: where one of them sees flame, a gap and flame, nobody is believed.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ SIDE = 40  # voxels along the flame: occluders thinner than about two of them ar
 FRAMES = 12  # of the clip that are looked at, evenly spread
 EXPECTED = 0.5  # of the flame's usual light: where the others say less, it may be the hull's slack
 MISSING = 0.1  # of what the others say: where a camera sees less, its view is blocked
+SOLID = 0.85  # of a row between its first and last flame
 LEAST = 2.0  # voxels, square root of the area of what is blocked
 EDGE = 1.5  # voxels: so far around, the lights of flame and gap are blurred together
 PASSES = 2  # in the second one, nobody who is blocked is believed
@@ -55,26 +57,34 @@ def _blocked(
         voxels = carve([cameras[o] for o in others], masks[:, others], SIDE, blocked=blocked[others])
     except DataFormatError:  # the others see no flame together: they have nothing to say
         return np.zeros_like(gap)
+    solid = voxels.sample(np.stack([_solid(masks[:, o].any(0) | blocked[o]) for o in others])).all(0)
     pixel, _ = cameras[c].project(voxels.center)
     expected = np.zeros(gap.shape)
     for of_frame, mask_of_frame in zip(light[:, others], mask[:, others], strict=True):
         emission = tomography(voxels, of_frame, mask_of_frame)
         emission *= of_frame.sum() / max(emission.sum(), 1.0)
-        expected += _seen_from(pixel, emission, gap.shape)
+        expected += _seen_from(pixel, solid * emission, gap.shape)
     jacobian = cameras[c].projection_jacobian(voxels.center.mean(0, keepdims=True))
     side = max(float(np.abs(jacobian).max()) * voxels.voxel_size, 1.0)
     return _missing(expected, light[:, c].sum(0), gap, side)
 
 
+def _solid(ever: np.ndarray) -> np.ndarray:
+    """(H, W) bool: rows in which the flame ever has hardly a gap (`SOLID`)."""
+    between = _between(ever, axis=1)
+    share = ever.sum(1) / np.maximum(between.sum(1), 1)
+    return np.broadcast_to((share > SOLID)[:, None], ever.shape)
+
+
 def _gap(ever: np.ndarray) -> np.ndarray:
     """(H, W) bool: where no flame ever is, with flame on two opposite sides of the picture's axes."""
+    return ~ever & (_between(ever, 0) | _between(ever, 1))
 
-    def between(axis: int) -> np.ndarray:
-        before = np.logical_or.accumulate(ever, axis)
-        after = np.flip(np.logical_or.accumulate(np.flip(ever, axis), axis), axis)
-        return before & after
 
-    return ~ever & (between(0) | between(1))
+def _between(ever: np.ndarray, axis: int) -> np.ndarray:
+    """(H, W) bool: from the first flame to the last along an axis of the picture."""
+    before = np.logical_or.accumulate(ever, axis)
+    return before & np.flip(np.logical_or.accumulate(np.flip(ever, axis), axis), axis)
 
 
 def _seen_from(pixel: np.ndarray, emission: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

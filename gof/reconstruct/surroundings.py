@@ -131,19 +131,20 @@ class _Layers:
         flame_z = camera.to_camera(voxels.center)[:, 2]
         z = camera.to_camera(still.position)[:, 2]
         nearer, farther = z < flame_z.min() - room, z > flame_z.max() + room
-        front = render(still[nearer], camera, 0.0, near=voxels.voxel_size)
-        behind = render(still[farther], camera, 0.0, near=voxels.voxel_size)
+        front, through = _drawn(still[nearer], camera, voxels.voxel_size)
+        behind, _ = _drawn(still[farther], camera, voxels.voxel_size)
         among = still[~nearer & ~farther]
-        return cls(
-            _planes(front["color"]),
-            Float(1 - front["alpha"].ravel()),
-            splats_at(among, camera, 0.0) if len(among) else None,
-            _planes(behind["color"]),
-        )
+        return cls(front, through, splats_at(among, camera, 0.0) if len(among) else None, behind)
 
 
-def _planes(picture: np.ndarray) -> list[Float]:
-    return [Float(np.ascontiguousarray(plane.ravel(), np.float32)) for plane in np.moveaxis(picture, -1, 0)]
+def _drawn(still: TransientGaussians, camera: Camera, near: float) -> tuple[list[Float], Float]:
+    """Colour planes over black, and what is left of every pixel."""
+    pixels = camera.width * camera.height
+    if not len(still):
+        return [dr.zeros(Float, pixels) for _ in range(3)], dr.full(Float, 1, pixels)
+    drawn = render(still, camera, 0.0, near=near)
+    planes = [Float(np.ascontiguousarray(drawn["color"][..., k].ravel())) for k in range(3)]
+    return planes, Float(1 - drawn["alpha"].ravel())
 
 
 def _together(flame: Splats, still: Splats) -> Splats:

@@ -69,8 +69,8 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     """Read a result of any known method, in metres, seconds and m/s on the dataset clock.
 
     Args:
-        path: a file, or a folder: of numbered PLYs, or a training's output, whose newest checkpoint is taken (the
-            paper's code: without one, its newest PLY).
+        path: a file, or a folder: of `gof reconstruct`; of numbered PLYs; or a training's output, whose newest
+            checkpoint is taken (the paper's code: without one, its newest PLY).
         options: what the file does not say.
     Raises:
         DataFormatError: unknown, damaged, another version, or it has no velocities (says what to do); or an option was
@@ -111,6 +111,9 @@ def _require_digits(gaussians: MovingGaussians) -> None:
 
 
 def _newest_checkpoint(folder: Path) -> Path:
+    own = folder / "result.npz"
+    if own.is_file():
+        return own
     found = [
         (int(m[1]), p)
         for pattern in ("chkpnt*.pth", "ckpts/ckpt_*.pt", "ckpt_*.pt")

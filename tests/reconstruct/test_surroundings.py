@@ -1,0 +1,88 @@
+"""A flame's surroundings: drawn in layers they are what one pass over all Gaussians draws, and hide what is behind."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gof.gaussians import TransientGaussians
+from gof.reconstruct.surroundings import Plates, StillScene
+from gof.reconstruct.voxels import FlameVoxels
+from gof.render import render
+from gof.render.rasterizer import splats_at
+from tests.conftest import arc
+
+CAMERA = arc(1, width=48, height=96, focal_px=110.0)[0]
+RAY = CAMERA.world_to_camera[2, :3]  # where it looks
+MIDDLE = CAMERA.unproject(np.array([[24.0, 48.0]]), np.array([float(CAMERA.to_camera(np.array([[0, 0, 0.75]]))[0, 2])]))
+SIZE = 0.2  # of the flame, m
+
+
+def cloud(away, n=60, spread=SIZE, seed=0, dynamic=False, opacity=0.6):
+    """Gaussians about the middle, moved by `away` metres along the camera's view."""
+    rng = np.random.default_rng(seed)
+    return TransientGaussians(
+        position=MIDDLE + away * RAY + spread * rng.uniform(-1, 1, (n, 3)),
+        velocity=np.zeros((n, 3)),
+        t_mu=np.zeros(n),
+        t_sigma=np.full(n, np.inf),
+        scale=rng.uniform(0.02, 0.06, (n, 3)),
+        rotation=rng.normal(size=(n, 4)),
+        opacity=rng.uniform(0.1, opacity, n),
+        color=rng.uniform(0.2, 1, (n, 3)),
+        dynamic=np.full(n, dynamic),
+    )
+
+
+def voxels():
+    """The flame's place: a cube of SIZE to both sides."""
+    step = SIZE / 4
+    index = np.stack(np.meshgrid(*[np.arange(9)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    center = MIDDLE + (index - 4) * step
+    empty = np.empty((1, len(center), 2))
+    return FlameVoxels(center, step / 10, index, np.full(3, 9), empty, np.empty((1, len(center), 2, 3)))
+
+
+def drawn(surroundings, flame):
+    color, share = surroundings.draw(splats_at(flame, CAMERA, 0.0), 0, 0.005, {})
+    shape = CAMERA.height, CAMERA.width
+    return np.stack([plane.numpy().reshape(shape) for plane in color], -1), share.numpy().reshape(shape)
+
+
+@pytest.mark.parametrize("places", [(-1.0, 0.0, 1.0), (-1.0, 1.0), (0.0,), (1.0,)])
+def test_layers_are_the_picture_of_one_pass(places):
+    still = TransientGaussians.concatenate([cloud(away, seed=k) for k, away in enumerate(places)])
+    flame = cloud(0.0, seed=9, dynamic=True, spread=0.8 * SIZE)
+    scene = StillScene(still, [CAMERA], voxels())
+    color, share = drawn(scene, flame)
+    whole, plates = scene.result(flame, {})
+    assert plates == [] and whole.dynamic.sum() == len(flame) and len(whole) == len(still) + len(flame)
+    together = render(whole, CAMERA, 0.0, near=0.005)
+    np.testing.assert_allclose(color, together["color"], atol=2e-3)
+    np.testing.assert_allclose(share, together["dynamic_alpha"], atol=2e-3)
+    assert share.max() > 0.3, "otherwise nothing is tested"
+
+
+def test_a_still_thing_in_front_hides_the_flame():
+    wall = replace(cloud(-1.0, n=400, seed=3, opacity=0.9), color=np.tile([0.0, 0.0, 1.0], (400, 1)))
+    flame = replace(cloud(0.0, seed=9, dynamic=True), color=np.tile([1.0, 0.0, 0.0], (60, 1)))
+    before, _ = drawn(StillScene(wall, [CAMERA], voxels()), flame)
+    behind, _ = drawn(StillScene(replace(wall, position=wall.position + 2 * RAY), [CAMERA], voxels()), flame)
+    assert before[..., 0].sum() < 0.2 * behind[..., 0].sum()
+
+
+def test_a_plate_stands_before_the_flame_where_the_view_is_blocked():
+    plate = np.full((1, CAMERA.height, CAMERA.width, 3), 0.25)
+    blocked = np.zeros((1, CAMERA.height, CAMERA.width), bool)
+    blocked[0, 40:60] = True
+    flame = cloud(0.0, seed=9, dynamic=True)
+    surroundings = Plates([CAMERA], plate, blocked, move=False)
+    color, share = drawn(surroundings, flame)
+    assert np.allclose(color[40:60], 0.25) and not share[40:60].any()
+    free = render(flame, CAMERA, 0.0, background=plate[0], near=0.005)["color"]
+    np.testing.assert_allclose(color[:40], free[:40], atol=1e-5)
+    assert np.abs(free[40:60] - 0.25).max() > 0.1, "otherwise nothing is tested"
+    _, plates = surroundings.result(flame, {})
+    again = render(flame, CAMERA, 0.0, background=plates[0], near=0.005)
+    np.testing.assert_allclose(again["color"], color, atol=1e-5)
+    np.testing.assert_allclose(again["alpha"], share, atol=1e-5)
