@@ -6,8 +6,9 @@ from pathlib import Path
 
 from gof.dataset import Dataset
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.presets import METHODS, PRESETS
+from gof.reconstruct.presets import PRESETS
 from gof.reconstruct.shrink import shrink
 
 EFFORT = PRESETS["preview"]
@@ -20,4 +21,4 @@ def open_small(path: Path) -> Dataset:
 
 def preview_field(observation: Observation) -> FlowField:
     """The fused flow on the preset's voxels, m/s."""
-    return seen_flow_field(observation, METHODS["gof"], EFFORT.voxels)
+    return seen_flow_field(observation, OURS, EFFORT.voxels)

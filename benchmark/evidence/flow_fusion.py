@@ -22,9 +22,9 @@ from gof.files import write_json
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.fusion import fuse_frame
+from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.optical_flow import deepflow, tvl1
-from gof.reconstruct.presets import METHODS
 from gof_benchmark.field_score import best_constant, buoyant_law, mean_per_height, score
 
 
@@ -45,7 +45,7 @@ def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(FlowFusion, prog="python -m gof_benchmark.evidence.flow_fusion", args=argv)
     dataset = Dataset.open(config.dataset)
     seen = observe(dataset)
-    field = seen_flow_field(seen, METHODS["gof"], config.voxels)
+    field = seen_flow_field(seen, OURS, config.voxels)
     table = []
     print(f"{'choice':<46} {'L2':>7} {'CosSim':>7} {'speed':>6} {'s':>6}")
     for name, choice in choices(dataset, seen, field).items():

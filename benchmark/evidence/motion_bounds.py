@@ -23,8 +23,8 @@ from gof.dataset import Dataset
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlameDescriber, FlowPrior
 from gof.reconstruct.fusion import fuse_frame
+from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import observe
-from gof.reconstruct.presets import METHODS
 from gof.reconstruct.voxels import FlameVoxels
 from gof_benchmark.preview_field import open_small, preview_field
 
@@ -132,7 +132,7 @@ def rows(field: FlowField, metres: bool, dataset: Dataset) -> dict[str, str]:
         "true speed, prior's direction": with_speed_of(truth, gas),
         "true direction, prior's speed": with_speed_of(gas, truth),
         "true gas flow in every picture, fused": fused(0),
-        "the same, smoothed as ours": fused(METHODS["gof"].smooth_voxels),
+        "the same, smoothed as ours": fused(OURS.smooth_voxels),
         "the truth has": np.zeros_like(truth),
     }
     return {name: clip.score(velocity) for name, velocity in found.items()}

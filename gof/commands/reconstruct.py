@@ -12,8 +12,9 @@ from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.files import write_json
 from gof.reconstruct.ablations import Ablation
+from gof.reconstruct.methods import MethodName, SceneName
 from gof.reconstruct.optical_flow import FlowName
-from gof.reconstruct.presets import PRESETS, Effort, MethodName, PresetName, SceneName
+from gof.reconstruct.presets import PRESETS, Effort, PresetName
 from gof.reconstruct.settings import ReconstructionSettings, Until
 
 
@@ -43,7 +44,7 @@ class ReconstructConfig:
     longest_side: int | None = None
     """Pictures with a longer side, in pixels, are shrunk to it."""
     method: MethodName = "gof"
-    """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.presets.METHODS)."""
+    """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.methods.METHODS)."""
     scene: SceneName | None = None
     """What the flame is drawn in: `plates`, a picture without fire per camera (fast; the flame is in front of
     everything), or `gaussians`, the still scene in 3D (hides flame behind it, and is seen from any side; the result

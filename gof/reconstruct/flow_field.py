@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gof.reconstruct.fusion import fuse_frame
+from gof.reconstruct.methods import Method
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.presets import Method
 from gof.reconstruct.tomography import tomography
 from gof.reconstruct.voxels import FlameVoxels, carve
 
@@ -70,7 +70,9 @@ def seen_flow_field(
     Raises:
         DataFormatError: the flame cannot be placed in space; see `carve`.   GofError: see `fuse_frame`.
     """
-    voxels = carve(observation.cameras, observation.mask, longest_side, blocked=observation.blocked)
+    voxels = carve(
+        observation.cameras, observation.mask, longest_side, blocked=observation.blocked, vetoes=method.vetoes
+    )
     light = frame_light(observation)
     frames = []
     for f, time_s in enumerate(observation.time_s):

@@ -9,54 +9,60 @@ from gof.errors import GofError
 from gof.reconstruct.voxels import FlameVoxels
 
 
-def back_projected_flow(jacobian: np.ndarray, flow: np.ndarray) -> np.ndarray:
+def back_projected_flow(jacobian: np.ndarray, flow: np.ndarray, forward: np.ndarray) -> np.ndarray:
     """u_i of the paper's eq. 4, as a velocity: the motion at constant depth that projects to the flow.
 
-    For a small step, pi^-1(f + pi(x), x) - x is the shortest vector u in the image plane with J u = f, which is the
-    pseudo-inverse of J; unlike the finite step it is exact in units of velocity.
+    pi^-1(f + pi(x), x) - x is linear in f at constant depth, so it is the same for a step of any length.
 
     Args:
-        jacobian: (V, 2, 3) px/m.    flow: (V, 2) px/s.
+        jacobian: (V, 2, 3) px/m.   flow: (V, 2) px/s.   forward: (3,) unit vector along the camera's optical axis.
     Returns:
         (V, 3) m/s.
     """
-    # J J^T is 2x2 and regular for any point in front of a camera with positive focal length.
-    gram = jacobian @ jacobian.transpose(0, 2, 1)
-    return (jacobian.transpose(0, 2, 1) @ np.linalg.solve(gram, flow[..., None]))[..., 0]
+    # Regular for any point in front of a camera: J's kernel is the ray, which is never in the plane of constant depth.
+    rows = np.concatenate([jacobian, np.broadcast_to(forward, (len(jacobian), 1, 3))], 1)
+    unit = np.linalg.norm(jacobian, axis=(1, 2))[:, None]  # rows of one size, whatever the unit of length
+    rows[:, 2] *= unit
+    return np.linalg.solve(rows, np.concatenate([flow, np.zeros_like(unit)], 1)[..., None])[..., 0]
 
 
-def fuse_paper(jacobian: np.ndarray, flow: np.ndarray, valid: np.ndarray, tau0: float = 0.1) -> np.ndarray:
+def fuse_paper(
+    jacobian: np.ndarray, flow: np.ndarray, valid: np.ndarray, forward: np.ndarray, tau0: float = 0.1
+) -> np.ndarray:
     """The paper's constraint u_i . F = |u_i|^2 with Tikhonov regularisation (eq. 5 to 7), made independent of units.
 
-    As printed, tau^2 has the unit of velocity^4 while the matrix it regularises has velocity^2, so the result changes
-    with the unit of length. Here every row is divided by the root-mean-square |u| and tau = tau0, the only reading
-    that scales.
+    As printed, tau^2 has the unit of velocity^4 while the matrix it regularises has velocity^2, so the result would
+    change with the unit of length. The authors' published code adds tau itself, 0.1 of the mean |u_i|^2, and so does
+    this. (Both solve the normal equations; the paper names an SVD of the same problem.)
 
     Args:
-        jacobian: (C, V, 2, 3) px/m.   flow: (C, V, 2) px/s.   valid: (C, V) bool.   tau0: regularisation, relative.
+        jacobian: (C, V, 2, 3) px/m.   flow: (C, V, 2) px/s.   valid: (C, V) bool.
+        forward: (C, 3) unit vectors along the cameras' optical axes.   tau0: regularisation, relative.
     Returns:
         (V, 3) m/s; 0 where no camera has flow or all flows are 0.
     """
     u = np.zeros((*valid.shape, 3))
     for c, use in enumerate(valid):
-        u[c, use] = back_projected_flow(jacobian[c, use], flow[c, use])
+        u[c, use] = back_projected_flow(jacobian[c, use], flow[c, use], forward[c])
     count = np.maximum(valid.sum(0), 1)
     mean_square = (u**2).sum((0, 2)) / count
     moving = mean_square > 1e-30
     scaled = u / np.sqrt(np.where(moving, mean_square, 1))[:, None]
-    A = np.einsum("cvi,cvj->vij", scaled, scaled) + tau0**2 * np.eye(3)
+    A = np.einsum("cvi,cvj->vij", scaled, scaled) + tau0 * np.eye(3)
     b = np.einsum("cvi,cv->vi", scaled, (scaled * u).sum(-1))
     return np.where(moving[:, None], np.linalg.solve(A, b[..., None])[..., 0], 0)
 
 
-def fuse_full(jacobian: np.ndarray, flow: np.ndarray, valid: np.ndarray, ridge: float = 0.01) -> np.ndarray:
+def fuse_full(
+    jacobian: np.ndarray, flow: np.ndarray, valid: np.ndarray, forward: np.ndarray | None = None, ridge: float = 0.01
+) -> np.ndarray:
     """Every camera constrains both image components: minimise sum_i |J_i F - f_i|^2 + ridge * scale * |F|^2.
 
     The paper keeps one equation per camera (along u_i) and so gives up half of what a camera knows. The ridge is
     relative to the mean eigenvalue of sum J^T J, hence independent of units; it holds the component no camera sees
     (along the rays) at zero.
 
-    Args and returns: as `fuse_paper`.
+    Args and returns: as `fuse_paper`; `forward` is not looked at.
     """
     n = jacobian.shape[1]
     A = np.zeros((n, 3, 3))
@@ -94,7 +100,7 @@ def fuse_frame(
     """
     sampled = voxels.sample(flow, outside=np.nan)
     valid = np.isfinite(sampled).all(-1) & (voxels.sample(mask.astype(np.int8), outside=0) == 1)
-    velocity = FUSIONS[fusion](voxels.jacobian, np.where(valid[..., None], sampled, 0), valid)
+    velocity = FUSIONS[fusion](voxels.jacobian, np.where(valid[..., None], sampled, 0), valid, voxels.forward)
     known = valid.sum(0) >= 2
     velocity[~known] = 0
     if smooth_voxels > 0 and known.any():

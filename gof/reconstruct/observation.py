@@ -18,8 +18,12 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.flame_mask import flame_mask
 from gof.reconstruct.lit_plate import lit_plate
+from gof.reconstruct.methods import OURS, Method
 from gof.reconstruct.occluders import blocked_views
 from gof.reconstruct.optical_flow import Flow, dis
+
+MOVING_PX = 0.5
+GROWN_BY = np.ones((5, 5), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,7 @@ class Observation:
         plate: (C, H, W, 3) float32 display sRGB, the views without flame, but in its light.
         intensity: (F, C, H, W) float32 linear light above `plate`, >= 0.
         mask: (F, C, H, W) bool, where flame may be.
+        allowed: (F, C, H, W) bool, where flame Gaussians may shine: `mask`, or somewhat more.
         flow: (F, C, H, W, 2) float32 pixels per second; NaN where no trustworthy flow exists.
         delivered: (F, C) bool, False where a camera gave no picture (a black frame in its place).
         blocked: (C, H, W) bool, where something still stands before the flame.
@@ -50,6 +55,7 @@ class Observation:
     plate: np.ndarray
     intensity: np.ndarray
     mask: np.ndarray
+    allowed: np.ndarray
     flow: np.ndarray
     delivered: np.ndarray
     blocked: np.ndarray
@@ -82,6 +88,11 @@ def flow_picture(image: np.ndarray, static: np.ndarray) -> np.ndarray:
     return (np.clip((green - dark) / (bright - dark), 0, 1) * 255).astype(np.uint8)
 
 
+def colour_picture(image: np.ndarray, static: np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint8 for optical flow: the picture itself (paper). image: (H, W, 3) display sRGB."""
+    return (np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
 def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """(H, W) px: how far a pixel lands from itself after going forward and back; inf where it leaves the image."""
     h, w = forward.shape[:2]
@@ -92,27 +103,64 @@ def consistency(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     return np.where(inside, np.linalg.norm(forward + returned, axis=-1), np.inf)
 
 
-def _frame_velocity(
-    pictures: dict[int, np.ndarray], times: np.ndarray, k: int, max_error_px: float, flow: Flow
-) -> np.ndarray:
-    """(H, W, 2) px/s at frame k: central where both neighbours are training frames, one-sided where one is."""
-    estimates = []
-    for neighbour in (k - 1, k + 1):
-        if neighbour not in pictures:
-            continue
-        there = flow(pictures[k], pictures[neighbour])
-        back = flow(pictures[neighbour], pictures[k])
-        bad = consistency(there, back) > max_error_px + 0.1 * np.linalg.norm(there, axis=-1)
-        velocity = there / (times[neighbour] - times[k])
-        velocity[bad] = np.nan
-        estimates.append(velocity)
-    if not estimates:
-        return np.full((*pictures[k].shape, 2), np.nan, np.float32)
-    stack = np.stack(estimates)
-    valid = np.isfinite(stack)
-    count = valid.sum(0)
-    total = np.where(valid, stack, 0).sum(0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+FrameVelocity = Callable[[dict[int, np.ndarray], np.ndarray, int], np.ndarray]
+"""Pictures by frame, times of all frames and a frame -> (H, W, 2) px/s, NaN where it is not known."""
+
+
+def checked_velocity(flow: Flow, max_error_px: float) -> FrameVelocity:
+    """Central where both neighbours are training frames, one-sided where one is; without what does not come back."""
+
+    def velocity_at(pictures: dict[int, np.ndarray], times: np.ndarray, k: int) -> np.ndarray:
+        estimates = []
+        for neighbour in (k - 1, k + 1):
+            if neighbour not in pictures:
+                continue
+            there = flow(pictures[k], pictures[neighbour])
+            back = flow(pictures[neighbour], pictures[k])
+            bad = consistency(there, back) > max_error_px + 0.1 * np.linalg.norm(there, axis=-1)
+            velocity = there / (times[neighbour] - times[k])
+            velocity[bad] = np.nan
+            estimates.append(velocity)
+        if not estimates:
+            return _unknown(pictures[k])
+        stack = np.stack(estimates)
+        valid = np.isfinite(stack)
+        count = valid.sum(0)
+        total = np.where(valid, stack, 0).sum(0)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+
+    return velocity_at
+
+
+def velocity_ahead(flow: Flow) -> FrameVelocity:
+    """To the next frame (paper); from the one before, turned round, where the next is held out."""
+
+    def velocity_at(pictures: dict[int, np.ndarray], times: np.ndarray, k: int) -> np.ndarray:
+        for neighbour in (k + 1, k - 1):
+            if neighbour in pictures:
+                there = flow(pictures[k], pictures[neighbour], pictures.get(2 * k - neighbour))
+                return (there / (times[neighbour] - times[k])).astype(np.float32)
+        return _unknown(pictures[k])
+
+    return velocity_at
+
+
+def _unknown(picture: np.ndarray) -> np.ndarray:
+    return np.full((*picture.shape[:2], 2), np.nan, np.float32)
+
+
+def flow_masks(flow: np.ndarray, frame_time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where something moves by more than `MOVING_PX` a frame, (...) bool, and the same grown (authors of the paper).
+
+    Their pictures are 1280 px long; at another size or frame rate half a pixel is another speed.
+
+    Args:
+        flow: (F, C, H, W, 2) px/s, NaN where unknown.
+    """
+    with np.errstate(invalid="ignore"):
+        moving = np.linalg.norm(flow, axis=-1) * frame_time_s > MOVING_PX
+    grown = [[cv2.dilate(m.astype(np.uint8), GROWN_BY, iterations=2) > 0 for m in frame] for frame in moving]
+    return moving, np.array(grown)
 
 
 class _View(NamedTuple):
@@ -140,20 +188,20 @@ def _view(dataset: Dataset, camera: int, frames: np.ndarray, lit: bool) -> _View
 
 def observe(
     dataset: Dataset,
-    lit_plates: bool = True,
-    max_error_px: float = 1.0,
-    picture: Callable[[np.ndarray, np.ndarray], np.ndarray] = flow_picture,
+    method: Method = OURS,
     flow: Flow = dis,
+    max_error_px: float = 1.0,
+    picture: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     progress: Callable[..., None] | None = None,
 ) -> Observation:
     """Read the training frames; find masks, intensity and flow of every camera in each.
 
     Args:
         dataset: opened dataset; its test frames are not read.
-        lit_plates: put the fire's light into the plates; else `plate` is `static`.
+        method: how plates, flow and masks are made.
+        flow: see `optical_flow`.
         max_error_px: forward-backward error above which a flow vector is dropped (plus a tenth of its length).
-        picture: (image, static) -> (H, W) uint8, what the optical flow looks at.
-        flow: (first, second) -> (H, W, 2) px, see `optical_flow`.
+        picture: (image, static) -> (H, W) or (H, W, 3) uint8, what the optical flow looks at, instead of the method's.
         progress: called with (done, total) after every frame.
 
     Raises:
@@ -162,13 +210,20 @@ def observe(
     frames = np.array(sorted(dataset.train_frames))
     if not len(frames):
         raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
-    views = [_view(dataset, c, frames, lit_plates) for c in range(len(dataset.cameras))]
+    views = [_view(dataset, c, frames, method.lit_plates) for c in range(len(dataset.cameras))]
     if not any(view.mask.any() for view in views):
         raise DataFormatError(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
     cameras = list(dataset.cameras)
-    mask = np.stack([view.mask for view in views], axis=1)
+    velocity_at = checked_velocity(flow, max_error_px) if method.flow_of_light else velocity_ahead(flow)
+    picture = picture or (flow_picture if method.flow_of_light else colour_picture)
+    velocity = _flow(views, frames, picture, velocity_at, progress)
+    mask = allowed = np.stack([view.mask for view in views], axis=1)
+    if method.flow_masks:
+        mask, allowed = flow_masks(velocity, dataset.frame_time_s)
+        if not mask.any():
+            raise DataFormatError(f"{dataset.path}: nothing moves by more than {MOVING_PX} px a frame")
     intensity = np.stack([_intensity(view) for view in views], axis=1)
     return Observation(
         cameras=cameras,
@@ -180,9 +235,10 @@ def observe(
         plate=np.stack([view.plate for view in views]),
         intensity=intensity,
         mask=mask,
-        flow=_flow(views, frames, max_error_px, picture, flow, progress),
+        allowed=allowed,
+        flow=velocity,
         delivered=np.stack([view.delivered for view in views], axis=1),
-        blocked=blocked_views(cameras, mask, intensity),
+        blocked=blocked_views(cameras, mask, intensity) if method.vetoes else np.zeros(mask.shape[1:], bool),
     )
 
 
@@ -194,9 +250,8 @@ def _intensity(view: _View) -> np.ndarray:
 def _flow(
     views: list[_View],
     frames: np.ndarray,
-    max_error_px: float,
     picture: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    flow: Flow,
+    velocity_at: FrameVelocity,
     progress: Callable[..., None] | None,
 ) -> np.ndarray:
     """(F, C, H, W, 2) px/s; args as `observe`."""
@@ -206,7 +261,7 @@ def _flow(
     velocity = []
     for i, k in enumerate(frames):
         of_cameras = zip(pictures, views, strict=True)
-        velocity.append(np.stack([_frame_velocity(p, v.times_s, int(k), max_error_px, flow) for p, v in of_cameras]))
+        velocity.append(np.stack([velocity_at(p, v.times_s, int(k)) for p, v in of_cameras]))
         if progress:
             progress(i + 1, len(frames))
     return np.stack(velocity)

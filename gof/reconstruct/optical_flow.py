@@ -1,40 +1,54 @@
 """Dense optical flow between two pictures: methods of OpenCV, or MEMFOF from local weights, behind one call.
 
-A method is a function of two pictures (H, W) uint8 that returns the flow from the first to the second, (H, W, 2) px.
 What each is worth on flames, and costs, is in docs/reconstruction.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import cv2
 import numpy as np
 
 from gof.errors import DataFormatError, GofError
 
-Flow = Callable[[np.ndarray, np.ndarray], np.ndarray]
 FlowName = Literal["dis", "deepflow", "tvl1", "memfof"]
 
 
-def dis(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+class Flow(Protocol):
+    """A way to find optical flow."""
+
+    def __call__(self, first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
+        """(H, W, 2) px from the first picture to the second.
+
+        Args:
+            first, second: (H, W) or (H, W, 3) RGB uint8.
+            before: the picture as long before the first as the second is after it, for methods that look at three; None
+                where there is none.
+        """
+
+
+def dis(first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
     """DIS (Kroeger et al. 2016). Its patches are mean-normalised, which takes flicker out."""
-    return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(first, second, None)
+    return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(_grey(first), _grey(second), None)
 
 
-def deepflow(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def deepflow(first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
     """DeepFlow's variational part (Weinzaepfel et al. 2013), as OpenCV has it.
 
     Its directions are right, small motions come out up to a third too short.
     """
-    return cv2.optflow.createOptFlow_DeepFlow().calc(first, second, None)
+    return cv2.optflow.createOptFlow_DeepFlow().calc(_grey(first), _grey(second), None)
 
 
-def tvl1(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def tvl1(first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
     """Dual TV-L1 (Zach et al. 2007)."""
-    return cv2.optflow.createOptFlow_DualTVL1().calc(first, second, None)
+    return cv2.optflow.createOptFlow_DualTVL1().calc(_grey(first), _grey(second), None)
+
+
+def _grey(picture: np.ndarray) -> np.ndarray:
+    return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
 
 
 def memfof(folder: Path) -> Flow:
@@ -61,14 +75,20 @@ def memfof(folder: Path) -> Flow:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     model = MEMFOF.from_pretrained(str(folder), backbone_weights=None, local_files_only=True).eval().to(device)
 
-    def flow(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        # It looks at three frames and both ways from the middle one: here at the same frame twice.
-        frames = torch.from_numpy(np.stack([second, first, second])).to(device, torch.float32)
+    def flow(first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
+        # It looks at three consecutive frames and both ways from the middle one; a clip begins with its first frame
+        # twice (authors of the paper).
+        frames = [_rgb(picture) for picture in (first if before is None else before, first, second)]
+        clip = torch.from_numpy(np.stack(frames)).permute(0, 3, 1, 2).to(device, torch.float32)
         with torch.inference_mode():
-            both = model(frames[None, :, None].expand(-1, -1, 3, -1, -1))["flow"][-1][0]
-        return both.mean(0).permute(1, 2, 0).cpu().numpy()
+            ahead = model(clip[None])["flow"][-1][0, 1]
+        return ahead.permute(1, 2, 0).cpu().numpy()
 
     return flow
+
+
+def _rgb(picture: np.ndarray) -> np.ndarray:
+    return picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, -1)
 
 
 def flow_method(name: FlowName, weights: Path | None = None) -> Flow:

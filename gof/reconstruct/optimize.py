@@ -16,6 +16,7 @@ import numpy as np
 from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
+from gof.reconstruct.methods import Rates
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.parameters import from_raw, splats, to_raw
 from gof.reconstruct.surroundings import Surroundings
@@ -31,41 +32,31 @@ EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the l
 
 @dataclass(frozen=True)
 class Schedule:
-    """Step counts, learning rates and loss weights.
-
-    Lengths are in voxels and times in frame times, so that neither the scene's size nor its clock matters.
-    """
+    """Step counts, learning rates and loss weights."""
 
     iterations: int
-    velocity: float  # voxels per frame time
-    plate: float  # display values; 0 = the plates stay as they are
-    position: tuple[float, float] = (0.03, 0.003)  # voxels, first and last step
-    t_mu: float = 0.01  # frame times
-    log_t_sigma: float = 0.005
-    scale: float = 0.02
-    rotation: float = 0.005
-    opacity: float = 0.03
-    color: float = 0.01
+    rates: Rates
     alpha_loss: float = 0.1
     seed: int = 0  # of the order of the pictures
 
-    def rates(self, units: Units) -> dict[str, float]:
+    def raw_rates(self, units: Units) -> dict[str, float]:
         """Learning rate of each raw parameter (see `parameters`) at the first step, in m and s."""
+        rates = self.rates
         return {
-            "x0": self.position[0] * units.voxel_size,
-            "velocity": self.velocity * units.voxel_size / units.frame_time_s,
-            "t_mu": self.t_mu * units.frame_time_s,
-            "log_t_sigma": self.log_t_sigma,
-            "scale": self.scale,
-            "rotation": self.rotation,
-            "opacity": self.opacity,
-            "color": self.color,
+            "x0": rates.position[0] * units.voxel_size,
+            "velocity": rates.velocity * units.voxel_size / units.frame_time_s,
+            "t_mu": rates.t_mu * units.frame_time_s,
+            "log_t_sigma": rates.log_t_sigma,
+            "scale": rates.scale,
+            "rotation": rates.rotation,
+            "opacity": rates.opacity,
+            "color": rates.color,
         }
 
     def position_rate(self, units: Units, step: int) -> float:
         """The position's rate falls exponentially from the first to the last step. m."""
-        decay = (self.position[1] / self.position[0]) ** (1 / max(self.iterations, 1))
-        return self.position[0] * units.voxel_size * decay**step
+        first, last = self.rates.position
+        return first * units.voxel_size * (last / first) ** (step / max(self.iterations, 1))
 
 
 @dataclass(frozen=True)
@@ -158,9 +149,9 @@ class _Flame:
         self.start_s = float(observation.camera_time_s.min())
         plates = surroundings.unknowns()
         raw = to_raw(seeds, self.voxel_size, self.start_s) | plates
-        rates = schedule.rates(units) | dict.fromkeys(plates, schedule.plate)
+        rates = schedule.raw_rates(units) | dict.fromkeys(plates, schedule.rates.plate)
         # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
-        self.optimizer = Adam(lr=1.0, params=raw, beta_2=0.99, epsilon=1e-15, mask_updates=True)
+        self.optimizer = Adam(lr=1.0, params=raw, beta_2=schedule.rates.beta_2, epsilon=1e-15, mask_updates=True)
         self.optimizer.set_learning_rate(rates)
 
     def state(self) -> tuple[TransientGaussians, list[np.ndarray]]:
@@ -192,7 +183,7 @@ class _TrainingPictures:
     def outside(self, f: int, c: int) -> Float:
         """1 where no flame may be, else 0."""
         if (f, c) not in self._outside:
-            no_flame = ~self._observation.mask[f, c].ravel()
+            no_flame = ~self._observation.allowed[f, c].ravel()
             self._outside[f, c] = Float(np.ascontiguousarray(no_flame, np.float32))
         return self._outside[f, c]
 

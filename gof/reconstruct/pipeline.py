@@ -31,10 +31,11 @@ from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.heldout import HeldOut
+from gof.reconstruct.methods import METHODS, Method, rates_in_voxels
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.optical_flow import Flow, flow_method
 from gof.reconstruct.optimize import Schedule, Units, optimize
-from gof.reconstruct.presets import METHODS, STILL_STEPS, Method, step_ms
+from gof.reconstruct.presets import STILL_STEPS, step_ms
 from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
 from gof.reconstruct.settings import ReconstructionSettings, Until
 from gof.reconstruct.shrink import shrink
@@ -175,7 +176,7 @@ def _require_possible(run: _Run, anyway: bool) -> None:
 
 def _observe(run: _Run) -> Observation:
     with run.log.measure("motion") as figures, progress_bar("motion") as progress:
-        observation = observe(run.dataset, run.method.lit_plates, flow=run.flow, progress=progress)
+        observation = observe(run.dataset, run.method, run.flow, progress=progress)
         observation = ablations.change_plates(run.settings.ablation, observation)
         stage_images.save_observation(run.out / "stages", observation)
         figures.update(frames=len(observation.frames), cameras=len(observation.cameras))
@@ -237,8 +238,8 @@ def _seeds(
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
     rng = np.random.default_rng(settings.seed)
     with run.log.measure("seeds") as figures:
-        t_sigma = lifetime_s(field, dt) if method.short_lives else LIFETIME_FRAMES[1] * dt
-        seeds = sample_seeds(field, method.seed_emission, t_sigma, settings.gaussians, method.opacity, rng)
+        t_sigma = lifetime_s(field, dt) if method.seeding.short_lives else LIFETIME_FRAMES[1] * dt
+        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng)
         seeds = ablations.change_seeds(settings.ablation, seeds, rng)
         seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
@@ -259,13 +260,14 @@ def _optimise(
     held_out: HeldOut,
 ) -> tuple[TransientGaussians, list[np.ndarray], Curve]:
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
-    schedule = Schedule(settings.iterations, method.velocity_rate, method.plate_rate, seed=settings.seed)
+    rates = rates_in_voxels(method, observation.cameras, field.voxels.voxel_size)
+    schedule = Schedule(settings.iterations, rates, seed=settings.seed)
     schedule = ablations.change_schedule(settings.ablation, schedule)
     believed_s = ablations.change_times(settings.ablation, observation.camera_time_s, dt)
     observation = replace(observation, camera_time_s=believed_s)
     units = Units(field.voxels.voxel_size, dt)
     surroundings: Surroundings = (
-        Plates(observation.cameras, observation.plate, observation.blocked, move=schedule.plate > 0)
+        Plates(observation.cameras, observation.plate, observation.blocked, move=schedule.rates.plate > 0)
         if still is None
         else StillScene(still, observation.cameras, field.voxels)
     )

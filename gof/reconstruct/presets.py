@@ -1,4 +1,4 @@
-"""How much work a reconstruction does, the time it takes, and where ours and the paper's method part."""
+"""How much work a reconstruction does, and the time it takes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from typing import Literal
 from gof.errors import GofError
 
 PresetName = Literal["preview", "draft", "standard", "paper"]
-MethodName = Literal["gof", "paper"]
-SceneName = Literal["plates", "gaussians"]  # what the flame is drawn in, see `gof.reconstruct.surroundings`
 LEAST = {"iterations": 1, "gaussians": 1, "voxels": 4, "longest_side": 16}
 
 
@@ -58,64 +56,3 @@ def step_ms(gaussians: int, pixels: int, native: bool) -> float:
         native: whether the renderer's native kernels run (`gof.render.backend.kernels`).
     """
     return (5.9 + 0.41e-3 * gaussians + 0.155e-3 * pixels) * (NATIVE_SHARE if native else 1)
-
-
-@dataclass(frozen=True)
-class Method:
-    """The choices in which ours and the paper's method differ; what each is worth is in docs/reconstruction.md.
-
-    Attributes:
-        scene: what the flame is drawn in where nobody says otherwise.
-        lit_plates: plates in the fire's light (`lit_plate`), not in the dark.
-        round_flame: tomography starts from a round flame, not from the whole hull.
-        fusion: both image components of every camera ("full"), or the paper's eq. 5-7.
-        smooth_voxels: emission-weighted smoothing of the fused flow, std-dev in voxels; 0 = none.
-        flow_prior: the fused flow is corrected to the gas' own velocity (`flow_prior`).
-        seed_emission: seeds in proportion to a voxel's emission, not as many in every voxel of the hull.
-        short_lives: t_sigma by how fast gas crosses the flame (`seeds.lifetime_s`), not four frame times.
-        opacity: of a new Gaussian.
-        velocity_rate: learning rate, voxels per frame time.
-        plate_rate: learning rate of the plates, display values; 0 = they stay as they are.
-    """
-
-    scene: SceneName
-    lit_plates: bool
-    round_flame: bool
-    fusion: str
-    smooth_voxels: float
-    flow_prior: bool
-    seed_emission: bool
-    short_lives: bool
-    opacity: float
-    velocity_rate: float
-    plate_rate: float
-
-
-METHODS: dict[MethodName, Method] = {
-    "gof": Method(
-        scene="plates",
-        lit_plates=True,
-        round_flame=True,
-        fusion="full",
-        smooth_voxels=3.0,
-        flow_prior=True,
-        seed_emission=True,
-        short_lives=True,
-        opacity=0.1,
-        velocity_rate=0.0002,
-        plate_rate=0.001,
-    ),
-    "paper": Method(
-        scene="gaussians",
-        lit_plates=False,
-        round_flame=False,
-        fusion="paper",
-        smooth_voxels=0.0,
-        flow_prior=False,
-        seed_emission=False,
-        short_lives=False,
-        opacity=0.4,
-        velocity_rate=0.00075,  # 1e-2 of the position's per ms at 400 Hz
-        plate_rate=0.0,
-    ),
-}

@@ -11,9 +11,11 @@ from gof.gaussians import TransientGaussians
 from gof.morton import morton_order
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.methods import Seeding
 
 SCALE_MIN, SCALE_MAX = 0.1, 3.0  # bounds of a dynamic Gaussian's std-dev, in voxels (paper)
-SCALE_INITIAL = 0.7  # in voxels: neighbouring seeds overlap
+MIDDLE_GREY = 0.5
+HALF = 0.5  # of the voxels of a frame get a seed where they are not drawn by emission (authors of the paper)
 LIFETIME_FRAMES = 1.25, 4.0  # bounds of t_sigma in frame times; the paper's is the upper one
 CROSSED = 0.4  # of the flame's radius: how far gas goes in a lifetime
 
@@ -39,20 +41,19 @@ def lifetime_s(field: FlowField, frame_time_s: float) -> float:
 
 
 def sample_seeds(
-    field: FlowField, by_emission: bool, t_sigma: float, budget: int, opacity: float, rng: np.random.Generator
+    field: FlowField, seeding: Seeding, t_sigma: float, budget: int, rng: np.random.Generator
 ) -> TransientGaussians:
     """Gaussians placed where the velocity is known, moving with it.
 
     Args:
-        by_emission: as many as a voxel shines; else as many in every voxel.
+        seeding: how many in which voxel, and what they look like.
         t_sigma: of every seed, s, > 0.
-        budget: number of Gaussians in all, shared among the frames by how many voxels their seeds fill.
-        opacity: initial opacity, 0..1.
+        budget: most Gaussians in all, shared among the frames by how many voxels their seeds fill.
     Raises:
         DataFormatError: no frame has a voxel to seed with a known velocity.
     """
     voxels = field.voxels
-    chances = [np.where(frame.known, frame.emission if by_emission else 1.0, 0.0) for frame in field.frames]
+    chances = [np.where(frame.known, frame.emission if seeding.by_emission else 1.0, 0.0) for frame in field.frames]
     # Effective number of filled voxels (inverse participation ratio): a large flame needs more seeds than a small one.
     extent = np.array([c.sum() ** 2 / (c**2).sum() if c.any() else 0.0 for c in chances])
     if not extent.any():
@@ -60,15 +61,19 @@ def sample_seeds(
             "no voxel has both emission and a known velocity; are the cameras' frames of the same instants?"
         )
     share = np.floor(budget * extent / extent.sum()).astype(int)
+    if not seeding.by_emission:
+        share = np.minimum(share, (HALF * extent).astype(int))
     parts = []
     for frame, chance, n in zip(field.frames, chances, share, strict=True):
         if n == 0:
             continue
-        chosen = rng.choice(len(chance), n, p=chance / chance.sum())
+        chosen = rng.choice(len(chance), n, replace=seeding.by_emission, p=chance / chance.sum())
         position = voxels.center[chosen] + rng.uniform(-0.5, 0.5, (n, 3)) * voxels.voxel_size
         order = morton_order(position)  # within the frame, as those of a frame are drawn together: speed only
         chosen, position = chosen[order], position[order]
-        sampled = voxels.sample(frame.image, outside=np.nan)[:, chosen]
+        color = np.full((n, 3), MIDDLE_GREY)
+        if seeding.seen_color:
+            color = np.nanmean(voxels.sample(frame.image, outside=np.nan)[:, chosen], axis=0)
         parts.append(
             TransientGaussians(
                 position=position,
@@ -76,10 +81,10 @@ def sample_seeds(
                 velocity_sd=frame.velocity_sd[chosen],
                 t_mu=np.full(n, frame.time_s),
                 t_sigma=np.full(n, t_sigma),
-                scale=np.full((n, 3), SCALE_INITIAL * voxels.voxel_size),
+                scale=np.full((n, 3), seeding.scale * voxels.voxel_size),
                 rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
-                opacity=np.full(n, opacity),
-                color=np.nanmean(sampled, axis=0),
+                opacity=np.full(n, seeding.opacity),
+                color=color,
                 dynamic=np.ones(n, bool),
             )
         )

@@ -11,8 +11,9 @@ from gof.errors import GofError
 from gof.files import digest, stamp
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.flow_prior import WEIGHTS
+from gof.reconstruct.methods import METHODS, MethodName, SceneName
 from gof.reconstruct.optical_flow import FlowName
-from gof.reconstruct.presets import METHODS, Effort, MethodName, SceneName
+from gof.reconstruct.presets import Effort
 from gof.records import claim
 
 FILE = "settings.json"
@@ -26,7 +27,7 @@ class ReconstructionSettings:
     Attributes:
         dataset: which one, see `gof.dataset.Dataset.identity`.
         iterations, gaussians, voxels, longest_side: see `gof.reconstruct.presets.Effort`.
-        method: see `gof.reconstruct.presets.METHODS`.
+        method: see `gof.reconstruct.methods.METHODS`.
         scene: what the flame is drawn in, see `gof.reconstruct.surroundings`.
         flow: see `gof.reconstruct.optical_flow`.
         flow_prior: whether the fused flow is corrected (`gof.reconstruct.flow_prior`), where the method has it.

@@ -1,8 +1,8 @@
 """3D Gaussian Splatting of a few fire-free plates, held to their depth maps (paper, "Static Scene").
 
-Loss: 0.8 L1 + 0.2 (1 - SSIM) + w mean |1/D - 1/D_render| z, w falling exponentially from 1 to 0.01: 3DGS' own final
-weight, 100 times as much at the start. The depth term is in disparity times the scene's median depth z, which has no
-unit and is what stereo measures evenly. Gaussians are cloned and split where the pictures pull hardest, and none is
+Loss: 0.8 L1 + 0.2 (1 - SSIM) + w mean |1/D - 1/D_render| z, w falling exponentially from 100 to 1 (paper: 100 times the
+weights of 3DGS). The depth term is in disparity times the scene's median depth z, which has no unit and is what stereo
+measures evenly. Gaussians are cloned and split where the pictures pull hardest, and none is
 pruned.
 """
 
@@ -25,7 +25,7 @@ from gof.render.rasterizer import Frame
 from gof.rotations import rotation_matrices
 
 SSIM_WEIGHT = 0.2
-DEPTH_WEIGHT = (1.0, 0.01)  # first and last step; 3DGS' 0.01 at the end, 100 times as much at the start (paper)
+DEPTH_WEIGHT = (100.0, 1.0)  # first and last step (paper: 100 times those of 3DGS)
 DENSIFY_EVERY = 100  # steps
 DENSIFY_UNTIL = 0.5  # of all steps
 PULL = 2e-4  # mean gradient of the centre, in half picture widths, above which a Gaussian is cloned or split (3DGS)

@@ -21,6 +21,7 @@ class FlameVoxels:
         index: (V, 3) int grid index;  resolution: (3,) int grid size.
         pixel: (C, V, 2) continuous image position per camera (NaN behind a camera, and behind what hides the voxel).
         jacobian: (C, V, 2, 3) d(pixel)/d(world), px/m.
+        forward: (C, 3) unit vectors along the cameras' optical axes.
     """
 
     center: np.ndarray
@@ -29,6 +30,7 @@ class FlameVoxels:
     resolution: np.ndarray
     pixel: np.ndarray
     jacobian: np.ndarray
+    forward: np.ndarray
 
     def sample(self, images: np.ndarray, outside=0) -> np.ndarray:
         """Nearest-pixel values of images (C, H, W, ...) at every voxel: (C, V, ...).
@@ -92,6 +94,7 @@ def carve(
     longest_side: int,
     min_views: int = 2,
     blocked: np.ndarray | None = None,
+    vetoes: bool = True,
 ) -> FlameVoxels:
     """Voxels whose image lies in the union-over-time mask of every camera that has them in view.
 
@@ -101,22 +104,26 @@ def carve(
         cameras: C cameras.   masks: (F, C, H, W) bool.
         longest_side: voxels along the longest side of the flame's own box (sets the voxel size).
         blocked: (C, H, W) bool, where something stands before the flame (`occluders`); None: nowhere.
+        vetoes: whether a camera's mask ends the hull; else `min_views` are enough (authors of the paper).
     Raises:
         DataFormatError: see `flame_box`; or the hull is empty (masks or poses disagree).
     """
     union = masks.any(0)
     low, high = flame_box(cameras, union)
+    forward = np.stack([camera.world_to_camera[2, :3] for camera in cameras])
     for side in (48, longest_side):  # first coarse, for the flame's own box, then at the asked size
         voxel = (high - low).max() / side
         resolution = np.maximum(np.ceil((high - low) / voxel - 1e-6).astype(int), 1)
         index = np.stack(np.meshgrid(*map(np.arange, resolution), indexing="ij"), -1).reshape(-1, 3)
         center = low + (index + 0.5) * voxel
         pixel = np.stack([cam.project(center)[0] for cam in cameras])
-        voxels = FlameVoxels(center, float(voxel), index, resolution, pixel, np.empty(0))
+        voxels = FlameVoxels(center, float(voxel), index, resolution, pixel, np.empty(0), forward)
         if blocked is not None:
             pixel[voxels.sample(blocked)] = np.nan
         hit = voxels.sample(union.astype(np.int8), outside=-1)
-        keep = ((hit == 1).sum(0) >= min_views) & (hit != 0).all(0)
+        keep = (hit == 1).sum(0) >= min_views
+        if vetoes:
+            keep &= (hit != 0).all(0)
         if not keep.any():
             raise DataFormatError(
                 "no voxel lies in the flame masks of two cameras; check the masks and the camera poses"
@@ -124,4 +131,4 @@ def carve(
         low, high = center[keep].min(0) - voxel, center[keep].max(0) + voxel
     kept = center[keep]
     jacobian = np.stack([cam.projection_jacobian(kept) for cam in cameras])
-    return FlameVoxels(kept, voxels.voxel_size, index[keep], resolution, voxels.pixel[:, keep], jacobian)
+    return FlameVoxels(kept, voxels.voxel_size, index[keep], resolution, voxels.pixel[:, keep], jacobian, forward)

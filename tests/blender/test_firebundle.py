@@ -111,7 +111,7 @@ def test_flow_is_the_flames_in_metres_per_frame(scene):
         speeds.append(flow[known] / transforms["dt"] * 1000)
         places.append(coordinates[known])
     speeds, places = np.concatenate(speeds), np.concatenate(places)
-    assert len(speeds) > 1000 and abs(np.median(speeds[:, 2]) / RISE[2] - 1) < 0.25
+    assert len(speeds) > 1000 and 0.65 < np.median(speeds[:, 2]) / RISE[2] < 1.1, "their ridge makes it slower"
     assert np.abs(np.median(speeds[:, :2], 0)).max() < 0.25
     assert np.abs(np.median(places[:, :2], 0)).max() < 0.1, "around the axis the flame was drawn around"
 

@@ -17,7 +17,7 @@ def voxels() -> FlameVoxels:
     cameras = arc(3, target=(0, 0, 0.6))
     pixel = np.stack([camera.project(box.center)[0] for camera in cameras])
     jacobian = np.stack([camera.projection_jacobian(box.center) for camera in cameras])
-    return FlameVoxels(box.center, box.voxel_size, box.index, box.resolution, pixel, jacobian)
+    return FlameVoxels(box.center, box.voxel_size, box.index, box.resolution, pixel, jacobian, box.forward)
 
 
 def test_true_flow_of_gas_that_moves_as_one_is_fused_to_its_velocity(voxels):

@@ -14,7 +14,7 @@ def box_of_voxels(resolution: tuple[int, int, int], voxel_m: float) -> FlameVoxe
     """All voxels of an upright box whose floor is z = 0 and whose middle stands on the z axis."""
     index = np.stack(np.meshgrid(*map(np.arange, resolution), indexing="ij"), -1).reshape(-1, 3)
     center = (index + 0.5 - [resolution[0] / 2, resolution[1] / 2, 0]) * voxel_m
-    return FlameVoxels(center, voxel_m, index, np.array(resolution), np.empty(0), np.empty(0))
+    return FlameVoxels(center, voxel_m, index, np.array(resolution), np.empty(0), np.empty(0), np.empty(0))
 
 
 def field_of(voxels, velocity, emission, frame_s: float = 0.01) -> FlowField:

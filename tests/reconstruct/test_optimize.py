@@ -17,6 +17,7 @@ from gof.gaussians import TransientGaussians
 from gof.reconstruct import ablations, optimize
 from gof.reconstruct.curve import Curve, HeldOutScores
 from gof.reconstruct.heldout import HeldOut
+from gof.reconstruct.methods import PAPER
 from gof.reconstruct.observation import observe
 from gof.reconstruct.parameters import splats, to_raw
 from gof.reconstruct.presets import PRESETS, Effort
@@ -109,9 +110,9 @@ def test_ablations_change_what_they_say(flame):
         np.linalg.norm(shuffled.velocity, axis=-1), np.linalg.norm(seeds.velocity, axis=-1), rtol=1e-5
     )
     assert np.linalg.norm(shuffled.velocity.mean(0)) < 0.15 * np.linalg.norm(seeds.velocity.mean(0))
-    schedule = optimize.Schedule(10, 0.0002, 0.0)
+    schedule = optimize.Schedule(10, PAPER.rates)
     assert ablations.change_schedule("no-mask", schedule).alpha_loss == 0
-    assert ablations.change_schedule("joint-opt", schedule).plate > 0
+    assert ablations.change_schedule("joint-opt", schedule).rates.plate > 0
     for change, value in (
         (ablations.change_schedule, (schedule,)),
         (ablations.change_seeds, (seeds, rng)),
@@ -129,7 +130,11 @@ def test_plates_move_as_the_method_says_and_are_kept_beside_the_result(flame, tm
         return HeldOutScores()
 
     monkeypatch.setattr(HeldOut, "score", note_plates)
-    for name, change in {"paper": {"method": "paper"}, "ours": {}, "joint": {"ablation": "joint-opt"}}.items():
+    for name, change in {
+        "paper": {"method": "paper", "scene": "plates"},
+        "ours": {},
+        "joint": {"ablation": "joint-opt"},
+    }.items():
         reconstruct(flame, tmp_path / name, iterations=30, gaussians=500, voxels=24, **change)
         stored = background(Dataset.open(flame), 0, tmp_path / name)
         assert np.abs(stored - np.clip(scored[name], 0, 1)).max() < 1e-4

@@ -121,11 +121,11 @@ def test_stages_one_by_one(rising_flame, tmp_path, capsys):
 
 
 def test_interrupted_optimisation_resumes_from_its_checkpoint(rising_flame, tmp_path, monkeypatch):
-    from gof.reconstruct import optimize
+    from gof.reconstruct import optimize, surroundings
 
     monkeypatch.setattr(optimize, "CHECKPOINT_EVERY", 20)
     steps = []
-    real = optimize.render_splats
+    real = surroundings.render_splats
 
     def stop_after_50(*args, **kwargs):
         steps.append(args[1].name)
@@ -133,7 +133,7 @@ def test_interrupted_optimisation_resumes_from_its_checkpoint(rising_flame, tmp_
             raise KeyboardInterrupt
         return real(*args, **kwargs)
 
-    monkeypatch.setattr(optimize, "render_splats", stop_after_50)
+    monkeypatch.setattr(surroundings, "render_splats", stop_after_50)
     with pytest.raises(KeyboardInterrupt):
         reconstruct(rising_flame, tmp_path, iterations=60)
     assert (tmp_path / "checkpoint.npz").exists() and not (tmp_path / "result.npz").exists()
@@ -144,14 +144,14 @@ def test_interrupted_optimisation_resumes_from_its_checkpoint(rising_flame, tmp_
 
 def test_training_seconds_survive_a_kill(rising_flame, tmp_path, monkeypatch):
     """A clock that is 1000 s later at every step: what the checkpoint had cost is counted, what was lost is not."""
-    from gof.reconstruct import curve, optimize
+    from gof.reconstruct import curve, optimize, surroundings
 
     now, steps = [0.0], []
     for module in (pipeline, curve):
         monkeypatch.setattr(module.time, "perf_counter", lambda: now[0])
     monkeypatch.setattr(optimize, "CHECKPOINT_EVERY", 20)
     monkeypatch.setattr(optimize, "EVALUATE_AT", ())
-    real = optimize.render_splats
+    real = surroundings.render_splats
 
     def slow(*args, **kwargs):
         now[0] += 1000
@@ -160,7 +160,7 @@ def test_training_seconds_survive_a_kill(rising_flame, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return real(*args, **kwargs)
 
-    monkeypatch.setattr(optimize, "render_splats", slow)
+    monkeypatch.setattr(surroundings, "render_splats", slow)
     with pytest.raises(KeyboardInterrupt):
         reconstruct(rising_flame, tmp_path, iterations=60)
     reconstruct(rising_flame, tmp_path, iterations=60)
@@ -189,10 +189,11 @@ def test_a_damaged_checkpoint_is_named(rising_flame, tmp_path, monkeypatch):
 
 
 def test_nan_is_caught_and_named(rising_flame, tmp_path, monkeypatch):
-    from gof.reconstruct import optimize, presets
+    from gof.reconstruct import methods, optimize
 
     monkeypatch.setattr(optimize, "CHECK_EVERY", 5)
-    monkeypatch.setitem(presets.METHODS, "gof", replace(presets.METHODS["gof"], velocity_rate=float("inf")))
+    faulty = replace(methods.OURS, rates=replace(methods.OURS.rates, velocity=float("inf")))
+    monkeypatch.setitem(methods.METHODS, "gof", faulty)
     with pytest.raises(NonFiniteError, match="velocity"):
         reconstruct(rising_flame, tmp_path, iterations=10)
     assert not (tmp_path / "result.npz").exists()

@@ -7,6 +7,7 @@ import pytest
 
 from gof.errors import DataFormatError
 from gof.reconstruct.flow_field import FlowField, FrameField
+from gof.reconstruct.methods import OURS, PAPER
 from gof.reconstruct.seeds import CROSSED, LIFETIME_FRAMES, lifetime_s, sample_seeds
 from gof.reconstruct.voxels import carve
 from tests.conftest import arc
@@ -60,7 +61,7 @@ def test_seeds_follow_the_emission(column):
     uneven = replace(first, emission=first.emission * np.where(high, 3.0, 1.0))
     dark = replace(second, emission=0 * second.emission)
     field = replace(column, frames=(uneven, dark))
-    seeds = sample_seeds(field, True, 0.02, 20_000, 0.1, np.random.default_rng(0))
+    seeds = sample_seeds(field, OURS.seeding, 0.02, 20_000, np.random.default_rng(0))
     assert np.unique(seeds.t_mu).tolist() == [0.0] and (seeds.t_sigma == np.float32(0.02)).all()
     half = column.voxels.voxel_size
     assert np.hypot(seeds.position[:, 0], seeds.position[:, 1]).max() < RADIUS + half
@@ -69,16 +70,25 @@ def test_seeds_follow_the_emission(column):
     assert (seeds.position[:, 2] > 1).mean() == pytest.approx(3 * above / (3 * above + below), abs=0.03)
 
 
-def test_seeds_of_the_papers_method_fill_every_voxel_whose_motion_is_known(column):
+def test_seeds_of_the_papers_method_are_in_half_of_the_voxels_whose_motion_is_known(column):
     known = column.voxels.center[:, 0] > 0
-    seeds = sample_seeds(changed(column, known=known), False, 0.02, 20_000, 0.1, np.random.default_rng(0))
+    field = changed(column, known=known)
+    seeds = sample_seeds(field, PAPER.seeding, 0.02, 10**6, np.random.default_rng(0))
+    half, voxel = known.sum() // 2, column.voxels.voxel_size
+    for time_s in (frame.time_s for frame in field.frames):
+        one = seeds[seeds.t_mu == np.float32(time_s)]
+        share = len(one) / len(field.frames) if len({f.time_s for f in field.frames}) == 1 else len(one)
+        assert share == half
     outside = np.hypot(seeds.position[:, 0], seeds.position[:, 1]) > RADIUS
     dark = column.frames[0].emission == 0
     assert outside.mean() == pytest.approx((dark & known).sum() / known.sum(), abs=0.05), "emission plays no part"
-    assert seeds.position[:, 0].min() > -column.voxels.voxel_size
+    assert seeds.position[:, 0].min() > -voxel
+    assert (seeds.color == 0.5).all() and seeds.scale.max() == pytest.approx(0.25 * voxel)
+    few = sample_seeds(field, PAPER.seeding, 0.02, 500, np.random.default_rng(0))
+    assert 490 < len(few) <= 500, "the number asked for is the most"
 
 
 def test_nothing_to_seed_is_an_error(column):
     nothing = np.zeros(len(column.voxels.center))
     with pytest.raises(DataFormatError, match="no voxel"):
-        sample_seeds(changed(column, emission=nothing), True, 0.02, 100, 0.1, np.random.default_rng(0))
+        sample_seeds(changed(column, emission=nothing), OURS.seeding, 0.02, 100, np.random.default_rng(0))

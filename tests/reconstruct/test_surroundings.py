@@ -40,7 +40,9 @@ def voxels():
     index = np.stack(np.meshgrid(*[np.arange(9)] * 3, indexing="ij"), -1).reshape(-1, 3)
     center = MIDDLE + (index - 4) * step
     empty = np.empty((1, len(center), 2))
-    return FlameVoxels(center, step / 10, index, np.full(3, 9), empty, np.empty((1, len(center), 2, 3)))
+    return FlameVoxels(
+        center, step / 10, index, np.full(3, 9), empty, np.empty((1, len(center), 2, 3)), np.empty((1, 3))
+    )
 
 
 def drawn(surroundings, flame):

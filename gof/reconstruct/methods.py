@@ -1,0 +1,169 @@
+"""Ours and the paper's method: every choice in which they part, side by side.
+
+The paper's come from its text, and where that is silent from the constants of its authors' published code
+(github.com/jna-358/gaussians_on_fire, `eccv-demo`), named "authors". Not among them, because it is not here at all:
+densification and pruning of flame Gaussians (3DGS), and one exposure per camera (authors). Plates are made before
+(`gof ingest --plate minimum` is the paper's), and what draws the optical flow is `--flow` (the paper's is memfof).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from gof.cameras import Camera
+
+MethodName = Literal["gof", "paper"]
+SceneName = Literal["plates", "gaussians"]  # what the flame is drawn in, see `gof.reconstruct.surroundings`
+
+FRAME_MS = 2.5  # of the paper's captures, at 400 Hz; the authors' rates are per ms, ours per frame time
+SH_COLOR = 0.28209479  # display value of a unit of 3DGS' constant colour coefficient
+
+
+@dataclass(frozen=True)
+class Seeding:
+    """The Gaussians that the optimisation starts from.
+
+    Attributes:
+        by_emission: in proportion to a voxel's emission; else half of the voxels of every frame, one in each, or as
+            large a part as there are Gaussians.
+        short_lives: t_sigma by how fast gas crosses the flame (`seeds.lifetime_s`); else four frame times.
+        opacity: of a new Gaussian.   scale: its standard deviation, voxels.
+        seen_color: the colour that the cameras see there; else middle grey.
+    """
+
+    by_emission: bool
+    short_lives: bool
+    opacity: float
+    scale: float
+    seen_color: bool
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Learning rates of Adam. Lengths in voxels, times in frame times: neither a scene's size nor its clock matters.
+
+    Attributes:
+        position: at the first and the last step, exponential between.   velocity: voxels per frame time.
+        color, plate: display values; a plate's is 0 where plates stay as they are.
+        t_mu, log_t_sigma, scale, rotation, opacity: of the raw parameters (`gof.reconstruct.parameters`).
+        beta_2: how slowly Adam forgets the size of gradients.
+    """
+
+    position: tuple[float, float]
+    velocity: float
+    t_mu: float
+    log_t_sigma: float
+    scale: float
+    rotation: float
+    opacity: float
+    color: float
+    plate: float
+    beta_2: float
+
+
+@dataclass(frozen=True)
+class Method:
+    """The choices in which ours and the paper's method differ; what each is worth is in docs/reconstruction.md.
+
+    Attributes:
+        scene: what the flame is drawn in where nobody says otherwise.
+        lit_plates: plates in the fire's light (`lit_plate`), not in the dark.
+        flow_of_light: optical flow of the light above the plates, to both neighbouring frames and back again, without
+            what does not come back; else of the pictures, to the next frame.
+        flow_masks: flame is where the optical flow is; else where red rises above the plate (`flame_mask`).
+        vetoes: no voxel stands where a camera that has it in view never sees flame; else two cameras are enough.
+        round_flame: tomography starts from a round flame, not from the whole hull.
+        fusion: both image components of every camera ("full"), or the paper's eq. 5-7.
+        smooth_voxels: emission-weighted smoothing of the fused flow, std-dev in voxels; 0 = none.
+        flow_prior: the fused flow is corrected to the gas' own velocity (`flow_prior`).
+    """
+
+    scene: SceneName
+    lit_plates: bool
+    flow_of_light: bool
+    flow_masks: bool
+    vetoes: bool
+    round_flame: bool
+    fusion: str
+    smooth_voxels: float
+    flow_prior: bool
+    seeding: Seeding
+    rates: Rates
+
+
+OURS = Method(
+    scene="plates",
+    lit_plates=True,
+    flow_of_light=True,
+    flow_masks=False,
+    vetoes=True,
+    round_flame=True,
+    fusion="full",
+    smooth_voxels=3.0,
+    flow_prior=True,
+    seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
+    rates=Rates(
+        position=(0.03, 0.003),
+        velocity=0.0002,
+        t_mu=0.01,
+        log_t_sigma=0.005,
+        scale=0.02,
+        rotation=0.005,
+        opacity=0.03,
+        color=0.01,
+        plate=0.001,
+        beta_2=0.99,
+    ),
+)
+
+PAPER_POSITION = 1.6e-4, 1.6e-6  # 3DGS, of the cameras' extent
+
+PAPER = Method(
+    scene="gaussians",  # "Dynamic Scene": static and flame Gaussians in one pass
+    lit_plates=False,
+    flow_of_light=False,  # "Dynamic Scene": the flow between consecutive frames
+    flow_masks=True,  # authors: above 0.5 px per frame, dilated twice by 5x5
+    vetoes=False,  # authors: at least two cameras
+    round_flame=False,
+    fusion="paper",  # eq. 4 to 7
+    smooth_voxels=0.0,
+    flow_prior=False,
+    seeding=Seeding(
+        by_emission=False,  # authors: half of a frame's voxels
+        short_lives=False,  # "four times the frame time"
+        opacity=0.4,  # authors
+        scale=0.25,  # authors
+        seen_color=False,  # authors: random within 1/255 of a coefficient, which is middle grey
+    ),
+    rates=Rates(
+        position=PAPER_POSITION,  # of the cameras' extent until `in_voxels`
+        velocity=1e-2 * PAPER_POSITION[0] * FRAME_MS,  # "Implementation Details": 1e-2 of the position's, per ms
+        t_mu=0.01 / FRAME_MS,  # authors: ms
+        log_t_sigma=0.01 / (4 * FRAME_MS),  # authors: ms, of a lifetime of four frames
+        scale=0.005,  # 3DGS
+        rotation=0.001,  # 3DGS
+        opacity=0.025,  # 3DGS
+        color=0.0025 * SH_COLOR,  # 3DGS
+        plate=0.0,
+        beta_2=0.999,  # Adam's own
+    ),
+)
+
+METHODS: dict[MethodName, Method] = {"gof": OURS, "paper": PAPER}
+
+
+def rates_in_voxels(method: Method, cameras: Sequence[Camera], voxel_size: float) -> Rates:
+    """The method's rates; the paper's lengths are in the cameras' extent (3DGS: 1.1 of the largest distance from their
+    middle), voxel_size is in m.
+    """
+    rates = method.rates
+    if method is not PAPER:
+        return rates
+    places = np.stack([camera.position for camera in cameras])
+    extent = 1.1 * np.linalg.norm(places - places.mean(0), axis=1).max() / voxel_size
+    first, last = rates.position
+    return replace(rates, position=(first * extent, last * extent), velocity=rates.velocity * extent)
