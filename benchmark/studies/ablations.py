@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import tyro
 
 from gof.dataset import Dataset
+from gof.reconstruct.methods import MethodName
 from gof_benchmark.studies.variants import Row, VariantStudy, run_one, table, write_page
 
-ABLATIONS = {
-    "full method": {"ablation": "none"},
-    "NoSync": {"ablation": "no-sync"},
-    "RandFlow": {"ablation": "rand-flow"},
-    "JointOpt": {"ablation": "joint-opt"},
-    "NoMask": {"ablation": "no-mask"},
-    "the paper's choices": {"method": "paper"},
+LEFT_OUT = {
+    "full method": "none",
+    "NoSync": "no-sync",
+    "RandFlow": "rand-flow",
+    "JointOpt": "joint-opt",
+    "NoMask": "no-mask",
 }
 VELOCITY = {"l2": "L2 (lower)", "cos_sim": "CosSim (higher)", "seconds": "seconds"}
 PICTURES = {
@@ -31,9 +31,13 @@ PICTURES = {
 class AblationStudy(VariantStudy):
     """Reconstruct a dataset with a part of the method left out at a time: velocity (DVE) and held-out pictures.
 
-    The full method, the paper's NoSync, RandFlow, JointOpt and NoMask, and the paper's own choices wherever ours
-    differ. Every reconstruction has a folder in OUT; finished ones are kept, so a stopped study goes on where it was.
+    The full method and the paper's NoSync, RandFlow, JointOpt and NoMask, of ours or of the paper's method; and the
+    other method beside them. Every reconstruction has a folder in OUT; finished ones are kept, so a stopped study goes
+    on where it was.
     """
+
+    method: MethodName = "gof"
+    """Whose parts are left out."""
 
 
 def main(argv: list[str]) -> int:
@@ -41,13 +45,22 @@ def main(argv: list[str]) -> int:
     study = tyro.cli(AblationStudy, prog="gof study ablations", args=argv)
     dataset = Dataset.open(study.dataset)
     base = study.settings()
-    rows = [run_one(study, dataset, *change.values(), base | change) for change in ABLATIONS.values()]
+    variants = _variants(study.method)
+    rows = [run_one(study, dataset, f"{v['method']}-{v['ablation']}", base | v) for v in variants.values()]
     title = f"{dataset.description.name}: " + ", ".join(f"{key} {value}" for key, value in base.items())
-    parts = [title, "## Velocity", _table(rows, VELOCITY), "## Held-out pictures", _table(rows, PICTURES)]
+    parts = [title, "## Velocity", _table(variants, rows, VELOCITY)]
+    parts += ["## Held-out pictures", _table(variants, rows, PICTURES)]
     write_page(study.out / "ablations.md", parts)
     study.finish("ablations", rows)
     return 0
 
 
-def _table(rows: list[Row], columns: dict[str, str]) -> str:
-    return table(["ablation", *columns.values()], list(ABLATIONS), rows, list(columns))
+def _variants(method: MethodName) -> dict[str, dict[str, str]]:
+    """Options of `gof reconstruct` by the name of the row; plates throughout, so that JointOpt is of the same kind."""
+    left_out = {name: {"method": method, "scene": "plates", "ablation": part} for name, part in LEFT_OUT.items()}
+    other, said = ("paper", "the paper's choices") if method == "gof" else ("gof", "ours")
+    return left_out | {said: {"method": other, "scene": "plates", "ablation": "none"}}
+
+
+def _table(variants: dict[str, dict[str, str]], rows: list[Row], columns: dict[str, str]) -> str:
+    return table(["ablation", *columns.values()], list(variants), rows, list(columns))

@@ -7,7 +7,7 @@ import pytest
 from gof.cli import main
 from gof.commands.reconstruct import ReconstructConfig
 from gof.reconstruct.presets import Effort
-from gof_benchmark.studies.ablations import ABLATIONS
+from gof_benchmark.studies.ablations import LEFT_OUT
 from tests.reconstruct.rising_flame import write_flame
 
 SMALL = ["--gaussians", "600", "--longest-side", "96"]
@@ -16,23 +16,22 @@ SMALL = ["--gaussians", "600", "--longest-side", "96"]
 def test_every_ablation_has_a_name_in_the_table():
     from typing import get_args, get_type_hints
 
-    for option in ("ablation", "method"):
-        known = set(get_args(get_type_hints(ReconstructConfig)[option]))
-        assert known - {"gof"} == {change[option] for change in ABLATIONS.values() if option in change}, (
-            "gof is the default"
-        )
+    assert set(get_args(get_type_hints(ReconstructConfig)["ablation"])) == set(LEFT_OUT.values())
 
 
 @pytest.mark.slow
-def test_ablations_study(tmp_path, capsys):
+@pytest.mark.parametrize("method", ["gof", "paper"])
+def test_ablations_study(tmp_path, capsys, method):
     folder = write_flame(tmp_path / "flame")
     command = ["study", "ablations", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]
+    command += ["--method", method]
     assert main(command) == 0
     rows = {row["name"]: row for row in json.loads((tmp_path / "out" / "ablations.json").read_text())}
-    assert list(rows) == ["none", "no-sync", "rand-flow", "joint-opt", "no-mask", "paper"]
-    assert rows["rand-flow"]["cos_sim"] < rows["none"]["cos_sim"] - 0.3
+    other = "paper" if method == "gof" else "gof"
+    assert list(rows) == [*(f"{method}-{part}" for part in LEFT_OUT.values()), f"{other}-none"]
+    assert rows[f"{method}-rand-flow"]["cos_sim"] < rows[f"{method}-none"]["cos_sim"] - 0.3
     text = (tmp_path / "out" / "ablations.md").read_text()
-    assert all(name in text for name in ABLATIONS)
+    assert all(name in text for name in LEFT_OUT)
     before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/*/result.npz")}
     assert len(before) == 6 and main(command) == 0
     assert before == {path: path.stat().st_mtime_ns for path in before}, "finished reconstructions are kept"

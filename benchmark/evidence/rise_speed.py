@@ -1,0 +1,87 @@
+"""Do a reconstruction's bright structures climb as fast as those of the footage? Prints a table.
+
+    python -m gof_benchmark.evidence.rise_speed DATASET RESULT [DATASET RESULT ...]
+
+No truth is needed: DATASET may come from `gof ingest`, RESULT is a folder of `gof reconstruct`. Per camera: the slope
+of bright traces in the picture of height against time (`gof_benchmark.space_time`), of the footage; and over it, that
+of the reconstruction drawn at the same times, and drawn four times as often, where a flame whose Gaussians only fade
+out and in would stand still between frames. "gas" is the mean upward motion of the Gaussians themselves, weighted by
+what they show: texture lags behind the gas, so this is to be more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from gof.dataset import Dataset
+from gof.dataset.plates import background
+from gof.gaussians import TransientGaussians
+from gof.reconstruct.observation import light_above
+from gof.render import render
+from gof_benchmark.preview_field import open_small
+from gof_benchmark.space_time import climb
+
+OFTENER = 4
+
+
+@dataclass(frozen=True)
+class RiseSpeed:
+    """The slope of bright traces in height against time, footage and reconstruction."""
+
+    pairs: tyro.conf.Positional[tuple[Path, ...]]
+    """Dataset, result, dataset, result, ..."""
+
+
+def rows_of(picture: np.ndarray, plate: np.ndarray) -> np.ndarray:
+    """(H,) light above the plate in every row."""
+    return light_above(picture, plate)[..., 1].sum(1)
+
+
+def drawn_rows(gaussians: TransientGaussians, dataset: Dataset, camera: int, plate: np.ndarray, times: np.ndarray):
+    """(T, H) light of the reconstruction at these times."""
+    behind = plate if gaussians.dynamic.all() else None
+    pictures = (render(gaussians, dataset.cameras[camera], float(t), background=behind)["color"] for t in times)
+    return np.stack([rows_of(np.clip(picture, 0, 1), plate[..., :3]) for picture in pictures])
+
+
+def gas_climb(gaussians: TransientGaussians, dataset: Dataset, camera: int, time_s: float) -> float:
+    """px/s towards the top of the picture, mean over Gaussians, weighted by opacity times area."""
+    moving = gaussians[gaussians.dynamic]
+    place, alpha = moving.at(time_s)
+    jacobian = dataset.cameras[camera].projection_jacobian(place)
+    weight = alpha * np.prod(np.sort(moving.scale, 1)[:, 1:], axis=1)
+    up = -np.einsum("nj,nj->n", jacobian[:, 1], moving.velocity)
+    known = np.isfinite(up)
+    return float((weight * up)[known].sum() / weight[known].sum())
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the table."""
+    config = tyro.cli(RiseSpeed, prog="python -m gof_benchmark.evidence.rise_speed", args=argv)
+    print("| dataset | camera | footage, px/s | drawn at the frames | drawn four times as often | gas |")
+    print("|---|---|---|---|---|---|")
+    for folder, result in zip(config.pairs[::2], config.pairs[1::2], strict=True):
+        dataset = open_small(folder)
+        gaussians = TransientGaussians.load(result / "result.npz")
+        frame_s = dataset.frame_time_s
+        for c, camera in enumerate(dataset.cameras):
+            times = dataset.camera_times_s(c)
+            between = np.interp(np.arange(0, len(times) - 1, 1 / OFTENER), np.arange(len(times)), times)
+            plate = background(dataset, c, result)
+            seen = np.stack([rows_of(dataset.image(c, k), plate[..., :3]) for k in range(len(times))])
+            footage = climb(seen, frame_s)
+            apart = tuple(OFTENER * n for n in (2, 3, 4, 5, 6))
+            drawn = climb(drawn_rows(gaussians, dataset, c, plate, times), frame_s)
+            often = climb(drawn_rows(gaussians, dataset, c, plate, between), frame_s / OFTENER, apart)
+            middle = float(times[len(times) // 2])
+            cells = [drawn, often, gas_climb(gaussians, dataset, c, middle)]
+            ratios = " | ".join(f"{cell / footage:.2f}" for cell in cells)
+            print(f"| {folder.name} | {camera.name} | {footage:.0f} | {ratios} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
