@@ -154,11 +154,14 @@ def _require_possible(run: _Run, anyway: bool) -> None:
 
     Raises GofError: something is impossible, or the memory is not there, and nobody said to go on.
     """
-    steps = run.settings.iterations
-    camera = run.dataset.cameras[0]
+    settings, camera = run.settings, run.dataset.cameras[0]
+    steps, gaussians = settings.iterations, settings.gaussians
     native = kernels().name == "native"
-    seconds = steps * step_ms(run.settings.gaussians, camera.width * camera.height, native) / 1e3
-    needed = memory.needed_for(run.dataset, run.settings.gaussians, run.settings.voxels)
+    of_all_steps = steps
+    if settings.scene == "gaussians":  # the still scene has its own steps, and as many Gaussians again
+        of_all_steps, gaussians = steps + _still_steps(settings), 2 * gaussians
+    seconds = of_all_steps * step_ms(settings.gaussians, camera.width * camera.height, native) / 1e3
+    needed = memory.needed_for(run.dataset, gaussians, settings.voxels)
     print(
         f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores, and {memory.in_words(needed)}",
         file=sys.stderr,
@@ -205,12 +208,14 @@ def _still_scene(run: _Run, observation: Observation) -> TransientGaussians | No
     made = run.out / "background.npz"
     if made.exists():
         return TransientGaussians.load(made)
-    options = BackgroundOptions(
-        steps=max(round(STILL_STEPS * settings.iterations), 1), gaussians=max(settings.gaussians, 2), seed=settings.seed
-    )
+    options = BackgroundOptions(_still_steps(settings), max(settings.gaussians, 2), seed=settings.seed)
     still = still_gaussians(run.dataset, observation.plate, options, run.log)
     still.save(made, source=f"gof reconstruct {run.dataset.description.name}: the still scene")
     return still
+
+
+def _still_steps(settings: ReconstructionSettings) -> int:
+    return max(round(STILL_STEPS * settings.iterations), 1)
 
 
 # ---- Flow field: where the flame is in space, and how fast it moves there --------------------------------------------
