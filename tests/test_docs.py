@@ -13,7 +13,7 @@ EVIDENCE = ROOT / "benchmark/evidence"
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
-    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "benchmark").glob("*/README.md")),
     *sorted((ROOT / "benchmark/scenes").glob("*/README.md")),
     ROOT / "firmware/README.md",
