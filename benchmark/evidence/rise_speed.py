@@ -17,8 +17,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.cameras import Camera
 from gof.dataset import Dataset
 from gof.dataset.plates import background
+from gof.flame_mask import flame_mask
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.observation import light_above
 from gof.render import render
@@ -36,16 +38,25 @@ class RiseSpeed:
     """Dataset, result, dataset, result, ..."""
 
 
-def rows_of(picture: np.ndarray, plate: np.ndarray) -> np.ndarray:
-    """(H,) light above the plate in every row."""
-    return light_above(picture, plate)[..., 1].sum(1)
+def flames_place(dataset: Dataset, camera: int) -> np.ndarray:
+    """(H, W) bool: where the footage ever has flame, which a board's lights are not."""
+    static = dataset.static(camera)
+    return np.any([flame_mask(dataset.image(camera, k), static) for k in range(len(dataset.times_s))], axis=0)
 
 
-def drawn_rows(gaussians: TransientGaussians, dataset: Dataset, camera: int, plate: np.ndarray, times: np.ndarray):
-    """(T, H) light of the reconstruction at these times."""
+def rows_of(picture: np.ndarray, plate: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """(R,) light above the plate in every row that the flame's place has."""
+    light = light_above(picture, plate[..., :3])[..., 1] * place
+    return light.sum(1)[place.any(1)]
+
+
+def drawn_rows(
+    gaussians: TransientGaussians, camera: Camera, plate: np.ndarray, place: np.ndarray, times: np.ndarray
+) -> np.ndarray:
+    """(T, R) light of the reconstruction at these times."""
     behind = plate if gaussians.dynamic.all() else None
-    pictures = (render(gaussians, dataset.cameras[camera], float(t), background=behind)["color"] for t in times)
-    return np.stack([rows_of(np.clip(picture, 0, 1), plate[..., :3]) for picture in pictures])
+    pictures = (render(gaussians, camera, float(t), background=behind)["color"] for t in times)
+    return np.stack([rows_of(np.clip(picture, 0, 1), plate, place) for picture in pictures])
 
 
 def gas_climb(gaussians: TransientGaussians, dataset: Dataset, camera: int, time_s: float) -> float:
@@ -72,11 +83,12 @@ def main(argv: list[str] | None = None) -> None:
             times = dataset.camera_times_s(c)
             between = np.interp(np.arange(0, len(times) - 1, 1 / OFTENER), np.arange(len(times)), times)
             plate = background(dataset, c, result)
-            seen = np.stack([rows_of(dataset.image(c, k), plate[..., :3]) for k in range(len(times))])
+            place = flames_place(dataset, c)
+            seen = np.stack([rows_of(dataset.image(c, k), plate, place) for k in range(len(times))])
             footage = climb(seen, frame_s)
             apart = tuple(OFTENER * n for n in (2, 3, 4, 5, 6))
-            drawn = climb(drawn_rows(gaussians, dataset, c, plate, times), frame_s)
-            often = climb(drawn_rows(gaussians, dataset, c, plate, between), frame_s / OFTENER, apart)
+            drawn = climb(drawn_rows(gaussians, camera, plate, place, times), frame_s)
+            often = climb(drawn_rows(gaussians, camera, plate, place, between), frame_s / OFTENER, apart)
             middle = float(times[len(times) // 2])
             cells = [drawn, often, gas_climb(gaussians, dataset, c, middle)]
             ratios = " | ".join(f"{cell / footage:.2f}" for cell in cells)
