@@ -11,6 +11,8 @@ from gof.capture.template import BoardTemplate
 from gof.errors import GofError
 
 MIN_FLICKER = 12.0  # grey levels between strips and gaps; a codec's noise is a few
+MIN_TEETH = 3  # of the five strips in the picture, to tell teeth from gaps
+SHIFTS = np.linspace(-1.6, 1.6, 129)  # spacings by which the strips may lie beside the marker's plane
 
 
 class BoardNotFound(GofError):
@@ -209,7 +211,7 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
     inside = _inside(comb.middle, width, height, 2)
     if inside.sum() < samples / 4:
         raise BoardNotFound("the strips are outside the picture")
-    stretch, shift = _fit_comb(flicker, comb, inside)
+    stretch, shift = _fit_comb(flicker, comb)
     strip = comb.at(comb.teeth[:, None] * stretch + shift)
     for k in range(len(strip)):
         strip[k] += _towards_ridge(flicker, comb, strip[k])
@@ -232,40 +234,69 @@ def _predicted_comb(template: BoardTemplate, H: np.ndarray, samples: int) -> _Co
     return _Comb(s, predicted.mean(0), spacing, normal, teeth, gaps)
 
 
-def _fit_comb(flicker: np.ndarray, comb: _Comb, inside: np.ndarray) -> tuple[float, np.ndarray]:
-    """One stretch for the board; one curve of shifts (J,) in spacings, quadratic along the strips, refitted without
-    outliers.
+def _fit_comb(flicker: np.ndarray, comb: _Comb) -> tuple[float, np.ndarray]:
+    """One stretch for the board; one curve of shifts (J,) in spacings, quadratic along the strips: the curve along which
+    most of the comb is seen, then refined without outliers. Where the comb leaves the picture, or ends before the
+    template has it end, nothing is seen and nothing bends the curve.
 
     Raises: BoardNotFound: nothing flickers there, or the strips blend into each other.
     """
-    shifts = np.linspace(-1.6, 1.6, 129)
     stretches = np.linspace(0.85, 1.15, 7)
-    score = np.empty((len(stretches), len(shifts), len(comb.s)))
-    for k, stretch in enumerate(stretches):
-        teeth, gaps = (comb.at((part[:, None] * stretch + shifts)[:, :, None]) for part in (comb.teeth, comb.gaps))
-        score[k] = sample(flicker, teeth).mean(0) - sample(flicker, gaps).mean(0)
-    # With an outer strip dead the comb fits in two places: take the one nearer to the prediction.
-    score *= (1 - 0.1 * shifts**2)[:, None]
-    stretch_at, _ = np.unravel_index(score[:, :, inside].mean(2).argmax(), score.shape[:2])
-    stretch, best = stretches[stretch_at], score[stretch_at]
-    overall = best[:, inside].mean(1).argmax()
-    near = np.abs(np.arange(len(shifts)) - overall)[:, None] <= 24  # steps: 0.6 spacings
-    shift = shifts[np.where(near, best, -np.inf).argmax(0)]
-    strength = best.max(0)
-    usual = np.median(strength[inside])
+    scores = np.stack([_comb_score(flicker, comb, stretch) for stretch in stretches])
+    tries = [_brightest_curve(score) for score in scores]
+    best = int(np.argmax([found for _, found in tries]))
+    curve, score = tries[best][0], scores[best]
+    near = np.abs(SHIFTS[:, None] - curve) < 0.5
+    at = np.where(near, score, -np.inf).argmax(0)
+    shift, strength = SHIFTS[at], score[at, np.arange(len(at))]
+    seen = strength > 0
+    usual = np.median(strength[seen]) if seen.any() else 0.0
     if usual < MIN_FLICKER:
         raise BoardNotFound(
             f"no flickering strips where the board should have them (contrast {usual:.0f} of 255): is the board "
             "running, and are the strips in the picture? A frame rate that meets every period at the same moment (25, "
             "50 or 250 fps with 4 ms) freezes it: set another tick (gof capture board set --tick-us 410)"
         )
-    use = inside & (strength > 0.3 * usual)
+    bright = strength > 0.5 * usual
     for _ in range(4):
-        curve = np.polyfit(comb.s[use], shift[use], 2)
-        use = inside & (np.abs(np.polyval(curve, comb.s) - shift) < 0.25)
+        use = bright & (np.abs(curve - shift) < 0.25)
         if use.sum() < 8:
             raise BoardNotFound("the five strips cannot be told apart; are they sharp and free in front of the camera?")
-    return float(stretch), np.polyval(curve, comb.s)
+        curve = np.polyval(np.polyfit(comb.s[use], shift[use], 2), comb.s)
+    return float(stretches[best]), curve
+
+
+def _comb_score(flicker: np.ndarray, comb: _Comb, stretch: float) -> np.ndarray:
+    """(SHIFTS, J) how much brighter teeth are than gaps with the comb shifted; 0 where the comb is not in the picture."""
+    height, width = flicker.shape
+    means = []
+    for part in (comb.teeth, comb.gaps):
+        points = comb.at((part[:, None] * stretch + SHIFTS)[:, :, None])
+        inside = _inside(points, width, height, 1)
+        whole = inside.sum(0) >= MIN_TEETH
+        means.append(np.where(whole, (sample(flicker, points) * inside).sum(0) / np.maximum(inside.sum(0), 1), np.nan))
+    score = np.nan_to_num(means[0] - means[1], nan=0.0)
+    # With an outer strip dead the comb fits in two places: take the one nearer to the prediction.
+    return score * (1 - 0.1 * SHIFTS**2)[:, None]
+
+
+def _brightest_curve(score: np.ndarray) -> tuple[np.ndarray, float]:
+    """(J,) the quadratic curve of shifts with the greatest mean score, of a grid of tilts and bends; and that mean."""
+    u = np.linspace(-1, 1, score.shape[1])
+    step = SHIFTS[1] - SHIFTS[0]
+    few = slice(None, None, 3)  # points; the curve is refined with all
+    column = np.arange(len(u))[few]
+    best, found = np.zeros_like(u), -np.inf
+    for tilt in np.arange(-1.2, 1.21, 0.1):
+        for bend in np.arange(-0.6, 0.61, 0.1):
+            curve = tilt * u + bend * (u * u - 1 / 3)
+            row = np.arange(len(SHIFTS))[:, None] + np.rint(curve[few] / step).astype(int)
+            ok = (row >= 0) & (row < len(SHIFTS))
+            mean = np.where(ok, score[np.clip(row, 0, len(SHIFTS) - 1), column], 0.0).mean(1)
+            k = int(mean.argmax())
+            if mean[k] > found:
+                best, found = SHIFTS[k] + curve, float(mean[k])
+    return best, found
 
 
 def _towards_ridge(flicker: np.ndarray, comb: _Comb, strip: np.ndarray) -> np.ndarray:
