@@ -10,14 +10,20 @@ import numpy as np
 from gof.capture.strips import NotDecodable
 
 # Costs of `link`; tests/capture/test_clock.py holds them to any pattern of drops, repeats and wrong single times.
+AGREE = 0.15  # part of a period, or of an interval if that is shorter, by which two steps agree
 MISS = 0.06  # part of the period by which a time misses its place entirely; costs 1
 DROP_COST = 0.5  # less than the misses of the frames after a drop, more than one small miss
+# With fewer frames than these before or after it, a drop must explain more than one frame's wrong phase, of which every
+# drop explains some: its count as well, or a second frame.
+END_FRAMES, END_DROP_COST = 3, 1.2
 
 
 def estimate_interval(count: np.ndarray, phase_us: np.ndarray, period: float) -> float:
-    """Time between frames from counter and strips, by the median over pairs eight frames apart: single wrong reads,
-    drops and repeats do not move it.
+    """Time between frames from counter and strips, by pairs eight frames apart: the shortest step that many agree on.
+    Single wrong reads do not move it, and dropped frames make steps longer.
 
+    Args:
+        count: (T,) periods, or what lower bits say of them: they count backwards half of the time.
     Raises:
         NotDecodable: fewer than four frames, or the counter stands still.
     """
@@ -25,12 +31,14 @@ def estimate_interval(count: np.ndarray, phase_us: np.ndarray, period: float) ->
         raise NotDecodable(f"{len(count)} frames are too few; at least four are needed, a second is good")
     lag = min(8, len(count) // 2)
     counts, phases = (count[lag:] - count[:-lag]) * period, phase_us[lag:] - phase_us[:-lag]
-    # A Gray code read without its upper bits runs backwards in every second cycle.
-    steps = np.maximum(phases + counts, phases - counts) / lag
-    interval = float(np.median(steps))
-    # The mean of the steps that agree is finer than their median.
-    near = np.abs(steps - interval) < 0.35 * period / lag + 0.02 * interval
-    interval = float(steps[near].mean()) if near.any() else interval
+    steps = np.sort(np.maximum(phases + counts, phases - counts) / lag)
+    # A drop adds interval / lag, a wrong count period / lag: what agrees is nearer.
+    reach = AGREE * min(abs(float(np.median(steps))), period) / lag
+    agreeing = np.searchsorted(steps, steps + reach, "right") - np.searchsorted(steps, steps - reach)
+    shortest = steps[np.argmax(agreeing >= agreeing.max() / 2)]
+    near = np.abs(steps - shortest) <= 2 * reach
+    near = np.abs(steps - np.median(steps[near])) <= 2 * reach
+    interval = float(steps[near].mean())
     if interval <= 0:
         raise NotDecodable(
             "the period counter does not advance; is the board running? Give the capture rate with --fps"
@@ -56,7 +64,8 @@ def link(
 
     A repeated picture has the position of the one before; every other step is one more, or several after a drop. Of all
     such sequences the cheapest is taken (Viterbi), where a frame costs up to one for missing its time, and a drop half
-    of that: drops are told from wrong single times because all frames after a drop agree with it. Half of a window is
+    of that: drops are told from wrong single times because all frames after a drop agree with it. At the clip's ends
+    there are few to agree, and a drop costs more than a frame's wrong phase. Half of a window is
     settled at a time, and the clock followed from window to window, so small errors of the interval do not add up.
 
     Args:
@@ -69,9 +78,18 @@ def link(
 
     def follow(part: slice, origin: float, start: int | None = None) -> tuple[np.ndarray, float]:
         return _cheapest_shifts(
-            time[part] - origin - interval * order[part], repeated[part], interval, period, counted, start
+            time[part] - origin - interval * order[part],
+            repeated[part],
+            drop_cost[part],
+            interval,
+            period,
+            counted,
+            start,
         )
 
+    place = np.arange(len(time))
+    at_end = np.minimum(place, len(time) - place) < END_FRAMES
+    drop_cost = np.where(at_end, END_DROP_COST, DROP_COST)
     index, shift, first = order.copy(), 0, slice(0, window)
     # Single times may be wrong: the clock starts from the frame that most others agree with.
     anchors = np.unique(np.linspace(0, len(time[first]) - 1, 9).astype(int))
@@ -89,7 +107,7 @@ def link(
     return index
 
 
-def _cheapest_shifts(error, repeated, interval, period, counted, start):
+def _cheapest_shifts(error, repeated, drop_cost, interval, period, counted, start):
     """Non-decreasing shifts (in intervals) that explain `error` (T,) us best, and their cost. start: shift before the
     first frame; None = any."""
     if counted:
@@ -109,9 +127,9 @@ def _cheapest_shifts(error, repeated, interval, period, counted, start):
     for k in range(len(error)):
         if not repeated[k] and (k or start is not None):
             lowest = np.minimum.accumulate(best)
-            moves = lowest + DROP_COST < best
+            moves = lowest + drop_cost[k] < best
             came_from[k, moves] = np.maximum.accumulate(np.where(best == lowest, here, 0))[moves]
-            best = np.where(moves, lowest + DROP_COST, best)
+            best = np.where(moves, lowest + drop_cost[k], best)
         best = best + cost[k]
     path = np.empty(len(error), int)
     path[-1] = (best + size).argmin()

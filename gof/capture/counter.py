@@ -14,6 +14,8 @@ import numpy as np
 from gof.capture.strips import NotDecodable
 from gof.capture.template import BoardTemplate
 
+MOST_UNEVEN = 3.0  # periods: what a step of the count may cost, however long the gap
+
 
 def gray(count: np.ndarray) -> np.ndarray:
     """Reflected Gray code of non-negative integers."""
@@ -57,6 +59,34 @@ def read_count(on: np.ndarray, known: np.ndarray, bit: np.ndarray) -> tuple[np.n
         count ^= count >> shift
         shift *= 2
     return count, bits
+
+
+def unfold(count: np.ndarray, bits: int, phase: np.ndarray, step: float) -> np.ndarray:
+    """Periods from the lowest `bits` Gray bits alone, which count up and down in turns: of the two counts that a reading
+    may mean, those in a row that advance most evenly (Viterbi).
+
+    Args:
+        count: (T,) as `read_count` decodes these bits.
+        phase: (T,) position in the period, 0..1, from the strips.
+        step: periods from frame to frame.
+    Returns:
+        (T,) periods, up to a common multiple of the bits' cycle. A gap longer than half of that cycle is read short of it.
+    """
+    cycle = 1 << (bits + 1)
+    either = np.stack([count, cycle - 1 - count], 1)
+    advance = (either[1:, None, :] - either[:-1, :, None] + cycle // 4) % cycle - cycle // 4  # (T-1, before, after)
+    odd = advance + (np.diff(phase) - step)[:, None, None]
+    cost = np.minimum(np.abs(odd), MOST_UNEVEN)
+    best, came_from = np.zeros(2), np.zeros((len(count), 2), int)
+    for k in range(1, len(count)):
+        total = best[:, None] + cost[k - 1]
+        came_from[k], best = total.argmin(0), total.min(0)
+    path = np.empty(len(count), int)
+    path[-1] = best.argmin()
+    for k in range(len(count) - 1, 0, -1):
+        path[k - 1] = came_from[k, path[k]]
+    steps = advance[np.arange(len(count) - 1), path[:-1], path[1:]]
+    return either[0, path[0]] + np.concatenate([[0], np.cumsum(steps)])
 
 
 def resolve(count: np.ndarray, phase: np.ndarray, disambiguation: np.ndarray | None, lead: float) -> np.ndarray:

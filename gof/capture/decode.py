@@ -14,6 +14,7 @@ from gof.capture.template import BoardTemplate
 
 MIN_WEIGHT = 0.05  # in the robust line; frames below are outliers
 MIN_AGREEMENT = 0.97  # of the LEDs with the count; sharp footage has above 0.99
+MIN_BITS = 3  # of the counter, to count with: a cycle of 16 periods
 MIN_SPAN_PX = 60  # of a strip along the readout, to measure the row time from
 CLEAR_DELAY_US = 40.0  # along a strip: two bins of the learned curves, enough to tell a direction
 USUAL_EXPOSURE = 0.35  # of the period, where the strips do not show it
@@ -87,7 +88,7 @@ def decode(signals: Signals, template: BoardTemplate, options: DecodeOptions) ->
     """
     seen, led_position = _strip_readings(signals, template, options)
     phase = strips.coarse_phase(seen, options.period_us)
-    counter_read = _read_counter(signals, template, phase / options.period_us)
+    counter_read = _read_counter(signals, template, phase, options)
     start = _link_frames(seen, phase, counter_read, signals.duplicate, options)
     fit, index = _learn(seen, start, signals.duplicate, options)
     fused = _fuse(fit, index, start.interval_us, signals.duplicate, options)
@@ -130,15 +131,15 @@ class _CounterRead:
 
     Attributes:
         on: (T, L) brightness 0..1.   known: (L,) False for LEDs out of view.
-        count: (T,) of the lowest `bits` bits.
-        whole: whether every bit is in view, so that `count` is of the periods.
+        count: (T,) periods, up to the cycle of the lowest `bits` bits; None where they are too few to count.
+        interval_us: between frames.
     """
 
     on: np.ndarray
     known: np.ndarray
-    count: np.ndarray
+    count: np.ndarray | None
     bits: int
-    whole: bool
+    interval_us: float
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ class _LinkedFrames:
         index: (T,) positions.
         time_us: (T,) times there, to a fraction of a slot.
         interval_us: of the clock.
-        counted_us: (T,) times by each frame's own count, single ones wrong by periods; None without a whole count.
+        counted_us: (T,) times by each frame's own count, single ones wrong by periods; None without a count.
     """
 
     index: np.ndarray
@@ -168,36 +169,41 @@ class _FusedTimes:
     interval_us: float
 
 
-def _read_counter(signals: Signals, template: BoardTemplate, phase: np.ndarray) -> _CounterRead:
-    """Read the LEDs; where all are in view, settle reads next to a change. phase: (T,) in periods."""
+def _read_counter(
+    signals: Signals, template: BoardTemplate, phase_us: np.ndarray, options: DecodeOptions
+) -> _CounterRead:
+    """Read the LEDs; reads next to a change are settled by the disambiguation LED where it is in view."""
     on, known = counter.lit(signals.led, signals.board.led_visible)
     count, bits = counter.read_count(on, known, template.led_bit)
-    whole = bits == template.gray_bits
-    if whole:
-        at = np.flatnonzero((template.led_bit < 0) & known)
-        disambiguation = on[:, at[0]] if len(at) else None
-        count = counter.resolve(count, phase, disambiguation, template.disambiguation_lead)
-    return _CounterRead(on, known, count, bits, whole)
+    interval = _interval(options, count, bits, phase_us)
+    if bits < MIN_BITS:
+        return _CounterRead(on, known, None, bits, interval)
+    phase = phase_us / options.period_us
+    if bits < template.gray_bits:
+        count = counter.unfold(count, bits, phase, interval / options.period_us)
+    at = np.flatnonzero((template.led_bit < 0) & known)
+    disambiguation = on[:, at[0]] if len(at) else None
+    count = counter.resolve(count, phase, disambiguation, template.disambiguation_lead)
+    return _CounterRead(on, known, count, bits, interval)
 
 
 def _link_frames(
     seen: StripReadings, phase: np.ndarray, read: _CounterRead, repeated: np.ndarray, options: DecodeOptions
 ) -> _LinkedFrames:
     """Put the frames on the camera's clock, from count and phase: the cheapest sequence of drops and repeats."""
-    period = options.period_us
-    interval = _interval(options, read.count, read.bits, phase, period)
-    counted = read.count * period + phase
-    index = clock.link(counted if read.whole else phase, interval, repeated, period, read.whole)
-    if read.whole:
+    period, interval = options.period_us, read.interval_us
+    counted = None if read.count is None else read.count * period + phase
+    index = clock.link(phase if counted is None else counted, interval, repeated, period, counted is not None)
+    if counted is None:
+        time = clock.unwrap(phase, index, interval, period)
+    else:
         # Single counts may still be wrong; the clock says which period is meant.
         line = strips.robust_line(index, counted)[0]
         time = line + clock.wrap(phase - line, period)
-    else:
-        time = clock.unwrap(phase, index, interval, period)
     if options.steady:
         interval = strips.sharpen_interval(seen, index, interval, period)
         time = index * interval + np.median(time - index * interval)
-    return _LinkedFrames(index, time, interval, counted if read.whole else None)
+    return _LinkedFrames(index, time, interval, counted)
 
 
 def _learn(
@@ -254,7 +260,7 @@ def _warnings(
     read: _CounterRead, vote: CountVote, used: np.ndarray, repeated: np.ndarray, template: BoardTemplate
 ) -> list[str]:
     warnings = []
-    if not read.whole:
+    if read.bits < template.gray_bits:
         warnings.append(f"only the lowest {read.bits} of {template.gray_bits} counter LEDs are in view")
     if vote.agreement < MIN_AGREEMENT:
         warnings.append(
@@ -310,13 +316,13 @@ def _row_time(options: DecodeOptions, seen: StripReadings, time: np.ndarray, per
     return along, True
 
 
-def _interval(options: DecodeOptions, count: np.ndarray, bits: int, phase: np.ndarray, period: float) -> float:
+def _interval(options: DecodeOptions, count: np.ndarray, bits: int, phase: np.ndarray) -> float:
     """us between frames, as given or from the counter."""
     if options.fps:
         return 1e6 / options.fps
-    if bits < 3:
+    if bits < MIN_BITS:
         raise NotDecodable("too few counter LEDs are in view to measure the frame rate; give it with --fps")
-    return clock.estimate_interval(count, phase, period)
+    return clock.estimate_interval(count, phase, options.period_us)
 
 
 def _line_sigma(index: np.ndarray, used: np.ndarray, residual: np.ndarray, count: int) -> np.ndarray:

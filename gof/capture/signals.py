@@ -13,6 +13,8 @@ from gof.capture.locate import BoardInImage, Summary, locate
 from gof.capture.template import BoardTemplate
 from gof.footage import stored_frames
 
+LED_CHANGE = 40.0  # grey levels: far above a codec's noise, half of what a dim LED changes by
+
 
 @dataclass(frozen=True)
 class Signals:
@@ -72,9 +74,11 @@ def sample_frame(image: np.ndarray, board: BoardInImage) -> tuple[np.ndarray, np
 
 
 def make_signals(strip: np.ndarray, led: np.ndarray, image_size: tuple[int, int], board: BoardInImage) -> Signals:
-    """Signals with repeated frames marked: two frames of a running board differ by more than coding noise unless one is
-    a copy of the other."""
+    """Signals with repeated frames marked: two frames of a running board differ by more than coding noise, in strips or
+    LEDs, unless one is a copy of the other. (After a gap the strips alone may look as they did before it.)"""
     visible = board.strip_visible
     step = np.abs(np.diff(strip, axis=0))[:, visible].mean(1) if visible.any() else np.zeros(len(strip) - 1)
-    duplicate = np.concatenate([[False], step < 0.06 * np.median(step)])
+    seen = board.led_visible
+    blinked = np.abs(np.diff(led, axis=0))[:, seen].max(1) > LED_CHANGE if seen.any() else np.zeros(len(led) - 1, bool)
+    duplicate = np.concatenate([[False], (step < 0.06 * np.median(step)) & ~blinked])
     return Signals(strip, led, duplicate, image_size, board)
