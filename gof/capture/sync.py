@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
+from gof.capture.doubts import doubts
+from gof.capture.flame_clock import estimate_times, read_light
 from gof.capture.plot import plot_camera
 from gof.capture.sensors import Sensor
 from gof.capture.signals import Signals, read_signals
@@ -33,15 +36,17 @@ def synchronise(
     options: list[DecodeOptions],
     plots: Path | None = None,
     known: Sensor | None = None,
+    estimate: bool = False,
 ) -> FrameTimesFile:
     """Decode every video and put all on the board's clock.
 
-    A video that cannot be decoded has an error instead of times.
+    A video that cannot be decoded has an error instead of times, or estimated times.
 
     Args:
         options: one per video.
         plots: folder for one picture of residuals per camera.
         known: gives the row time of pictures of any size.
+        estimate: estimate the clock of a camera without the board from its flame.
     """
     period_us = options[0].period_us
     names = distinct_names(videos)
@@ -53,18 +58,44 @@ def synchronise(
         except GofError as e:
             errors[name] = str(e)
     times = {name: found.times for name, found in decoded.items()}
-    warnings = _settle_counts(times, period_us)
+    settled = _settle_counts(times, period_us)
     cameras = []
     for name, video in zip(names, videos, strict=True):
         if name in errors:
             cameras.append(SyncedVideo(name, str(video), error=errors[name]))
-            warnings.append(f"{name}: {errors[name]}")
             continue
         cameras.append(SyncedVideo(name, str(video), _describe(decoded[name], stated_fps(video))))
-        warnings += [f"{name}: {w}" for w in [*times[name].faults, *times[name].warnings]]
         if plots:
             plot_camera(times[name], name, template.strip_slot, period_us, plots / f"residuals_{name}.png")
-    return FrameTimesFile(template.name, period_us, tuple(cameras), _nearest(times), tuple(warnings))
+    if estimate:
+        cameras = _estimate_missing(cameras)
+    warnings = [*settled, *doubts(cameras), *chain.from_iterable(map(_said, cameras))]
+    return FrameTimesFile(template.name, period_us, tuple(cameras), _nearest(cameras), tuple(warnings))
+
+
+def _said(camera: SyncedVideo) -> list[str]:
+    """What is known against a camera."""
+    own = [] if camera.times is None else [*camera.times.faults, *camera.times.warnings]
+    return [f"{camera.name}: {text}" for text in ([camera.error] if camera.error else []) + own]
+
+
+def _estimate_missing(cameras: list[SyncedVideo]) -> list[SyncedVideo]:
+    """Cameras without a board get an estimated clock, where one with a board filmed the same flame; the others stay as
+    they are, and say why not."""
+    if all(c.times for c in cameras) or not any(c.times for c in cameras):
+        return cameras
+    known = {c.name: (Path(c.video), c.times, read_light(Path(c.video))) for c in cameras if c.times}
+    found = []
+    for camera in cameras:
+        if camera.times is None:
+            try:
+                estimated = estimate_times(Path(camera.video), read_light(Path(camera.video)), known)
+                said = (f"not decoded ({camera.error})", *estimated.warnings)
+                camera = replace(camera, times=replace(estimated, warnings=said), error=None)
+            except GofError as e:
+                camera = replace(camera, error=f"{camera.error}; and no clock from the flame: {e}")
+        found.append(camera)
+    return found
 
 
 @dataclass(frozen=True)
@@ -114,12 +145,13 @@ def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:
     return warnings
 
 
-def _nearest(decoded: dict[str, CameraTimes]) -> dict[str, NearestFrame]:
-    """For each camera, its frame nearest to the first camera's first frame."""
+def _nearest(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:
+    """For each camera with times, its frame nearest to the first such camera's first frame."""
+    time_s = {c.name: np.array([frame.time_s for frame in c.times.frames]) for c in cameras if c.times}
     nearest: dict[str, NearestFrame] = {}
-    first = next(iter(decoded.values()), None)
-    for name, times in decoded.items():
-        offset = times.time_us - first.time_us[0]
+    first = next(iter(time_s.values()), None)
+    for name, own in time_s.items():
+        offset = 1e6 * (own - first[0])
         k = int(np.abs(offset).argmin())
         nearest[name] = NearestFrame(k, round(float(offset[k]), 2))
     return nearest

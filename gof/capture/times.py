@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 FILE = "times.json"
 Readout = Literal["down", "up", "left", "right"]
+Clock = Literal["board", "flame"]
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,12 @@ class VideoTimes:
         systematic_us: uncertainty common to all frames.
         outliers: frames left out that are no repeats.
         exposure_us, saturation: estimated; None where no strip shows them.
-        count: of the periods, by the LEDs.
+        count: of the periods, by the LEDs; no candidates where there is no board.
         container_fps: what the file states; None when it states none.
         marker_px: mean side of the marker.
         faults: of the board's wiring.   warnings: what else is doubtful.
+        clock: "board": read from it; "flame": estimated from other cameras' flame (`gof.capture.flame_clock`), all
+            frames by `systematic_us` alike; nothing is known of gaps then.
     """
 
     width: int
@@ -86,6 +89,7 @@ class VideoTimes:
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
     cost: DecodingCost
+    clock: Clock = "board"
 
 
 @dataclass(frozen=True)

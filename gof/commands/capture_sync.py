@@ -9,6 +9,7 @@ from typing import Literal
 import tyro
 
 from gof.capture.decode import DecodeOptions
+from gof.capture.doubts import missing_frames
 from gof.capture.sensors import sensor
 from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
@@ -45,6 +46,9 @@ class SyncConfig:
     """Direction in which lines are read later, as the picture is stored; measured when not given."""
     clock: Literal["steady", "free"] = "steady"
     """steady: frames come at equal distances (action cameras, machine cameras); free: phones with a varying rate."""
+    estimate: bool = True
+    """Where a camera does not show the board: estimate its clock from the flame, against the cameras that do (good to about
+    a frame, and marked so)."""
     json: Path | None = None
     """Also write the figures (without the frames) to this file."""
 
@@ -61,7 +65,8 @@ def main(argv: list[str]) -> int:
     if config.sensor and config.row_time_us is not None:
         raise GofError("give either --sensor or --row-time-us")
     known = sensor(config.sensor) if config.sensor else None
-    result = synchronise(config.videos, BoardTemplate.load(config.template), options(config), config.out, known)
+    board = BoardTemplate.load(config.template)
+    result = synchronise(config.videos, board, options(config), config.out, known, config.estimate)
     if not any(camera.times for camera in result.cameras):
         raise GofError("no camera could be decoded: " + "; ".join(camera.error for camera in result.cameras))
     write_record(target, result)
@@ -94,8 +99,12 @@ def describe(camera: SyncedVideo) -> str:
     times = camera.times
     if times is None:
         return f"{camera.name:<16} not decoded: {camera.error}"
+    if times.clock == "flame":
+        return f"{camera.name:<16} {times.fps:.4f} fps  ESTIMATED from the flame, +-{times.systematic_us / 1000:.1f} ms"
+    missing = sum(times.dropped_before.values())
+    gaps = f"  {missing} frames missing ({missing_frames(times)})" if missing else ""
     return (
         f"{camera.name:<16} {times.fps:.4f} fps  rms {times.rms_us:.2f} us (max {times.max_residual_us:.1f}, "
         f"{times.outliers} outliers)  rows {times.row_time_us:.3f} us/px {times.readout}  "
-        f"exposure {times.exposure_us or 0:.0f} us  {times.cost.frames_per_second:.0f} frames/s"
+        f"exposure {times.exposure_us or 0:.0f} us  {times.cost.frames_per_second:.0f} frames/s{gaps}"
     )

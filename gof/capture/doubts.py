@@ -1,0 +1,78 @@
+"""What about a take's times a person should look at before believing them: said in words, camera by camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gof.capture.times import SyncedVideo, VideoTimes
+
+ROW_TIME_SPREAD = 0.05  # real clips of one mode agree to 0.02; 0.05 of 4 us are 50 us at the edge of 480 pixels
+MOST_RMS_US = 10.0  # the published clips, heavily compressed, have 2 to 5
+MOST_SYSTEMATIC_US = 10.0  # there 0.5 to 2.5
+STANDS_OUT = 3.0  # times the other cameras' median
+RATE_SPREAD = 1e-3  # cameras of one nominal rate agree to 3e-5
+
+
+def doubts(cameras: list[SyncedVideo]) -> list[str]:
+    """One sentence per camera and doubt; none for a take that is in order."""
+    read = [(c.name, c.times) for c in cameras if c.times and c.times.clock == "board"]
+    found = []
+    for k, (name, times) in enumerate(read):
+        others = [other for j, (_, other) in enumerate(read) if j != k]
+        found += [f"{name}: {text}" for text in _missing(times) + _odd_row_time(times, others) + _ragged(times, others)]
+    rates = [times.fps for _, times in read]
+    if rates and max(rates) - min(rates) > RATE_SPREAD * min(rates):
+        listed = ", ".join(f"{name} {times.fps:.2f}" for name, times in read)
+        found.append(f"the cameras ran at different rates ({listed} fps): frames of equal numbers drift apart")
+    return found
+
+
+def missing_frames(times: VideoTimes) -> str:
+    """ "2 before frame 20, 1 before frame 57"; "" when none is missing."""
+    return ", ".join(f"{count} before frame {frame}" for frame, count in times.dropped_before.items())
+
+
+def _missing(times: VideoTimes) -> list[str]:
+    found = []
+    if times.dropped_before:
+        found.append(f"{sum(times.dropped_before.values())} frames are missing: {missing_frames(times)}")
+    if times.repeated_frames:
+        found.append(f"frames {', '.join(map(str, times.repeated_frames))} show the one before again")
+    return found
+
+
+def _odd_row_time(times: VideoTimes, others: list[VideoTimes]) -> list[str]:
+    """Compared with cameras whose pictures have the same size and are read along the same axis."""
+    alike = [o for o in others if (o.width, o.height) == (times.width, times.height)]
+    if not alike:
+        return []
+    found = []
+    usual = float(np.median([o.row_time_us for o in alike]))
+    if abs(times.row_time_us - usual) > ROW_TIME_SPREAD * max(usual, 0.1):
+        lines = times.width if times.readout in ("left", "right") else times.height
+        edge = abs(times.row_time_us - usual) * lines / 2
+        found.append(
+            f"its row time, {times.row_time_us:.2f} us per line, is not that of the others ({usual:.2f}): unless it is "
+            f"another camera or mode, its edges are {edge:.0f} us off; look at its residuals, or give --row-time-us"
+        )
+    directions = {o.readout for o in alike}
+    if len(alike) > 1 and len(directions) == 1 and times.readout not in directions:
+        found.append(f"its lines are read {times.readout}, those of the others {directions.pop()}: is it turned over?")
+    return found
+
+
+def _ragged(times: VideoTimes, others: list[VideoTimes]) -> list[str]:
+    found = []
+    figures = (
+        ("rms", times.rms_us, MOST_RMS_US, "rms_us"),
+        ("systematic error", times.systematic_us, MOST_SYSTEMATIC_US, "systematic_us"),
+    )
+    for what, value, most, field in figures:
+        usual = float(np.median([getattr(o, field) for o in others])) if others else 0.0
+        if value > most or (others and value > max(most / 2, STANDS_OUT * usual)):
+            beside = f", the others {usual:.1f}" if others else ""
+            found.append(
+                f"its {what} is {value:.1f} us{beside}: the strips were not read cleanly (cut off, hidden, out of focus, "
+                "compressed?); look at its residuals"
+            )
+    return found

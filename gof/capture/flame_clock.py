@@ -1,0 +1,245 @@
+"""A camera without the board: its clock estimated from the flame that it filmed together with cameras that have one.
+
+Fire-coloured light (red minus blue, which white LEDs do not have) is summed along the lines of the picture: how high
+the flame stands at each moment. That is nearly the same from every side, but for the place and size of the picture, so
+lag, shift and scale at which two cameras' light agrees best are searched together. A flame that rises looks alike when
+it is seen earlier or lower, which is what limits the estimate: about a frame on the published clips
+(docs/capture.md, "A camera without the board").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gof.capture.times import CounterReading, DecodingCost, FrameTime, VideoTimes
+from gof.errors import GofError
+from gof.footage import stated_fps, stored_frames
+
+BIN_PX = 4  # lines that are summed
+SCALES = np.geomspace(0.8, 1.25, 13)  # of one camera's picture against the other's
+MOST_SHIFT = 0.35  # of the picture's height
+MIN_OVERLAP = 0.5  # of the light's changes, in time and height
+MIN_AGREEMENT = 0.4  # correlation; pairs of the published clips have 0.46 to 0.98, and 0.46 was 0.4 ms off
+ERROR_FRAMES = 1.0  # standard deviation; on 19 pairs of the published clips, docs/capture.md
+MIN_FRAMES = 24
+
+
+class NoFlameClock(GofError):
+    """The light of the two cameras does not tell how their clocks lie."""
+
+
+@dataclass(frozen=True)
+class FlameLight:
+    """What a camera saw of the fire.
+
+    Attributes:
+        along: for either axis of the picture (x, y): (T, N) fire light of each frame in N bins of BIN_PX along it.
+        middle: (2,) x, y of the middle of what changes, px from the picture's centre.
+        size: (width, height).
+    """
+
+    along: tuple[np.ndarray, np.ndarray]
+    middle: np.ndarray
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Offset:
+    """Frame k of one camera shows the flame that the other showed at its frame k + lag."""
+
+    lag: float
+    agreement: float
+
+
+def read_light(video: Path) -> FlameLight:
+    """Read a video once. Raises DataFormatError as `stored_frames`."""
+    import cv2
+
+    columns, rows, size = [], [], (0, 0)
+    for frame in stored_frames(video):
+        fire = cv2.subtract(frame[..., 0], frame[..., 2])
+        size = (frame.shape[1], frame.shape[0])
+        columns.append(_binned(fire.sum(0, dtype=np.float32)))
+        rows.append(_binned(fire.sum(1, dtype=np.float32)))
+    along = np.stack(columns), np.stack(rows)
+    middles = [
+        (light.std(0) * BIN_PX * (np.arange(light.shape[1]) + 0.5)).sum() / max(light.std(0).sum(), 1e-9)
+        for light in along
+    ]
+    return FlameLight(along, np.array(middles) - np.array(size) / 2, size)
+
+
+def _binned(line: np.ndarray) -> np.ndarray:
+    return line[: len(line) // BIN_PX * BIN_PX].reshape(-1, BIN_PX).sum(1)
+
+
+def find_offset(known: FlameLight, other: FlameLight) -> Offset:
+    """The lag at which the light of two cameras of one frame rate agrees best, along the axis where it agrees better.
+
+    Raises NoFlameClock: fewer than 24 frames, no fire, or no agreement.
+    """
+    if min(len(known.along[0]), len(other.along[0])) < MIN_FRAMES:
+        raise NoFlameClock(f"fewer than {MIN_FRAMES} frames are too few to compare flames")
+    best = max((_best_lag(a, b) for a, b in zip(known.along, other.along, strict=True)), key=lambda o: o.agreement)
+    if not best.agreement >= MIN_AGREEMENT:
+        raise NoFlameClock(
+            f"the flames' light does not agree (correlation {best.agreement:.2f}); is fire in both pictures?"
+        )
+    return best
+
+
+def _best_lag(known: np.ndarray, other: np.ndarray) -> Offset:
+    a, b = _changes(known), _changes(other)
+    if not (a.any() and b.any()):
+        return Offset(0.0, 0.0)
+    best = Offset(0.0, -1.0)
+    for scale in SCALES:
+        lags, agreement = _agreement(_stretched(a, scale), b)
+        k = int(agreement.argmax())
+        if agreement[k] > best.agreement:
+            best = Offset(lags[k] + _peak(agreement, k), float(agreement[k]))
+    return best
+
+
+def _changes(light: np.ndarray) -> np.ndarray:
+    """(T, N) how the light differs from its mean over time; the root keeps the bright base from outweighing the tips."""
+    root = np.sqrt(np.maximum(light, 0.0))
+    return root - root.mean(0)
+
+
+def _stretched(light: np.ndarray, scale: float) -> np.ndarray:
+    place = np.arange(int(light.shape[1] / scale)) * scale
+    left = np.clip(place.astype(int), 0, light.shape[1] - 2)
+    part = place - left
+    return light[:, left] * (1 - part) + light[:, left + 1] * part
+
+
+def _agreement(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lags, and the correlation at each, at the shift along the picture where it is greatest. By FFT, with the energy of
+    what overlaps."""
+    shape = len(a) + len(b), a.shape[1] + b.shape[1]
+
+    def correlate(p, q):
+        return np.fft.irfft2(np.fft.rfft2(p, shape) * np.conj(np.fft.rfft2(q, shape)), shape)
+
+    energy_a, energy_b = correlate(a * a, np.ones_like(b)), correlate(np.ones_like(a), b * b)
+    whole_a, whole_b = (a * a).sum(), (b * b).sum()
+    share = np.clip(energy_a / whole_a, 0, 1) * np.clip(energy_b / whole_b, 0, 1)
+    enough = share > MIN_OVERLAP**2
+    found = np.where(enough, correlate(a, b) / np.sqrt(np.where(enough, energy_a * energy_b, 1.0)), -1.0)
+    shift = np.fft.fftfreq(shape[1], 1 / shape[1])
+    found = found[:, np.abs(shift) <= MOST_SHIFT * b.shape[1]].max(1)
+    lags = np.fft.fftfreq(shape[0], 1 / shape[0])
+    order = np.argsort(lags)
+    return lags[order], found[order]
+
+
+def _peak(values: np.ndarray, k: int) -> float:
+    """Of the parabola through three values, from the middle one."""
+    if not 0 < k < len(values) - 1:
+        return 0.0
+    a, b, c = values[k - 1 : k + 2]
+    bend = a - 2 * b + c
+    return float(0.5 * (a - c) / bend) if bend < 0 and min(a, c) > -1 else 0.0
+
+
+def estimate_times(video: Path, light: FlameLight, known: dict[str, tuple[Path, VideoTimes, FlameLight]]) -> VideoTimes:
+    """Times of a camera without the board, from all cameras that have it.
+
+    Every camera votes, weighted by agreement; their spread, and at least the error on the published clips, is the
+    uncertainty. The camera is taken to have the others' frame interval, row time and readout, and no gaps: nothing
+    shows them.
+
+    Raises:
+        NoFlameClock: no camera's flame agrees, or the video states another frame rate than they do.
+        DataFormatError: it cannot be read.
+    """
+    usable = {}
+    for name, (path, times, its_light) in known.items():
+        try:
+            _require_same_rate(video, path)
+            usable[name] = times, find_offset(_on_clock(its_light, times), light), its_light
+        except NoFlameClock as e:
+            reason = e
+    if not usable:
+        raise reason
+    interval = float(np.median([times.frame_interval_us for times, _, _ in usable.values()]))
+    starts, weights = [], []
+    for times, offset, its_light in usable.values():
+        # The flame is seen where it stands: its lines are read earlier or later than the picture's middle.
+        delay = _delay(times, its_light.middle) - _delay(times, light.middle)
+        starts.append(1e6 * times.frames[0].time_s + offset.lag * times.frame_interval_us + delay)
+        weights.append(offset.agreement**2)
+    start = float(np.average(starts, weights=weights))
+    spread = float(np.sqrt(np.average((np.array(starts) - start) ** 2, weights=weights)))
+    sigma = float(np.hypot(ERROR_FRAMES * interval, spread))
+    best = max(usable.values(), key=lambda u: u[1].agreement)
+    seen = " and ".join(f"{name} (correlation {offset.agreement:.2f})" for name, (_, offset, _) in usable.items())
+    text = (
+        f"its times are ESTIMATED from the flame's light against {seen}: +-{sigma / 1000:.1f} ms, about "
+        f"{sigma / interval:.1f} frames; frame rate and row time are taken from the others, gaps are not seen"
+    )
+    return _described(best[0], start, interval, sigma, light, stated_fps(video), text)
+
+
+def _on_clock(light: FlameLight, times: VideoTimes) -> FlameLight:
+    """The light at equal steps of the camera's clock: gaps are filled, repeats left out."""
+    at = np.array([frame.time_s for frame in times.frames]) * 1e6
+    index = (at - at[0]) / times.frame_interval_us
+    steps = np.arange(round(index[-1]) + 1)
+
+    def filled(values):
+        right = np.clip(np.searchsorted(index, steps - 1e-6), 1, len(index) - 1)
+        span = np.maximum(index[right] - index[right - 1], 1e-9)
+        part = np.clip((steps - index[right - 1]) / span, 0, 1)[:, None]
+        return values[right - 1] * (1 - part) + values[right] * part
+
+    return FlameLight(tuple(filled(values) for values in light.along), light.middle, light.size)
+
+
+def _require_same_rate(video: Path, other: Path) -> None:
+    mine, its = stated_fps(video), stated_fps(other)
+    if mine and its and abs(mine / its - 1) > 0.01:
+        raise NoFlameClock(
+            f"its file states {mine:g} frames per second, {other.name} {its:g}: clocks cannot be compared"
+        )
+
+
+def _delay(times: VideoTimes, middle: np.ndarray) -> float:
+    """us by which a place is read later than the picture's middle."""
+    along = middle[0] if times.readout in ("left", "right") else middle[1]
+    return float(times.row_time_us * along * (1 if times.readout in ("right", "down") else -1))
+
+
+def _described(
+    like: VideoTimes, start: float, interval: float, sigma: float, light: FlameLight, fps: float | None, text: str
+) -> VideoTimes:
+    count = len(light.along[0])
+    seconds = 1e-6 * (start + interval * np.arange(count))
+    return VideoTimes(
+        width=light.size[0],
+        height=light.size[1],
+        fps=round(1e6 / interval, 5),
+        frame_interval_us=round(interval, 4),
+        row_time_us=like.row_time_us,
+        readout=like.readout,
+        frames=tuple(FrameTime(round(t, 8), round(sigma, 3), round(t, 8), True) for t in seconds.tolist()),
+        repeated_frames=(),
+        dropped_before={},
+        rms_us=0.0,
+        max_residual_us=0.0,
+        systematic_us=round(sigma, 3),
+        outliers=0,
+        exposure_us=None,
+        saturation=None,
+        count=CounterReading(0, 0.0, 0),
+        container_fps=fps,
+        marker_px=0.0,
+        faults=(),
+        warnings=(text,),
+        cost=DecodingCost(0.0, 0.0, 0.0),
+        clock="flame",
+    )
