@@ -62,15 +62,16 @@ def read_count(on: np.ndarray, known: np.ndarray, bit: np.ndarray) -> tuple[np.n
 
 
 def unfold(count: np.ndarray, bits: int, phase: np.ndarray, step: float) -> np.ndarray:
-    """Periods from the lowest `bits` Gray bits alone, which count up and down in turns: of the two counts that a reading
-    may mean, those in a row that advance most evenly (Viterbi).
+    """Periods from the lowest `bits` Gray bits alone, which count up and down in turns: of the two counts that a
+    reading may mean, those in a row that advance most evenly (Viterbi).
 
     Args:
         count: (T,) as `read_count` decodes these bits.
         phase: (T,) position in the period, 0..1, from the strips.
         step: periods from frame to frame.
     Returns:
-        (T,) periods, up to a common multiple of the bits' cycle. A gap longer than half of that cycle is read short of it.
+        (T,) periods, up to a common multiple of the bits' cycle. A gap of more than three quarters of that cycle is
+        read wrong.
     """
     cycle = 1 << (bits + 1)
     either = np.stack([count, cycle - 1 - count], 1)

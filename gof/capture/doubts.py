@@ -72,7 +72,7 @@ def _ragged(times: VideoTimes, others: list[VideoTimes]) -> list[str]:
         if value > most or (others and value > max(most / 2, STANDS_OUT * usual)):
             beside = f", the others {usual:.1f}" if others else ""
             found.append(
-                f"its {what} is {value:.1f} us{beside}: the strips were not read cleanly (cut off, hidden, out of focus, "
-                "compressed?); look at its residuals"
+                f"its {what} is {value:.1f} us{beside}: the strips were not read cleanly (cut off, hidden, out of "
+                "focus, compressed?); look at its residuals"
             )
     return found

@@ -105,7 +105,7 @@ def _best_lag(known: np.ndarray, other: np.ndarray) -> Offset:
 
 
 def _changes(light: np.ndarray) -> np.ndarray:
-    """(T, N) how the light differs from its mean over time; the root keeps the bright base from outweighing the tips."""
+    """(T, N) how the light differs from its mean over time; the root keeps the base from outweighing the tips."""
     root = np.sqrt(np.maximum(light, 0.0))
     return root - root.mean(0)
 
@@ -118,8 +118,10 @@ def _stretched(light: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _agreement(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lags, and the correlation at each, at the shift along the picture where it is greatest. By FFT, with the energy of
-    what overlaps."""
+    """Lags, and the correlation at each, at the shift along the picture where it is greatest.
+
+    By FFT, with the energy of what overlaps.
+    """
     shape = len(a) + len(b), a.shape[1] + b.shape[1]
 
     def correlate(p, q):

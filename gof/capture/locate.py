@@ -235,9 +235,10 @@ def _predicted_comb(template: BoardTemplate, H: np.ndarray, samples: int) -> _Co
 
 
 def _fit_comb(flicker: np.ndarray, comb: _Comb) -> tuple[float, np.ndarray]:
-    """One stretch for the board; one curve of shifts (J,) in spacings, quadratic along the strips: the curve along which
-    most of the comb is seen, then refined without outliers. Where the comb leaves the picture, or ends before the
-    template has it end, nothing is seen and nothing bends the curve.
+    """One stretch for the board; one curve of shifts (J,) in spacings, quadratic along the strips.
+
+    That along which most of the comb is seen, then refined without outliers. Where the comb leaves the picture, or ends
+    before the template has it end, nothing is seen and nothing bends the curve.
 
     Raises: BoardNotFound: nothing flickers there, or the strips blend into each other.
     """
@@ -267,7 +268,7 @@ def _fit_comb(flicker: np.ndarray, comb: _Comb) -> tuple[float, np.ndarray]:
 
 
 def _comb_score(flicker: np.ndarray, comb: _Comb, stretch: float) -> np.ndarray:
-    """(SHIFTS, J) how much brighter teeth are than gaps with the comb shifted; 0 where the comb is not in the picture."""
+    """(SHIFTS, J) how much brighter teeth are than gaps with the comb shifted; 0 where it is not in the picture."""
     height, width = flicker.shape
     means = []
     for part in (comb.teeth, comb.gaps):

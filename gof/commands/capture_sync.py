@@ -8,12 +8,14 @@ from typing import Literal
 
 import tyro
 
+from gof.capture.aligned import Codec, Layout, write_aligned
 from gof.capture.decode import DecodeOptions
 from gof.capture.doubts import missing_frames
 from gof.capture.sensors import sensor
 from gof.capture.sync import synchronise
+from gof.capture.sync_report import write_report
 from gof.capture.template import BoardTemplate
-from gof.capture.times import FILE, Readout, SyncedVideo
+from gof.capture.times import FILE, FrameTimesFile, Readout, SyncedVideo
 from gof.errors import GofError
 from gof.options import require_all_positive, require_number, require_positive
 from gof.records import write_record
@@ -47,8 +49,15 @@ class SyncConfig:
     clock: Literal["steady", "free"] = "steady"
     """steady: frames come at equal distances (action cameras, machine cameras); free: phones with a varying rate."""
     estimate: bool = True
-    """Where a camera does not show the board: estimate its clock from the flame, against the cameras that do (good to about
-    a frame, and marked so)."""
+    """Where a camera does not show the board: estimate its clock from the flame, against the cameras that do. Good to
+    about a frame, and marked so."""
+    report: bool = True
+    """Write OUT/report.html: crops of all cameras at one moment, before and after, and how sure the times are."""
+    write_videos: Layout | None = None
+    """Also write aligned videos, in which equal frame numbers are equal times, into OUT/aligned, where the named
+    program looks for them (pose2sim, freemocap, opencap), or plainly. Whole frames are chosen, never blended."""
+    video_codec: Codec = "lossless"
+    """Of aligned videos: lossless (FFV1, .avi) or mpeg4 (.mp4, a tenth of the size, about 40 dB PSNR)."""
     json: Path | None = None
     """Also write the figures (without the frames) to this file."""
 
@@ -75,9 +84,24 @@ def main(argv: list[str]) -> int:
     for warning in result.warnings:
         print(f"warning: {warning}")
     print(f"wrote {target}")
+    write_beside(config, result)
     if config.json:
         write_record(config.json, replace(result, cameras=tuple(map(without_frames, result.cameras))))
     return 0
+
+
+def write_beside(config: SyncConfig, take: FrameTimesFile) -> None:
+    """The report and the aligned videos, as asked for; one camera alone has neither."""
+    together = sum(camera.times is not None for camera in take.cameras) > 1
+    if config.report and together:
+        print(write_report(config.out / "report.html", take, config.out))
+        print(f"wrote {config.out / 'report.html'}")
+    if config.write_videos:
+        folder = config.out / "aligned"
+        alignment = write_aligned(folder, take, config.write_videos, config.video_codec, trial=config.out.name)
+        print(
+            f"wrote {len(alignment.time_s)} aligned frames per camera, up to {alignment.worst_us / 1000:.2f} ms apart -> {folder}"
+        )
 
 
 def options(config: SyncConfig) -> list[DecodeOptions]:
