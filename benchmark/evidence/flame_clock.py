@@ -1,9 +1,8 @@
-"""How well the clock of a camera without the LED board is estimated from the flame: cameras whose clock is known are taken
-for one without, in turn. Prints a table.
+"""How well the clock of a camera without the LED board is estimated from the flame. Prints a table.
 
     python -m gof_benchmark.evidence.flame_clock [--captures FOLDER] [--json FILE]
 
-The truth is what `gof capture sync` reads off the board in that camera (a few microseconds), which the estimate is not
+Cameras whose clock is known are taken for one without, in turn. The truth is what `gof capture sync` reads off the board in that camera (a few microseconds), which the estimate is not
 given. Needs the paper's clips.
 """
 

@@ -57,7 +57,7 @@ class SyncConfig:
     """Also write aligned videos, in which equal frame numbers are equal times, into OUT/aligned, where the named
     program looks for them (pose2sim, freemocap, opencap), or plainly. Whole frames are chosen, never blended."""
     video_codec: Codec = "lossless"
-    """Of aligned videos: lossless (FFV1, .avi) or mpeg4 (.mp4, a tenth of the size, about 40 dB PSNR)."""
+    """Of aligned videos: lossless (FFV1, .avi) or mpeg4 (.mp4, a twentieth of the size, 37 dB PSNR)."""
     json: Path | None = None
     """Also write the figures (without the frames) to this file."""
 
@@ -99,9 +99,8 @@ def write_beside(config: SyncConfig, take: FrameTimesFile) -> None:
     if config.write_videos:
         folder = config.out / "aligned"
         alignment = write_aligned(folder, take, config.write_videos, config.video_codec, trial=config.out.name)
-        print(
-            f"wrote {len(alignment.time_s)} aligned frames per camera, up to {alignment.worst_us / 1000:.2f} ms apart -> {folder}"
-        )
+        apart = f"up to {alignment.worst_us / 1000:.2f} ms apart"
+        print(f"wrote {len(alignment.time_s)} aligned frames per camera, {apart} -> {folder}")
 
 
 def options(config: SyncConfig) -> list[DecodeOptions]:
