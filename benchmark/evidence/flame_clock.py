@@ -2,8 +2,8 @@
 
     python -m gof_benchmark.evidence.flame_clock [--captures FOLDER] [--json FILE]
 
-Cameras whose clock is known are taken for one without, in turn. The truth is what `gof capture sync` reads off the board in that camera (a few microseconds), which the estimate is not
-given. Needs the paper's clips.
+Cameras whose clock is known are taken for one without, in turn. The truth is what `gof capture sync` reads off the
+board in that camera (a few microseconds), which the estimate is not given. Needs the paper's clips.
 """
 
 from __future__ import annotations

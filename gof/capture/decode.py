@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gof.capture import clock, counter, strips
 from gof.capture.counter import CountVote
+from gof.capture.hidden import WANDER, board_seen, only_frames, positions, wander_us
 from gof.capture.signals import Signals
 from gof.capture.strips import NotDecodable, StripFit, StripReadings
 from gof.capture.template import BoardTemplate
@@ -73,6 +74,7 @@ class CameraTimes:
     curve: np.ndarray  # (S, B) learned brightness of each strip over the period
     faults: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    hidden: int = 0  # frames that do not show the board
 
     def shift_periods(self, periods: int, period_us: float) -> None:
         """Move all times by whole periods (a count settled by another camera)."""
@@ -81,11 +83,41 @@ class CameraTimes:
 
 
 def decode(signals: Signals, template: BoardTemplate, options: DecodeOptions) -> CameraTimes:
-    """Decode one camera.
+    """Decode one camera. Frames in which the board is hidden get their times from the clock of those that show it.
 
     Raises:
         NotDecodable: the signals do not determine the time (says why, and what to give or change).
     """
+    shown = board_seen(signals)
+    if shown.all() or not options.steady:
+        return _decode_shown(signals, template, options)
+    found = _decode_shown(only_frames(signals, shown), template, options)
+    index, doubts = positions(shown, found.clock_index)
+    start = found.time_us[0] - found.clock_index[0] * found.interval_us
+    time = start + found.interval_us * index
+    measured, used = time.copy(), np.zeros(len(time), bool)
+    measured[shown], used[shown] = found.measured_us, found.used
+    sigma = np.hypot(_line_sigma(index, used, (measured - time)[used], len(time)), wander_us(shown, time))
+    sigma = np.hypot(sigma, found.systematic_us)
+    hidden = int((~shown).sum())
+    said = (
+        f"the board is hidden in {hidden} of {len(shown)} frames: their times lie on a straight line between those "
+        f"that show it, +-{sigma.max():.0f} us at most if the camera's clock is steady to {WANDER * 1e6:g} ppm"
+    )
+    return replace(
+        found,
+        time_us=time,
+        sigma_us=sigma,
+        measured_us=measured,
+        used=used,
+        clock_index=index,
+        hidden=hidden,
+        warnings=[*found.warnings, said, *doubts],
+    )
+
+
+def _decode_shown(signals: Signals, template: BoardTemplate, options: DecodeOptions) -> CameraTimes:
+    """Decode frames that all show the board."""
     seen, led_position = _strip_readings(signals, template, options)
     phase = strips.coarse_phase(seen, options.period_us)
     counter_read = _read_counter(signals, template, phase, options)

@@ -47,7 +47,8 @@ def _odd_row_time(times: VideoTimes, others: list[VideoTimes]) -> list[str]:
     if not alike:
         return []
     found = []
-    usual = float(np.median([o.row_time_us for o in alike]))
+    compared = alike if len(alike) == 1 else [times, *alike]  # of two, either may be wrong
+    usual = float(np.median([o.row_time_us for o in compared]))
     if abs(times.row_time_us - usual) > ROW_TIME_SPREAD * max(usual, 0.1):
         lines = times.width if times.readout in ("left", "right") else times.height
         edge = abs(times.row_time_us - usual) * lines / 2

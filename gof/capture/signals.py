@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from gof.capture.brightness import sample, white
 from gof.capture.locate import BoardInImage, Summary, locate
+from gof.capture.marker import marker_likeness, marker_pattern
 from gof.capture.template import BoardTemplate
 from gof.footage import stored_frames
 
@@ -26,6 +27,7 @@ class Signals:
         duplicate: (T,) True where the board's picture repeats the frame before exactly or nearly.
         image_size: (width, height).
         board: where the points are.
+        marker: (T,) how much each frame looks like the marker where it was found, -1..1; None where nobody looked.
     """
 
     strip: np.ndarray
@@ -33,6 +35,7 @@ class Signals:
     duplicate: np.ndarray
     image_size: tuple[int, int]
     board: BoardInImage
+    marker: np.ndarray | None = None
 
 
 def read_signals(
@@ -52,17 +55,19 @@ def read_signals(
         if len(held) >= locate_frames or (len(held) + 1) * held[0].nbytes > memory:
             break
     board = locate(summary, template)
-    strips, leds = [], []
+    strips, leds, markers = [], [], []
+    pattern = marker_pattern(template)
     for count, image in enumerate(chain(held, map(white, stream)), 1):
         strip, led = sample_frame(image, board)
         strips.append(strip)
         leds.append(led)
+        markers.append(marker_likeness(image, board, pattern))
         if progress and count % 64 == 0:
             progress(count)
     if progress:
         progress(len(leds))
     height, width = summary.low.shape
-    return make_signals(np.stack(strips), np.stack(leds), (width, height), board)
+    return replace(make_signals(np.stack(strips), np.stack(leds), (width, height), board), marker=np.array(markers))
 
 
 def sample_frame(image: np.ndarray, board: BoardInImage) -> tuple[np.ndarray, np.ndarray]:

@@ -181,7 +181,7 @@ def _describe(found: _Decoded, container_fps: float | None) -> VideoTimes:
         rms_us=round(t.rms_us, 3),
         max_residual_us=round(t.max_us, 3),
         systematic_us=round(t.systematic_us, 3),
-        outliers=int((~t.used & ~repeated).sum()),
+        outliers=int((~t.used & ~repeated).sum()) - t.hidden,
         exposure_us=None if t.exposure_us is None else round(t.exposure_us, 0),
         saturation=t.saturation,
         count=CounterReading(len(t.count_candidates), round(t.count_agreement, 5), t.count_readings),
