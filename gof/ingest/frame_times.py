@@ -109,7 +109,11 @@ def measured_times(path: Path, counts: list[int], start: int, limit: int | None)
     zero = starts[0][frames[0].start]
     time_s = [t[f.start : f.stop] - zero for t, f in zip(starts, frames, strict=True)]
     row_time_s = [camera.row_time_us * 1e-6 for camera in cameras]
-    return FrameTimes(frames, time_s, row_time_s, [camera.readout for camera in cameras], "gof capture sync")
+    source = "gof capture sync"
+    estimated = [v.name for v in videos if v.times.clock == "flame"]
+    if estimated:
+        source += f"; the clock of {', '.join(estimated)} is estimated from the flame"
+    return FrameTimes(frames, time_s, row_time_s, [camera.readout for camera in cameras], source)
 
 
 def paired_frames(path: Path, names: list[str], time_s: list[np.ndarray], start: int, limit: int | None) -> list[range]:

