@@ -55,13 +55,15 @@ def write_report(path: Path, take: FrameTimesFile, plots: Path) -> str:
     speed = max(m.speed for m in moments.values())
     sigma = {c.name: max(f.sigma_us for f in c.times.frames) / 1000 for c in timed}
     worst = max(sigma, key=sigma.get)
-    pictures = [(n, plots / f"residuals_{n}.png") for n in sigma]
+    estimated = [c.name for c in timed if c.times.clock != "board"]
+    said = verdict(worst, sigma[worst], speed, alignment, estimated)
+    pictures = [(n, plots / f"residuals_{n}.png") for n in sigma if n not in estimated]
     page = (
         Environment(autoescape=True)
         .from_string((files("gof.capture") / "sync_report.html").read_text(encoding="utf-8"))
         .render(
-            verdict=verdict(worst, sigma[worst], speed, alignment),
-            doubtful=sigma[worst] * speed > DOUBT_PX or any(c.times.clock != "board" for c in timed),
+            verdict=said,
+            doubtful=sigma[worst] * speed > DOUBT_PX or bool(estimated),
             strip=_encoded(strip(moments)),
             rows=[_row(c, sigma[c.name], speed) for c in timed],
             warnings=take.warnings,
@@ -70,17 +72,23 @@ def write_report(path: Path, take: FrameTimesFile, plots: Path) -> str:
     )
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
-    return verdict(worst, sigma[worst], speed, alignment)
+    return said
 
 
-def verdict(worst: str, sigma_ms: float, speed: float, alignment: Alignment) -> str:
-    """One sentence: the worst error in ms and in px of motion, and what pairing whole frames adds."""
+def verdict(worst: str, sigma_ms: float, speed: float, alignment: Alignment, estimated: list[str]) -> str:
+    """One sentence: the worst error in ms and in px of motion, and what pairing whole frames adds; and whose clock is
+    only estimated."""
     motion = f", in which the flame's fast parts move {_short(sigma_ms * speed)} px" if speed else ""
     pair = alignment.worst_us / 1000
     paired = f" ({_short(pair * speed)} px)" if speed else ""
     return (
         f"The frame times are known to {_short(sigma_ms)} ms (one standard deviation, worst camera: {worst}){motion}; "
         f"frames paired whole, as in aligned videos, are up to {_short(pair)} ms apart{paired}."
+        + (
+            f" Of {', '.join(estimated)} the clock is only estimated: a frame or two off is likely."
+            if estimated
+            else ""
+        )
     )
 
 
@@ -156,7 +164,7 @@ def strip(moments: dict[str, Moment]) -> np.ndarray:
             width = max(1, round(crop.shape[1] * CROP_HEIGHT / crop.shape[0]))
             crop = cv2.cvtColor(cv2.resize(crop, (width, CROP_HEIGHT), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2BGR)
             crop = cv2.copyMakeBorder(crop, 4, 26, 4, max(4, 250 - width), cv2.BORDER_CONSTANT, value=(255, 255, 255))
-            text = f"{word}: {name} {getattr(m, word + '_ms'):+.3f} ms"
+            text = f"{word}: {name} {round(getattr(m, word + '_ms'), 3) + 0.0:+.3f} ms"
             cv2.putText(crop, text, (4, CROP_HEIGHT + 22), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
             crops.append(crop)
         rows.append(np.hstack(crops))
