@@ -1,8 +1,14 @@
-"""Pictures of one camera as stored, from a video or a folder."""
+"""Pictures of one camera as stored, from a video or a folder, and what the file says of them.
+
+OpenCV reads both. Its FFmpeg gives what a video's container states and every frame's time stamp; docs/ingest.md says
+why no other library is asked.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +17,57 @@ from gof.errors import DataFormatError
 from gof.pictures import read_picture
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+DEEP_FORMATS = (b"Y1", b"Y3", b"Y4", b"G3", b"G4")  # FFmpeg's tags of deep pixels; their fourth byte is the bits
+CUT_FRAMES, CUT_SHARE = 2, 0.01  # a file breaks off when more frames than both are missing at its end
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What a video's container says of it, and what reading it to its end found.
+
+    Attributes:
+        path: the video, or a folder of pictures.
+        width, height: of the pictures as stored, px.
+        stated_fps: frames per second by the container (slow motion often states the playback rate); None: none stated.
+        stated_frames: by the container; some containers (Matroska) state a duration only, and this is an estimate.
+        rotation_deg: 0, 90, 180 or 270: how far a player turns the pictures clockwise, by the container's tag.
+        bits: per channel as stored; None where the format is not known. Pictures are read with 8.
+        stamps_s: (N,) time stamps of the N frames that can be read, s; None for folders, or when not read to the end.
+        frames: N; None when not read to the end.
+    """
+
+    path: Path
+    width: int
+    height: int
+    stated_fps: float | None = None
+    stated_frames: int | None = None
+    rotation_deg: int = 0
+    bits: int | None = None
+    stamps_s: np.ndarray | None = None
+    frames: int | None = None
+
+    @property
+    def usual_step_s(self) -> float | None:
+        """Usual time between neighbouring stamps: the mean of those near their median, as stamps may be rounded."""
+        if self.stamps_s is None or len(self.stamps_s) < 2:
+            return None
+        steps = np.diff(self.stamps_s)
+        middle = np.median(steps)
+        return float(steps[np.abs(steps - middle) <= 0.5 * middle].mean()) if middle > 0 else None
+
+    @property
+    def breaks_off(self) -> bool:
+        """Whether the file ends before the container says: neither its frames nor its duration are reached."""
+        if self.frames is None or not self.stated_frames:
+            return False
+        least = self.stated_frames - max(CUT_FRAMES, CUT_SHARE * self.stated_frames)
+        if self.frames >= least or self.usual_step_s is None or not self.stated_fps:
+            return self.frames < least
+        # Of a variable rate the stated count can be an estimate; the last stamp tells.
+        return (self.stamps_s[-1] - self.stamps_s[0] + self.usual_step_s) * self.stated_fps < least
+
+
+# ---- reading ---------------------------------------------------------------------------------------------------------
 
 
 def stored_frames(path: Path) -> Iterator[np.ndarray]:
@@ -26,20 +83,68 @@ def stored_frames(path: Path) -> Iterator[np.ndarray]:
         for file in picture_files(path):
             yield cv2.cvtColor(read_picture(file), cv2.COLOR_BGR2RGB)
         return
-    if not path.is_file():
-        raise DataFormatError(f"{path}: no such video or folder of pictures")
-    video, count = cv2.VideoCapture(str(path)), 0
-    try:
+    with _opened(path) as video:
+        count = 0
         while True:
             ok, frame = video.read()
             if not ok:
                 break
             count += 1
             yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+        if not count:
+            raise _unreadable(path)
+
+
+def chosen_frames(path: Path, numbers: Iterable[int]) -> Iterator[np.ndarray]:
+    """The stored frames of these numbers, which increase, one at a time; as `stored_frames`.
+
+    Raises:
+        DataFormatError: as `stored_frames`; the footage ends before the last number.
+    """
+    import cv2
+
+    path, numbers = Path(path), list(numbers)
+    if path.is_dir():
+        files = picture_files(path)
+        _require_length(path, numbers, len(files))
+        for number in numbers:
+            yield cv2.cvtColor(read_picture(files[number]), cv2.COLOR_BGR2RGB)
+        return
+    with _opened(path) as video:
+        at = 0
+        for number in numbers:
+            while at <= number and video.grab():
+                at += 1
+            _require_length(path, numbers, at, number)
+            yield cv2.cvtColor(video.retrieve()[1], cv2.COLOR_BGR2RGB)
+
+
+def _require_length(path: Path, numbers: list[int], read: int, number: int | None = None) -> None:
+    """Raises DataFormatError: fewer frames were read than the one asked for (by default the last) needs."""
+    if numbers and read <= (numbers[-1] if number is None else number):
+        raise DataFormatError(f"{path}: has {read} frames, {numbers[-1] + 1} are asked for")
+
+
+@contextmanager
+def _opened(path: Path):
+    """The video, giving pictures as stored whatever the rotation tag: OpenCV's versions differ in what they do."""
+    import cv2
+
+    if not path.is_file():
+        raise DataFormatError(f"{path}: no such video or folder of pictures")
+    video = cv2.VideoCapture(str(path))
+    try:
+        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        yield video
     finally:
         video.release()
-    if not count:
-        raise DataFormatError(f"{path}: OpenCV reads no frame from it; re-encode it, for example with ffmpeg")
+
+
+def _unreadable(path: Path) -> DataFormatError:
+    return DataFormatError(
+        f"{path}: OpenCV reads no frame from it. Was it copied to its end? If a player shows it, re-encode it, for "
+        "example with ffmpeg"
+    )
 
 
 def picture_files(folder: Path) -> list[Path]:
@@ -54,33 +159,80 @@ def picture_files(folder: Path) -> list[Path]:
     return files
 
 
-def first_frame(path: Path) -> np.ndarray:
-    """The first stored frame, (H, W, 3) uint8 RGB."""
-    return next(iter(stored_frames(path)))
+# ---- what is said of it ----------------------------------------------------------------------------------------------
 
 
-def count_frames(path: Path) -> int:
-    """How many frames can really be read (containers lie)."""
-    return sum(1 for _ in stored_frames(path))
+def stated_info(path: Path) -> VideoInfo:
+    """What the container states, without reading more than one frame.
+
+    Raises:
+        DataFormatError: not a readable video, an empty folder, a broken picture.
+    """
+    import cv2
+
+    path = Path(path)
+    height, width = next(iter(stored_frames(path))).shape[:2]
+    if path.is_dir():
+        count = len(picture_files(path))
+        return VideoInfo(path, width, height, stated_frames=count, frames=count)
+    with _opened(path) as video:
+
+        def stated(name: str) -> float | None:
+            value = video.get(getattr(cv2, f"CAP_PROP_{name}"))
+            return value if np.isfinite(value) and value > 0 else None
+
+        frames = stated("FRAME_COUNT")
+        return VideoInfo(
+            path,
+            width,
+            height,
+            stated("FPS"),
+            None if frames is None else round(frames),
+            round((stated("ORIENTATION_META") or 0) / 90) * 90 % 360,
+            _bits(stated("CODEC_PIXEL_FORMAT")),
+        )
+
+
+def _bits(pixel_format: float | None) -> int | None:
+    """Bits per channel by FFmpeg's tag of a pixel format."""
+    if pixel_format is None:
+        return None
+    tag = int(pixel_format).to_bytes(4, "little")
+    if tag[:2] in DEEP_FORMATS and 8 < tag[3] <= 16:
+        return tag[3]
+    return 10 if tag == b"P010" else 8
+
+
+def read_info(path: Path, progress: Callable[[int, int], None] | None = None) -> VideoInfo:
+    """What the container states, and the stamps of all frames that can really be read (containers lie).
+
+    Args:
+        progress: called with frames read and stated.
+    Raises:
+        DataFormatError: as `stated_info`.
+    """
+    import cv2
+
+    info = stated_info(path)
+    if info.path.is_dir():
+        return info
+    stamps = []
+    with _opened(info.path) as video:
+        while video.grab():
+            stamps.append(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
+            if progress:
+                progress(len(stamps), max(len(stamps), info.stated_frames or 0))
+    return replace(info, stamps_s=np.array(stamps), frames=len(stamps))
 
 
 def stated_frames(path: Path) -> int | None:
     """How many frames a folder holds or a video's container states (for progress bars); None when it states none."""
-    return len(picture_files(path)) if Path(path).is_dir() else _stated(path, "FRAME_COUNT", int)
+    return stated_info(path).stated_frames
 
 
 def stated_fps(path: Path) -> float | None:
     """Frame rate the container states (slow-motion files state the playback rate), None when it states none."""
-    return None if Path(path).is_dir() else _stated(path, "FPS", float)
-
-
-def _stated(path, what, number):
-    import cv2
-
-    video = cv2.VideoCapture(str(path))
-    value = video.get(getattr(cv2, f"CAP_PROP_{what}"))
-    video.release()
-    return number(value) if value and np.isfinite(value) and value > 0 else None
+    return stated_info(path).stated_fps
 
 
 def distinct_names(paths: list[Path]) -> list[str]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -12,8 +14,8 @@ from gof.errors import DataFormatError
 from gof.files import read_json
 from gof.records import from_json
 
-Turn = Literal["none", "clockwise", "counterclockwise"]
-ROLL_DEG = {"none": 0, "clockwise": 90, "counterclockwise": -90}
+Turn = Literal["none", "clockwise", "counterclockwise", "half"]
+ROLL_DEG = {"none": 0, "clockwise": 90, "counterclockwise": -90, "half": 180}
 DISTORTIONS = (0, 4, 5, 8, 12, 14)  # how many coefficients OpenCV's models have
 
 
@@ -45,6 +47,9 @@ class Lens:
         (fx, _, cx), (_, fy, cy) = self.K[:2]
         if turn == "none":
             return Lens(self.width, self.height, self.K)
+        if turn == "half":
+            K = np.array([[fx, 0, self.width - cx], [0, fy, self.height - cy], [0, 0, 1.0]])
+            return Lens(self.width, self.height, K)
         cx, cy = (self.height - cy, cx) if turn == "clockwise" else (cy, self.width - cx)
         return Lens(self.height, self.width, np.array([[fy, 0, cx], [0, fx, cy], [0, 0, 1.0]]))
 
@@ -111,13 +116,44 @@ def read_cameras(path: Path, count: int) -> list[CalibratedCamera]:
 
 def prepare(picture: np.ndarray, lens: Lens, turn: Turn) -> np.ndarray:
     """Undistorted (same K) and upright picture; (H, W[, 3]) uint8."""
+    return preparation(lens, turn)(picture)
+
+
+def preparation(lens: Lens, turn: Turn) -> Callable[[np.ndarray], np.ndarray]:
+    """What `prepare` does, for many pictures: the undistortion's maps are made once."""
+    if not lens.distortion.any():
+        return partial(turned, turn=turn)
+    return straightening(lens.K, lens.distortion, lens, turn, half_pixel=0.5)
+
+
+def straightening(
+    K: np.ndarray, distortion: np.ndarray, straight: Lens, turn: Turn, half_pixel: float = 0.0
+) -> Callable[[np.ndarray], np.ndarray]:
+    """A function that makes a bent picture straight and upright.
+
+    Args:
+        K, distortion: of the bent picture.   straight: lens of the straight one, same size.
+        half_pixel: what the first pixel's centre is in both, as OpenCV puts pixel centres at integers.
+    """
     import cv2
 
-    if lens.distortion.any():
-        K = lens.K.copy()
-        K[:2, 2] -= 0.5  # OpenCV puts pixel centres at integers
-        picture = cv2.undistort(picture, K, lens.distortion)
-    if turn != "none":
-        code = cv2.ROTATE_90_CLOCKWISE if turn == "clockwise" else cv2.ROTATE_90_COUNTERCLOCKWISE
-        picture = cv2.rotate(picture, code)
-    return picture
+    bent_K, straight_K = K.copy(), straight.K.copy()
+    bent_K[:2, 2] -= half_pixel
+    straight_K[:2, 2] -= half_pixel
+    size = (straight.width, straight.height)
+    maps = cv2.initUndistortRectifyMap(bent_K, distortion, None, straight_K, size, cv2.CV_16SC2)
+    return lambda picture: turned(cv2.remap(picture, *maps, cv2.INTER_LINEAR), turn)
+
+
+def turned(picture: np.ndarray, turn: Turn) -> np.ndarray:
+    """The picture (H, W[, 3]) turned upright."""
+    import cv2
+
+    if turn == "none":
+        return picture
+    codes = {
+        "clockwise": cv2.ROTATE_90_CLOCKWISE,
+        "counterclockwise": cv2.ROTATE_90_COUNTERCLOCKWISE,
+        "half": cv2.ROTATE_180,
+    }
+    return cv2.rotate(picture, codes[turn])

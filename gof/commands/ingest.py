@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -18,7 +19,7 @@ from gof.ingest.pipeline import Ingested, PlateKind, make_dataset
 from gof.ingest.place import PoseOptions, Solver
 from gof.ingest.published import PublishedFootage, is_published
 from gof.lens import Turn
-from gof.options import require_number, require_positive
+from gof.options import require_all_positive, require_number, require_positive
 
 MOST_FOV_DEG = 170.0
 
@@ -28,7 +29,8 @@ class IngestConfig:
     """Videos of a fire by fixed cameras -> a dataset folder: pictures, fire-free plates, camera poses, frame times.
 
     Poses come from the plates by structure from motion; where that fails or contradicts the board, from the sync
-    board's marker or from points given with --points. Every video needs the same true frame rate.
+    board's marker or from points given with --points. Frames are paired by time: cameras may differ in rate and drop
+    frames.
     """
 
     videos: tyro.conf.Positional[list[Path]]
@@ -41,13 +43,17 @@ class IngestConfig:
     in the videos' order, or one entry for all. With world_to_camera (of the upright picture, metres) for all, poses are
     not solved."""
     fov: float | None = None
-    """Horizontal field of view of the stored pictures in degrees, for all cameras, when there is no --cameras."""
-    turn: Turn = "none"
-    """How to turn the stored pictures upright."""
+    """Horizontal field of view of the stored pictures in degrees, for all cameras, when there is no --cameras. A phone
+    stores an upright video lying, with a rotation tag: then it is along the long side."""
+    turn: Turn | Literal["auto"] = "auto"
+    """How to turn the stored pictures upright; "auto": as the files' rotation tags say (phones write them)."""
     times: Path | None = None
     """times.json of `gof capture sync` for the same videos in the same order."""
-    fps: float | None = None
-    """True capture rate, when there is no --times."""
+    fps: tuple[float, ...] = ()
+    """True capture rate of all cameras, or one each, when there is no --times."""
+    stamps: bool = False
+    """The files' own time stamps are true seconds (a phone's variable rate, not slow motion): take the times from
+    them."""
     plates: Path | None = None
     """Folder with fire-free pictures cam_0.png ... as stored; else they are made from the footage."""
     plate: PlateKind = "steady"
@@ -71,8 +77,9 @@ class IngestConfig:
     """Also write depth/cam_0.npy ... (H, W, camera depth in metres), by stereo on the plates, and points.ply."""
     depth_weights: Path | None = None
     """Folder of a Depth-Anything-V2 checkpoint that completes the stereo depth; without it edges of the plate do."""
-    start: int = 0
-    """First frame of the first camera to use."""
+    start: tuple[int, ...] = (0,)
+    """First frame of the first camera to use; or, without --times, a frame of each camera that was taken at the same
+    moment, as --start 0 7 0."""
     json: Path | None = None
     """Also write the summary to this file."""
 
@@ -80,11 +87,13 @@ class IngestConfig:
 def ingest(config: IngestConfig) -> Ingested:
     """Make the dataset. Raises GofError as `make_dataset`, or for a number that is none."""
     require_number("--fov", config.fov, above=0, most=MOST_FOV_DEG)
-    for flag, value in (("--fps", config.fps), ("--marker-m", config.marker_m), ("--baseline-m", config.baseline_m)):
+    for flag, value in (("--marker-m", config.marker_m), ("--baseline-m", config.baseline_m)):
         require_positive(flag, value)
+    require_all_positive("--fps", config.fps)
     require_number("--width", config.width, least=16)
     require_number("--frames", config.frames, least=1)
-    require_number("--start", config.start, least=0)
+    for start in config.start:
+        require_number("--start", start, least=0)
     footage = open_footage(config)
     pose_options = PoseOptions(
         solver=config.poses,
@@ -96,7 +105,7 @@ def ingest(config: IngestConfig) -> Ingested:
     return make_dataset(
         config.out,
         footage,
-        Timing(config.times, config.fps, config.start, config.frames),
+        Timing(config.times, config.fps, config.stamps, config.start, config.frames),
         pose_options,
         plate=config.plate,
         plates_folder=config.plates,
@@ -112,7 +121,8 @@ def open_footage(config: IngestConfig) -> Footage:
         return Footage.open(config.videos, config.turn, config.cameras, config.fov)
     if config.cameras is not None or config.fov is not None:
         raise GofError(f"{config.videos[0]}: the scene brings its cameras; leave out --cameras and --fov")
-    return PublishedFootage.read(config.videos[0], config.turn, config.baseline_m)
+    turn = "none" if config.turn == "auto" else config.turn  # their lenses say how pictures lie
+    return PublishedFootage.read(config.videos[0], turn, config.baseline_m)
 
 
 def main(argv: list[str]) -> int:
@@ -124,10 +134,15 @@ def main(argv: list[str]) -> int:
     for stage in stages:
         print(f"{stage.name:<8} {stage.seconds:7.1f} s {stage.peak_mb:6.0f} MB")
     print(f"poses from {report.method}; scale: {report.scale}")
-    for note in report.notes:
+    for note in (*result.notes, *report.notes):
         print(f"note: {note}")
     print(f"dataset -> {result.folder}; next: gof reconstruct {result.folder} --out out/{result.folder.name}")
     if config.json:
-        summary = {"dataset": str(result.folder), "poses": asdict(report), "stages": [asdict(s) for s in stages]}
+        summary = {
+            "dataset": str(result.folder),
+            "notes": result.notes,
+            "poses": asdict(report),
+            "stages": [asdict(s) for s in stages],
+        }
         write_json(config.json, summary)
     return 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from gof.capture.locate import BoardNotFound, Summary, find_marker, locate
@@ -13,14 +15,14 @@ GROWN = 0.2  # of a marker side: what around the board's outline still belongs t
 
 
 def board_points(
-    clips: list[np.ndarray], template: BoardTemplate, marker_m: float
+    clips: list[Collection[np.ndarray]], template: BoardTemplate, marker_m: float
 ) -> tuple[list[MarkedPoint], list[str]]:
     """The board's points that some camera sees, xyz on the board (z = 0) in metres.
 
     LEDs are rough: the template's places for them are good to a few pixels only, but each is one spot in every picture.
 
     Args:
-        clips: (T, H, W, 3) uint8 RGB per camera.
+        clips: per camera its (H, W, 3) uint8 RGB pictures.
         marker_m: side of the marker; any number when the scale is unknown.
     Returns:
         the points, and one note per camera that does not show the marker.

@@ -1,19 +1,62 @@
-"""What the cameras filmed, and through which lenses: pictures made upright and undistorted."""
+"""What the cameras filmed, and through which lenses: pictures made upright and undistorted, read as they are needed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from gof.dataset import Splits, held_out
 from gof.errors import DataFormatError, GofError
-from gof.footage import count_frames, first_frame, stored_frames
+from gof.footage import VideoInfo, chosen_frames, read_info
+from gof.ingest.agreement import other_notes, turn_by_tags
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
 from gof.ingest.place import Placed, PoseOptions, place_cameras
-from gof.lens import CalibratedCamera, Lens, Turn, prepare, read_cameras
+from gof.lens import CalibratedCamera, Lens, Turn, preparation, read_cameras
+from gof.progress import progress_bar
+
+
+@dataclass(frozen=True)
+class Clip(Collection[np.ndarray]):
+    """Frames of one camera, prepared; every pass over it reads the footage again, so that it takes no memory.
+
+    Attributes:
+        path: video or folder of pictures.
+        size: width, height of the stored pictures, px.
+        frames: stored frame numbers, increasing.
+        prepared: what is done to every stored picture (H, W, 3) uint8 RGB.
+        watch: called after every frame.
+    """
+
+    path: Path
+    size: tuple[int, int]
+    frames: tuple[int, ...]
+    prepared: Callable[[np.ndarray], np.ndarray]
+    watch: Callable[[], None] = lambda: None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __contains__(self, picture: object) -> bool:
+        return any(picture is frame for frame in self)
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """(H, W, 3) uint8 RGB. Raises DataFormatError: the footage is shorter, or of another size than the lens."""
+        for number, picture in zip(self.frames, chosen_frames(self.path, self.frames), strict=True):
+            if picture.shape[1::-1] != self.size:
+                raise DataFormatError(
+                    f"{self.path}: frame {number} is {picture.shape[1]}x{picture.shape[0]}, "
+                    f"the lens is given for {self.size[0]}x{self.size[1]}"
+                )
+            yield self.prepared(picture)
+            self.watch()
+
+    def only(self, places: Iterable[int]) -> Clip:
+        """Its frames at these places."""
+        return replace(self, frames=tuple(self.frames[k] for k in places))
 
 
 @dataclass(frozen=True)
@@ -27,6 +70,8 @@ class Footage:
         lenses: of the pictures as stored.
         turn: how they are turned upright.
         world_to_camera: (C, 4, 4) of the upright pictures, metres, where the poses are known beforehand; else None.
+        infos: what the videos' files say, read to their ends.
+        notes: what a user should know of them, in words.
 
     Raises:
         GofError: fewer than two videos.
@@ -36,27 +81,37 @@ class Footage:
     lenses: tuple[Lens, ...]
     turn: Turn = "none"
     world_to_camera: np.ndarray | None = None
+    infos: tuple[VideoInfo, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self):
         if len(self.videos) < 2:
             raise GofError("give the footage of at least two cameras")
 
     @classmethod
-    def open(cls, videos: list[Path], turn: Turn, cameras: Path | None, fov_deg: float | None) -> Footage:
+    def open(
+        cls, videos: list[Path], turn: Turn | Literal["auto"], cameras: Path | None, fov_deg: float | None
+    ) -> Footage:
         """With the intrinsics of a file of `gof.lens.read_cameras`, or one horizontal field of view for all.
 
         Poses are taken from the file if it has one of its own for every camera.
 
+        Args:
+            turn: "auto" turns as the files' rotation tags say.
         Raises:
-            GofError: both or neither are given; a video or the file cannot be read.
+            GofError: both or neither intrinsics are given; a video or the file cannot be read; rotation tags differ.
         """
         if (cameras is None) == (fov_deg is None):
             raise GofError("give the intrinsics with either --cameras FILE or --fov DEGREES")
-        if cameras is None:
-            sizes = [first_frame(video).shape[1::-1] for video in videos]
-            return cls(tuple(videos), tuple(Lens.from_fov(*size, fov_deg) for size in sizes), turn)
-        known = read_cameras(cameras, len(videos))
-        return cls(tuple(videos), tuple(camera.lens for camera in known), turn, _poses(known))
+        known = None if cameras is None else read_cameras(cameras, len(videos))
+        infos = [_read(video) for video in videos]
+        notes = other_notes(infos, known is None)
+        turn = turn_by_tags(infos, turn)
+        if known is None:
+            lenses = tuple(Lens.from_fov(info.width, info.height, fov_deg) for info in infos)
+            return cls(tuple(videos), lenses, turn, None, tuple(infos), tuple(notes))
+        lenses = tuple(camera.lens for camera in known)
+        return cls(tuple(videos), lenses, turn, _poses(known), tuple(infos), tuple(notes))
 
     @property
     def names(self) -> list[str]:
@@ -70,9 +125,9 @@ class Footage:
 
     def frame_times(self, timing: Timing) -> FrameTimes:
         """Which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
-        return read_frame_times(timing, self.counts()).turned(self.turn)
+        return read_frame_times(timing, list(self.infos)).turned(self.turn)
 
-    def place(self, clips: list[np.ndarray], lowest: list[np.ndarray], options: PoseOptions) -> Placed:
+    def place(self, clips: list[Clip], lowest: list[np.ndarray], options: PoseOptions) -> Placed:
         """The cameras' poses, from the prepared pictures; see `place_cameras`."""
         return place_cameras(clips, lowest, self.upright_lenses, self.names, self.world_to_camera, options)
 
@@ -90,47 +145,33 @@ class Footage:
     @property
     def provenance(self) -> dict[str, Any]:
         """What else the dataset says of where it is from."""
-        return {}
+        return {"videos": [_described(info) for info in self.infos], "turn": self.turn}
 
-    def counts(self) -> list[int]:
-        """How many frames each video has; reads them all, as containers lie."""
-        return [count_frames(video) for video in self.videos]
+    def preparation(self, camera: int) -> Callable[[np.ndarray], np.ndarray]:
+        """The function that makes a camera's stored pictures (H, W[, 3]) uint8 undistorted and upright."""
+        return preparation(self.lenses[camera], self.turn)
 
-    def prepared(self, camera: int, picture: np.ndarray) -> np.ndarray:
-        """A camera's stored picture (H, W[, 3]) uint8, undistorted and upright."""
-        return prepare(picture, self.lenses[camera], self.turn)
-
-    def clips(self, frames: list[range]) -> list[np.ndarray]:
-        """(T, H, W, 3) uint8 RGB per camera: the prepared pictures of these frame numbers."""
+    def clips(self, frames: list[np.ndarray]) -> list[Clip]:
+        """The prepared pictures of these frame numbers, per camera."""
         return [
-            read_clip(video, lens, self.turn, wanted)
-            for video, lens, wanted in zip(self.videos, self.lenses, frames, strict=True)
+            Clip(video, (lens.width, lens.height), tuple(map(int, wanted)), self.preparation(c))
+            for c, (video, lens, wanted) in enumerate(zip(self.videos, self.lenses, frames, strict=True))
         ]
+
+
+def _read(video: Path) -> VideoInfo:
+    """What its file says, under a progress bar: it is read to its end."""
+    with progress_bar(f"read {video.name}") as update:
+        return read_info(video, update)
+
+
+def _described(info: VideoInfo) -> dict[str, Any]:
+    """For dataset.json."""
+    said = {f.name: getattr(info, f.name) for f in fields(info) if f.name not in ("path", "stamps_s")}
+    return {"name": info.path.name, **said}
 
 
 def _poses(cameras: list[CalibratedCamera]) -> np.ndarray | None:
     """(C, 4, 4), or None unless every camera has a pose of its own."""
     poses = {camera.world_to_camera for camera in cameras if camera.world_to_camera is not None}
     return np.array([c.world_to_camera for c in cameras]) if len(poses) == len(cameras) else None
-
-
-def read_clip(path: Path, lens: Lens, turn: Turn, frames: range) -> np.ndarray:
-    """(T, H, W, 3) uint8 RGB: the prepared pictures of these frame numbers.
-
-    Raises:
-        DataFormatError: the footage is shorter, or of another size than the lens says.
-    """
-    clip = []
-    for k, frame in enumerate(stored_frames(path)):
-        if k >= frames.stop:
-            break
-        if frame.shape[:2] != (lens.height, lens.width):
-            raise DataFormatError(
-                f"{path}: frame {k} is {frame.shape[1]}x{frame.shape[0]}, "
-                f"the lens is given for {lens.width}x{lens.height}"
-            )
-        if k in frames:
-            clip.append(prepare(frame, lens, turn))
-    if len(clip) < len(frames):
-        raise DataFormatError(f"{path}: has {frames.start + len(clip)} frames, {frames.stop} are asked for")
-    return np.stack(clip)

@@ -1,4 +1,7 @@
-"""Which frames of several videos belong together, and when each was taken."""
+"""Which frames of several videos belong together, and when each was taken.
+
+Frames are paired by time, never by number: cameras may begin apart, differ in rate, or drop frames.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,15 @@ import numpy as np
 
 from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
 from gof.errors import DataFormatError, GofError
+from gof.footage import VideoInfo
+from gof.ingest.agreement import require_one_length, require_one_rate, require_whole
+from gof.ingest.pairing import Pairing, pair
 from gof.lens import Turn
 from gof.records import read_record
 
 CLOCKWISE = ("down", "left", "up", "right")  # readout directions, each a clockwise quarter after the one before
-QUARTERS = {"none": 0, "clockwise": 1, "counterclockwise": 3}
-MAX_STEP = 1.5  # of the usual time between frames; a longer one hides a dropped frame
+QUARTERS = {"none": 0, "clockwise": 1, "half": 2, "counterclockwise": 3}
+ON_GRID = 0.2  # of a step: by how much a time stamp may miss where an even rate puts it; some are rounded to ms
 
 
 @dataclass(frozen=True)
@@ -22,18 +28,29 @@ class FrameTimes:
     """The frames that are used, per camera, and their times.
 
     Attributes:
-        frames: stored frame numbers, all of one length T.
+        frames: (T,) stored frame numbers.
         time_s: (T,) start of each frame on the dataset clock, on which camera 0's first is 0.
         row_time_s: from one stored line to the next.
         readout: direction of later lines in the picture.
         source: where the times are from, in words.
+        notes: what a user should know of the frames, in words.
     """
 
-    frames: list[range]
+    frames: list[np.ndarray]
     time_s: list[np.ndarray]
     row_time_s: list[float]
     readout: list[str]
     source: str
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, pairing: Pairing, clocks: list[np.ndarray], row_time_s: list[float], readout: list[str], source: str
+    ) -> FrameTimes:
+        """The paired frames' times on `clocks`, (N,) per camera, from camera 0's first on."""
+        zero = clocks[0][pairing.frames[0][0]]
+        time_s = [clock[frames] - zero for clock, frames in zip(clocks, pairing.frames, strict=True)]
+        return cls(pairing.frames, time_s, row_time_s, readout, source, pairing.notes)
 
     def turned(self, turn: Turn) -> FrameTimes:
         """For pictures that are turned: readout directions turn with them."""
@@ -43,95 +60,150 @@ class FrameTimes:
 
 @dataclass(frozen=True)
 class Timing:
-    """What is known of the frame times, and which frames to use.
+    """What is known of the frame times, and which frames to use. Of `times`, `fps` and `stamps`, one is.
 
     Attributes:
         times: times.json of `gof capture sync`, or None.
-        fps: true capture rate of all videos, or None.
-        start: first frame of the first camera to use.
+        fps: true capture rate of all videos, or one each; empty: not known.
+        stamps: the files' own time stamps are true seconds.
+        start: first frame of the first camera to use; or a frame of each that was taken at the same moment.
         limit: use at most so many frames; None for all.
     """
 
     times: Path | None = None
-    fps: float | None = None
-    start: int = 0
+    fps: tuple[float, ...] = ()
+    stamps: bool = False
+    start: tuple[int, ...] = (0,)
     limit: int | None = None
 
-
-def read_frame_times(timing: Timing, counts: list[int]) -> FrameTimes:
-    """The times by `gof capture sync`, or equal steps, for videos of `counts` frames.
-
-    Raises:
-        DataFormatError, GofError: neither or both are given; see `measured_times` and `equal_times`.
-    """
-    if (timing.times is None) == (timing.fps is None):
-        raise GofError("give the frame times with either --times times.json (of 'gof capture sync') or --fps RATE")
-    if timing.times is None:
-        return equal_times(timing.fps, counts, timing.start, timing.limit)
-    return measured_times(timing.times, counts, timing.start, timing.limit)
+    @property
+    def begins_are_known(self) -> bool:
+        """Whether somebody said which frames were taken together, so that clips may differ in length."""
+        return self.times is not None or len(self.start) > 1 or self.limit is not None
 
 
-def equal_times(fps: float, counts: list[int], start: int, limit: int | None) -> FrameTimes:
-    """Equal steps with all videos starting together.
+def read_frame_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
+    """The times of videos that were read to their ends.
 
     Raises:
-        GofError: a rate that is not positive; fewer than two frames are left.
+        DataFormatError, GofError: none or several ways to time are given; a file breaks off (unless `limit` says how
+            many frames are wanted); see `measured_times`, `stated_times`.
     """
-    if not fps > 0:
-        raise GofError(f"--fps {fps}: must be positive")
-    cameras = len(counts)
-    length = _length([count - start for count in counts], limit)
-    return FrameTimes(
-        frames=[range(start, start + length)] * cameras,
-        time_s=[np.arange(length) / fps] * cameras,
-        row_time_s=[0.0] * cameras,
-        readout=["down"] * cameras,
-        source=f"{fps:g} frames per second, all cameras starting together",
-    )
+    if sum((timing.times is not None, bool(timing.fps), timing.stamps)) != 1:
+        raise GofError(
+            "give the frame times with one of --times times.json (of 'gof capture sync'), --fps RATE, or --stamps (the "
+            "files' own time stamps)"
+        )
+    notes = require_whole(videos, timing.limit is not None)
+    times = measured_times(timing, videos) if timing.times else stated_times(timing, videos)
+    return replace(times, notes=(*notes, *times.notes))
 
 
-def measured_times(path: Path, counts: list[int], start: int, limit: int | None) -> FrameTimes:
-    """Each camera's clip starts at its frame nearest to the first camera's frame `start`; the clips end together.
+# ---- by rate or time stamps ------------------------------------------------------------------------------------------
 
-    Frames are paired by the middle of the picture: where the flame is, whatever the readout direction.
+
+def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
+    """By the rate given, or by the files' own time stamps; the frames `timing.start` were taken together.
+
+    A rate gives equal steps, and a gap in the time stamps of a whole number of steps is a gap in time.
+
+    Raises:
+        GofError: a rate that is not positive; another number of rates or starts than of videos; one rate for files that
+            state different ones; time stamps that fit no one rate; clips of different length whose beginnings nobody
+            gave; a start beyond the end; fewer than two frames are left.
+    """
+    starts = _one_each("--start", timing.start, videos)
+    for video, start in zip(videos, starts, strict=True):
+        if not 0 <= start < video.frames:
+            raise GofError(f"--start {start}: {video.path} has {video.frames} frames")
+    if timing.stamps:
+        ticks, source = [_stamps(video) for video in videos], "the files' time stamps"
+    else:
+        if len(timing.fps) == 1:
+            require_one_rate(videos)
+        rates = _one_each("--fps", timing.fps, videos)
+        if not min(rates) > 0:
+            raise GofError(f"--fps {min(rates):g}: must be positive")
+        ticks = [_steps(video) / rate for video, rate in zip(videos, rates, strict=True)]
+        source = f"{', '.join(f'{rate:g}' for rate in timing.fps)} frames per second"
+    clocks = [tick - tick[start] for tick, start in zip(ticks, starts, strict=True)]
+    if not timing.begins_are_known:
+        require_one_length(videos, clocks)
+    together = "all cameras starting together" if len(set(starts)) == 1 else f"frames {starts} taken together"
+    pairing = pair([video.path.name for video in videos], clocks, starts[0], timing.limit)
+    count = len(videos)
+    return FrameTimes.of(pairing, clocks, [0.0] * count, ["down"] * count, f"{source}, {together}")
+
+
+def _one_each(flag: str, values: tuple, videos: list[VideoInfo]) -> list:
+    """A value per video, of one for all or one each. Raises GofError: another number of them."""
+    if len(values) not in (1, len(videos)):
+        raise GofError(f"{flag}: give one value for all videos, or one for each of the {len(videos)}")
+    return list(values) * (len(videos) if len(values) == 1 else 1)
+
+
+def _stamps(video: VideoInfo) -> np.ndarray:
+    """(N,) s. Raises GofError: a folder of pictures, or stamps that do not grow."""
+    if video.stamps_s is None:
+        raise GofError(f"{video.path}: pictures have no time stamps; give the rate with --fps")
+    if len(video.stamps_s) > 1 and not np.diff(video.stamps_s).min() > 0:
+        raise GofError(f"{video.path}: its time stamps do not grow with every frame; give the rate with --fps")
+    return video.stamps_s
+
+
+def _steps(video: VideoInfo) -> np.ndarray:
+    """(N,) whole steps since the first frame: 0, 1, 2, ... where no frame is missing by the time stamps.
+
+    Raises:
+        GofError: no line through the stamps leaves all of them within `ON_GRID` steps.
+    """
+    usual = video.usual_step_s
+    if usual is None:
+        return np.arange(video.frames, dtype=np.float64)
+    steps = np.maximum(np.rint(np.diff(video.stamps_s) / usual), 1)
+    grid = np.concatenate([[0.0], np.cumsum(steps)])
+    line = np.polynomial.Polynomial.fit(grid, video.stamps_s, 1)
+    off = np.abs(line(grid) - video.stamps_s) / usual
+    if off.max() > ON_GRID:
+        raise GofError(
+            f"{video.path}: has no one rate: by its time stamps frame {int(off.argmax())} is {off.max():.2f} frames "
+            "off where an even rate would put it; if the stamps are true time, as phones write them, give --stamps "
+            "instead of --fps"
+        )
+    return grid
+
+
+# ---- by the board ----------------------------------------------------------------------------------------------------
+
+
+def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
+    """By `gof capture sync`. Frames are paired by the middle of the picture: where the flame is, whatever the readout.
 
     Raises:
         DataFormatError: not what `gof capture sync` writes, another number of cameras or frames, a camera without times
-            (says which and why); dropped frames inside the range.
-        GofError: the videos do not overlap; fewer than two frames are left.
+            (says which and why); too many moments lack a frame of some camera.
+        GofError: a start beyond the end; the videos do not overlap; fewer than two frames are left.
     """
-    videos = _read_sync(path, counts)
-    cameras = [video.times for video in videos]
+    if len(timing.start) != 1:
+        raise GofError("--start: with --times give the first camera's only; the others' follow from the times")
+    synced = _read_sync(timing.times, [video.frames for video in videos])
+    cameras = [video.times for video in synced]
+    start = timing.start[0]
+    if not 0 <= start < videos[0].frames:
+        raise GofError(f"--start {start}: the first video has {videos[0].frames} frames")
     middles = [np.array([frame.time_s for frame in camera.frames]) for camera in cameras]
-    frames = paired_frames(path, [video.name for video in videos], middles, start, limit)
+    pairing = pair([video.name for video in synced], middles, start, timing.limit, str(timing.times))
     # Sync gives the middle of the picture; a dataset's frame starts when its first line is read.
-    starts = [m - _readout_s(camera) / 2 for m, camera in zip(middles, cameras, strict=True)]
-    zero = starts[0][frames[0].start]
-    time_s = [t[f.start : f.stop] - zero for t, f in zip(starts, frames, strict=True)]
+    begins = [middle - _readout_s(camera) / 2 for middle, camera in zip(middles, cameras, strict=True)]
     row_time_s = [camera.row_time_us * 1e-6 for camera in cameras]
     source = "gof capture sync"
-    estimated = [v.name for v in videos if v.times.clock == "flame"]
+    estimated = [video.name for video in synced if video.times.clock == "flame"]
     if estimated:
         source += f"; the clock of {', '.join(estimated)} is estimated from the flame"
-    return FrameTimes(frames, time_s, row_time_s, [camera.readout for camera in cameras], source)
-
-
-def paired_frames(path: Path, names: list[str], time_s: list[np.ndarray], start: int, limit: int | None) -> list[range]:
-    """Frame numbers per camera, of one length: from each camera's frame nearest to the first camera's `start` on.
-
-    Args:
-        path: what to name in errors.   names: of the cameras.   time_s: of all frames of each, on one clock.
-        start, limit: see `Timing`.
-    Raises:
-        DataFormatError: a frame is repeated or missing inside the range.
-        GofError: the videos do not overlap; fewer than two frames are left.
-    """
-    first = _first_frames(path, time_s, start)
-    length = _length([len(t) - k for t, k in zip(time_s, first, strict=True)], limit)
-    frames = [range(k, k + length) for k in first]
-    for name, t, used in zip(names, time_s, frames, strict=True):
-        _require_steady(path, name, t[used.start : used.stop])
-    return frames
+    times = FrameTimes.of(pairing, begins, row_time_s, [camera.readout for camera in cameras], source)
+    doubts = tuple(f"{video.name}: {warning}" for video in synced for warning in video.times.warnings)
+    said = (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()
+    return replace(times, notes=(*said, *doubts, *times.notes))
 
 
 def _read_sync(path: Path, counts: list[int]) -> list[SyncedVideo]:
@@ -156,37 +228,3 @@ def _readout_s(times: VideoTimes) -> float:
     """How long a picture is read, from its first to its last line."""
     lines = times.width if times.readout in ("left", "right") else times.height
     return times.row_time_us * 1e-6 * (lines - 1)
-
-
-def _first_frames(path: Path, middles: list[np.ndarray], start: int) -> list[int]:
-    """Each camera's frame nearest to the first camera's frame `start`, or to its first after all have begun."""
-    reference = middles[0]
-    if not 0 <= start < len(reference):
-        raise GofError(f"--start {start}: the first video has {len(reference)} frames")
-    begun = max(m[0] - 0.5 * np.median(np.diff(m)) for m in middles)
-    together = np.flatnonzero(reference[start:] >= begun)
-    if not len(together):
-        raise GofError(f"{path}: the videos do not overlap in time")
-    common = reference[start + together[0]]
-    return [int(np.abs(m - common).argmin()) for m in middles]
-
-
-def _require_steady(path: Path, name: str, time_s: np.ndarray) -> None:
-    """Raises DataFormatError: a frame of the range is repeated or missing."""
-    step = np.diff(time_s)
-    usual = np.median(step)
-    if step.min() <= 0 or step.max() > MAX_STEP * usual:
-        raise DataFormatError(
-            f"{path}: camera '{name}' repeats or drops frames at {int(np.argmax(np.abs(step - usual)))} of the paired "
-            "range; choose a range without with --start and --frames"
-        )
-
-
-def _length(available: list[int], limit: int | None) -> int:
-    """How many frames all cameras have, at most `limit`."""
-    length = min(available) if limit is None else min(limit, *available)
-    if length < 2:
-        raise GofError(
-            f"{length} frames are left in common; at least 2 are needed (check --start, --frames and the times)"
-        )
-    return length

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,22 +20,25 @@ from gof.files import atomic_path, path_in
 from gof.flame_mask import flame_mask
 from gof.ingest import plates
 from gof.ingest.depth import back_project, whole_depth, write_points
-from gof.ingest.footage import Footage
+from gof.ingest.footage import Clip, Footage
 from gof.ingest.frame_times import FrameTimes, Timing
+from gof.ingest.over_time import MEDIAN_PASSES, darkest
 from gof.ingest.place import Placed, PoseOptions
 from gof.ingest.stereo import stereo_depth
 from gof.lens import ROLL_DEG
 from gof.pictures import write_picture as save_picture
+from gof.progress import progress_bar
 
 PlateKind = Literal["steady", "minimum"]
 
 
 @dataclass(frozen=True)
 class Ingested:
-    """The finished dataset's folder, and what its poses.json says."""
+    """The finished dataset's folder, what its poses.json says, and what else a user should know, in words."""
 
     folder: Path
     poses: Poses
+    notes: tuple[str, ...] = ()
 
 
 def make_dataset(
@@ -74,19 +79,22 @@ def make_dataset(
         times = footage.frame_times(timing)
         clips = footage.clips(times.frames)
         splits = footage.splits(len(clips[0]))
-        known = [clip[list(splits.train)] for clip in clips]  # all that a method may learn from
+        known = [clip.only(splits.train) for clip in clips]  # all that a method may learn from
         figures.update(cameras=len(clips), frames=len(clips[0]))
 
     # ---- plates ------------------------------------------------------------------------------------------------------
     with log.measure("plates") as figures:
         plate_source = "given" if plates_folder else plate
         figures["plate"] = plate_source
-        lowest = [plates.rank(clip, 0.0) for clip in known]
-        without_fire = read_plates(plates_folder, footage) if plates_folder else make_plates(known, lowest, plate)
+        passes = 1 if plates_folder or plate == "minimum" else 2 + MEDIAN_PASSES
+        with watched("plates", known, passes) as seen:
+            lowest = [darkest(clip) for clip in seen]
+            without_fire = read_plates(plates_folder, footage) if plates_folder else make_plates(seen, lowest, plate)
 
     # ---- poses -------------------------------------------------------------------------------------------------------
     with log.measure("poses") as figures:
-        placed = footage.place(known, lowest, pose_options)
+        with watched("poses: read", known, 1 + (pose_options.board is not None)) as seen:
+            placed = footage.place(seen, lowest, pose_options)
         figures.update(method=placed.report.method, points=len(placed.points))
     cameras = placed_cameras(footage, times, placed)
     stored = [stored_view(camera, picture, width) for camera, picture in zip(cameras, without_fire, strict=True)]
@@ -104,14 +112,15 @@ def make_dataset(
         "footage": [video.name for video in footage.videos],
         "plate": plate_source,
         "clock": times.source,
+        "notes": [*footage.notes, *times.notes],
         "mask": "estimated from the plates",
         "scale": placed.report.scale,
         **footage.provenance,
     }
     boards = [footage.board_mask(c) for c in range(len(clips))]
     made_from = derived_files(stored, placed, plates_folder is None, depth)
-    with log.measure("write"):
-        for view, clip, board in zip(stored, clips, boards, strict=True):
+    with log.measure("write"), watched("write", clips) as seen:
+        for view, clip, board in zip(stored, seen, boards, strict=True):
             write_pictures(out, view, clip)
             if board is not None:
                 write_picture(out / view.board_mask, resized(board, view.camera)[..., None])
@@ -128,7 +137,21 @@ def make_dataset(
             provenance=made_by,
             made_from=dict.fromkeys(made_from, splits.train),
         ).write(out)  # last: it says that the rest is there
-    return Ingested(out, poses)
+    return Ingested(out, poses, (*footage.notes, *times.notes))
+
+
+@contextmanager
+def watched(title: str, clips: list[Clip], passes: int = 1) -> Iterator[list[Clip]]:
+    """The clips, with a progress bar over all their frames, each of which is read `passes` times."""
+    total, done = passes * sum(map(len, clips)), 0
+    with progress_bar(title) as update:
+
+        def count() -> None:
+            nonlocal done
+            done += 1
+            update(done, max(done, total))
+
+        yield [replace(clip, watch=count) for clip in clips]
 
 
 def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool, depth: bool) -> list[str]:
@@ -142,8 +165,8 @@ def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool
 # ---- plates ----------------------------------------------------------------------------------------------------------
 
 
-def make_plates(clips: list[np.ndarray], lowest: list[np.ndarray], kind: PlateKind) -> list[np.ndarray]:
-    """(H, W, 3) uint8 per camera from clips (T, H, W, 3) and their minimum plates."""
+def make_plates(clips: list[Clip], lowest: list[np.ndarray], kind: PlateKind) -> list[np.ndarray]:
+    """(H, W, 3) uint8 per camera from clips and their minimum plates."""
     if kind == "minimum":
         return lowest
     return [plates.steady(clip, plate) for clip, plate in zip(clips, lowest, strict=True)]
@@ -152,7 +175,7 @@ def make_plates(clips: list[np.ndarray], lowest: list[np.ndarray], kind: PlateKi
 def read_plates(folder: Path, footage: Footage) -> list[np.ndarray]:
     """(H, W, 3) uint8 per camera, filmed without fire."""
     return [
-        footage.prepared(c, plates.read_plate(folder, name, lens))
+        footage.preparation(c)(plates.read_plate(folder, name, lens))
         for c, (name, lens) in enumerate(zip(footage.names, footage.lenses, strict=True))
     ]
 
@@ -279,8 +302,8 @@ def write_depth(out: Path, stored: list[StoredView], scene: SceneDepth) -> None:
     write_points(out / "points.ply", scene.points, scene.colors)
 
 
-def write_pictures(out: Path, view: StoredView, clip: np.ndarray) -> None:
-    """A camera's plate, its clip (T, H, W, 3) uint8, and where fire is in it: an estimate, as no truth exists."""
+def write_pictures(out: Path, view: StoredView, clip: Clip) -> None:
+    """A camera's plate, its clip, and where fire is in it: an estimate, as no truth exists."""
     write_picture(path_in(out, view.static), view.plate)
     plate = view.plate.astype(np.float32) / 255
     for k, frame in enumerate(clip):

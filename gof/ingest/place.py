@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,6 +15,7 @@ from gof.errors import DataFormatError, GofError
 from gof.ingest import adjust, sfm
 from gof.ingest.board import board_points, board_region
 from gof.ingest.marked_points import MarkedPoint
+from gof.ingest.over_time import largest_change
 from gof.lens import Lens
 
 STILL_RANGE = 60  # of 255: pixels that change more over the clip show fire or LEDs and get no features
@@ -72,7 +74,7 @@ class Placed:
 
 
 def place_cameras(
-    clips: list[np.ndarray],
+    clips: list[Collection[np.ndarray]],
     lowest: list[np.ndarray],
     lenses: list[Lens],
     names: list[str],
@@ -82,7 +84,7 @@ def place_cameras(
     """Poses of all cameras in metric world axes (Z up).
 
     Args:
-        clips: (T, H, W, 3) uint8 RGB per camera.
+        clips: per camera its (H, W, 3) uint8 RGB pictures.
         lowest: (H, W, 3) uint8 minimum plates.
         lenses: of the upright pictures.
         given: (C, 4, 4) poses that are known already and only checked, or None.
@@ -98,7 +100,7 @@ def place_cameras(
         return Placed(given, np.zeros((0, 3)), report)
 
     # ---- solvers, and what the checks say of each --------------------------------------------------------------------
-    solved = sfm.solve(lowest, _feature_masks(clips, lowest, board, options), lenses, names)
+    solved = sfm.solve(lowest, _feature_masks(clips, board, options), lenses, names)
     attempts = [_from_features(solved, points, lenses, names, options)]
     if options.solver == "points" or (options.solver == "auto" and attempts[0].refused):
         attempts.append(_from_points(solved.features, points, lenses, names))
@@ -124,22 +126,21 @@ def _all_points(board: list[MarkedPoint], options: PoseOptions) -> list[MarkedPo
 
 
 def _feature_masks(
-    clips: list[np.ndarray], lowest: list[np.ndarray], board: list[MarkedPoint], options: PoseOptions
+    clips: list[Collection[np.ndarray]], board: list[MarkedPoint], options: PoseOptions
 ) -> list[np.ndarray]:
     """(H, W) bool per camera: where features may be, on what stands still and is not the board."""
-    masks = [_still(clip, plate) for clip, plate in zip(clips, lowest, strict=True)]
+    masks = [_still(clip) for clip in clips]
     if options.board:
         for c, mask in enumerate(masks):
             mask &= ~board_region(board, c, options.board, options.marker_side, mask.shape)
     return masks
 
 
-def _still(clip: np.ndarray, lowest: np.ndarray) -> np.ndarray:
+def _still(clip: Collection[np.ndarray]) -> np.ndarray:
     """(H, W) bool: pixels that hardly change, shrunk by two pixels."""
     import cv2
 
-    changes = clip.max(0).astype(np.int16) - clip.min(0)
-    return cv2.erode((changes.max(-1) <= STILL_RANGE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    return cv2.erode((largest_change(clip) <= STILL_RANGE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
 
 
 # ---- solvers and checks ----------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ Their world has no metres: the outer cameras stand 10 units apart. Nothing in it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,10 +27,11 @@ from gof.dataset.description import METRES
 from gof.dataset.poses import PoseReport
 from gof.errors import DataFormatError, GofError
 from gof.files import write_json
-from gof.ingest.footage import Footage, read_clip
-from gof.ingest.frame_times import FrameTimes, Timing, paired_frames
+from gof.ingest.footage import Footage
+from gof.ingest.frame_times import FrameTimes, Timing
+from gof.ingest.pairing import pair
 from gof.ingest.place import Placed, PoseOptions, upright_world
-from gof.lens import Lens, Turn, prepare
+from gof.lens import Lens, Turn, straightening
 from gof.npz import read_npz
 
 META = "meta.npz"
@@ -38,6 +40,7 @@ TURNS = {  # camera axes of the turned picture, from those of the stored one
     "none": np.eye(3),
     "clockwise": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
     "counterclockwise": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    "half": np.diag([-1.0, -1, 1]),
 }
 CAMERAS_FILE = "published_cameras.json"
 
@@ -160,27 +163,20 @@ class PublishedFootage(Footage):
 
     def frame_times(self, timing: Timing) -> FrameTimes:
         """By the board's clock, as published: cameras keep their own times, paired by the nearest frame."""
-        if timing.times is not None or timing.fps is not None:
-            raise GofError(f"{self.meta.path}: the scene brings its frame times; leave out --times and --fps")
+        if timing.times is not None or timing.fps or timing.stamps:
+            raise GofError(f"{self.meta.path}: the scene brings its frame times; leave out --times, --fps and --stamps")
         seconds = list(self.meta.times * 1e-6)
-        frames = paired_frames(self.meta.path, self.names, seconds, timing.start, timing.limit)
-        zero = seconds[0][frames[0].start]
-        return FrameTimes(
-            frames=frames,
-            time_s=[t[f.start : f.stop] - zero for t, f in zip(seconds, frames, strict=True)],
-            row_time_s=[0.0] * len(frames),  # not published
-            readout=["down"] * len(frames),
-            source=f"published; 0 is {self.meta.led_time_origin_us * 1e-6 + zero:.6f} s of the board's clock",
-        )
+        pairing = pair(self.names, seconds, timing.start[0], timing.limit, str(self.meta.path))
+        zero = seconds[0][pairing.frames[0][0]]
+        source = f"published; 0 is {self.meta.led_time_origin_us * 1e-6 + zero:.6f} s of the board's clock"
+        cameras = len(seconds)
+        # Row times are not published.
+        return FrameTimes.of(pairing, seconds, [0.0] * cameras, ["down"] * cameras, source)
 
-    def clips(self, frames: list[range]) -> list[np.ndarray]:
-        return [
-            np.stack([self._upright(c, picture) for picture in read_clip(video, self.lenses[c], "none", frames[c])])
-            for c, video in enumerate(self.videos)
-        ]
-
-    def prepared(self, camera: int, picture: np.ndarray) -> np.ndarray:
-        return self._upright(camera, picture)
+    def preparation(self, camera: int) -> Callable[[np.ndarray], np.ndarray]:
+        """Undistorted as theirs, then turned."""
+        meta = self.meta
+        return straightening(meta.camera_matrix[camera], meta.dist_coeffs[camera], self.lenses[camera], self.turn)
 
     def place(self, clips: list[np.ndarray], lowest: list[np.ndarray], options: PoseOptions) -> Placed:
         """As published."""
@@ -200,7 +196,7 @@ class PublishedFootage(Footage):
         lens = self.lenses[camera]
         if stored is None or stored.shape != (lens.height, lens.width):
             raise DataFormatError(f"{path}: must be a picture of {lens.width}x{lens.height} pixels, as the video")
-        return np.uint8(255 * (self._upright(camera, stored) > 127))
+        return np.uint8(255 * (self.preparation(camera)(stored) > 127))
 
     def write_beside(self, out: Path) -> None:
         """out/published_cameras.json: the cameras in the published world, to move a result of theirs into ours."""
@@ -210,21 +206,6 @@ class PublishedFootage(Footage):
     @property
     def provenance(self) -> dict[str, Any]:
         return {"data_set": "jna-358/fire_actioncam", "scene": self.meta.path.parent.name}
-
-    def _upright(self, camera: int, stored: np.ndarray) -> np.ndarray:
-        """A stored picture undistorted as theirs, then turned."""
-        import cv2
-
-        lens = self.lenses[camera]
-        maps = cv2.initUndistortRectifyMap(
-            self.meta.camera_matrix[camera],
-            self.meta.dist_coeffs[camera],
-            None,
-            lens.K,
-            (lens.width, lens.height),
-            cv2.CV_32FC1,
-        )
-        return prepare(cv2.remap(stored, *maps, cv2.INTER_LINEAR), lens, self.turn)
 
 
 def is_published(videos: list[Path]) -> bool:

@@ -1,4 +1,4 @@
-"""Plates, footage, clocks, and the whole command on a small drawn fire."""
+"""Plates, footage, and the whole command on a small drawn fire."""
 
 import json
 from dataclasses import replace
@@ -7,18 +7,16 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.capture.times import CounterReading, DecodingCost, FrameTime, FrameTimesFile, SyncedVideo, VideoTimes
 from gof.commands.ingest import IngestConfig, ingest
 from gof.dataset import Dataset
 from gof.dataset.poses import Poses
 from gof.errors import DataFormatError, GofError
-from gof.footage import first_frame
+from gof.footage import stated_info
 from gof.ingest import plates
-from gof.ingest.footage import Footage, read_clip
-from gof.ingest.frame_times import Timing, read_frame_times
+from gof.ingest.footage import Clip, Footage
+from gof.ingest.over_time import darkest, largest_change, median
 from gof.ingest.sfm import PoseError
 from gof.lens import Lens, prepare
-from gof.records import write_record
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
 
 pytestmark = pytest.mark.long
@@ -43,7 +41,7 @@ def psnr(a, b):
 def test_plates_remove_fire_and_steady_has_no_noise_bias():
     truth = draw(cameras()[0])[0]
     clip = burning(truth, 40, (110, 170), noise=3)
-    low = plates.rank(clip, 0.0)
+    low = darkest(clip)
     steady = plates.steady(clip, low)
     burnt = plates.fire_reached(clip, low)
     assert burnt[170, 110] and burnt.mean() < 0.2
@@ -53,17 +51,20 @@ def test_plates_remove_fire_and_steady_has_no_noise_bias():
     assert psnr(steady, truth) > psnr(low, truth) + 3
 
 
-def test_one_frame_and_ranks():
-    stack = np.arange(5, dtype=np.uint8)[::-1, None, None, None] * np.ones((1, 2, 3, 3), np.uint8)
-    assert (
-        (plates.rank(stack, 0) == 0).all()
-        and (plates.rank(stack, 0.5) == 2).all()
-        and (plates.rank(stack, 1) == 4).all()
-    )
-    assert (plates.rank(stack[:1], 0.3) == 4).all()
+def test_what_is_found_frame_by_frame_is_what_numpy_finds_in_the_whole_clip():
+    rng = np.random.default_rng(3)
+    for count in (1, 2, 7, 12):
+        clip = rng.integers(0, 256, (count, 9, 11, 3), np.uint8)
+        np.testing.assert_array_equal(median(clip), np.sort(clip, 0)[(count - 1) // 2])
+        luma = clip @ np.array([0.2126, 0.7152, 0.0722])
+        chosen = np.take_along_axis(clip, luma.argmin(0)[None, ..., None], 0)[0]
+        np.testing.assert_array_equal(darkest(clip), chosen)
+        np.testing.assert_array_equal(largest_change(clip), np.ptp(clip, 0).max(-1))
+    extreme = np.array([0, 255, 255], np.uint8)[:, None, None, None] * np.ones((1, 2, 2, 3), np.uint8)
+    assert (median(extreme) == 255).all() and (median(extreme[:2]) == 0).all()
 
 
-@pytest.mark.parametrize("turn", ["none", "clockwise", "counterclockwise"])
+@pytest.mark.parametrize("turn", ["none", "clockwise", "counterclockwise", "half"])
 def test_turning_keeps_points_on_their_rays(turn):
     """A spot in the stored picture, undistorted and turned, lies where the turned pinhole projects its ray."""
     lens = Lens(
@@ -81,85 +82,12 @@ def test_turning_keeps_points_on_their_rays(turn):
     out = prepare(np.uint8(255 * spot)[..., None].repeat(3, -1), lens, turn)[..., 0].astype(float)
     upright = lens.turned(turn)
     assert out.shape == (upright.height, upright.width)
-    turned_ray = {"none": ray, "clockwise": [-ray[1], ray[0], 1], "counterclockwise": [ray[1], -ray[0], 1]}[turn]
+    x, y, _ = ray
+    turned_ray = {"none": ray, "clockwise": [-y, x, 1], "counterclockwise": [y, -x, 1], "half": [-x, -y, 1]}[turn]
     expected = (upright.K @ turned_ray)[:2]
     rows, columns = np.mgrid[: out.shape[0], : out.shape[1]] + 0.5
     found = [(out * columns).sum() / out.sum(), (out * rows).sum() / out.sum()]
     np.testing.assert_allclose(found, expected, atol=0.15)
-
-
-def times_file(path, offsets_us, frames=20, row_us=4.0, readout="left") -> FrameTimesFile:
-    """A times.json as `gof capture sync` writes it, of cameras that begin `offsets_us` after one another's clock."""
-    videos = []
-    for c, offset in enumerate(offsets_us):
-        times = VideoTimes(
-            width=100,
-            height=200,
-            fps=400.0,
-            frame_interval_us=2500.0,
-            row_time_us=row_us,
-            readout=readout,
-            frames=tuple(FrameTime(7 + 1e-6 * (offset + 2500 * k), 1.0, 7.0, True) for k in range(frames)),
-            repeated_frames=(),
-            dropped_before={},
-            rms_us=1.0,
-            max_residual_us=2.0,
-            systematic_us=1.0,
-            outliers=0,
-            exposure_us=None,
-            saturation=None,
-            count=CounterReading(1, 1.0, frames),
-            container_fps=None,
-            marker_px=60.0,
-            faults=(),
-            warnings=(),
-            cost=DecodingCost(1.0, 1.0, 10.0),
-        )
-        videos.append(SyncedVideo(f"cam_{c}", f"cam_{c}.mp4", times))
-    record = FrameTimesFile("paper_rig", 4000.0, tuple(videos), {}, ())
-    write_record(path, record)
-    return record
-
-
-def test_measured_clock_pairs_nearest_frames(tmp_path):
-    path = tmp_path / "times.json"
-    times_file(path, [0, -6000, 3200])
-    times = read_frame_times(Timing(path), [20] * 3)
-    # Camera 2 starts 3.2 ms late: its first frame pairs with camera 0's frame 1.
-    assert [r.start for r in times.frames] == [1, 3, 0] and {len(r) for r in times.frames} == {17}
-    starts = np.array([t[0] for t in times.time_s])
-    np.testing.assert_allclose(starts, [0, -1e-3, 0.7e-3], atol=1e-9)
-    np.testing.assert_allclose(np.diff(times.time_s[2]), 2.5e-3, atol=1e-9)
-    assert times.row_time_s == pytest.approx([4e-6] * 3) and times.readout == ["left"] * 3
-    assert times.turned("clockwise").readout == ["up"] * 3 and times.turned("counterclockwise").readout == ["down"] * 3
-
-
-def test_clock_errors_say_what_to_do(tmp_path):
-    path = tmp_path / "times.json"
-    record = times_file(path, [0, 100])
-    with pytest.raises(GofError, match=r"--times.*--fps"):
-        read_frame_times(Timing(), [20] * 3)
-    with pytest.raises(DataFormatError, match="3 videos"):
-        read_frame_times(Timing(path), [20] * 3)
-    with pytest.raises(DataFormatError, match="20 frames, its video 19"):
-        read_frame_times(Timing(path), [20, 19])
-    with pytest.raises(GofError, match="0 frames are left"):
-        read_frame_times(Timing(fps=100.0, start=20), [20, 20])
-    with pytest.raises(GofError, match="--start 20"):
-        read_frame_times(Timing(path, start=20), [20, 20])
-    late = record.cameras[1]
-    frames = [replace(f, time_s=f.time_s + 2.5e-3 * (k >= 10)) for k, f in enumerate(late.times.frames)]
-    dropped = replace(late, times=replace(late.times, frames=tuple(frames)))
-    write_record(path, replace(record, cameras=(record.cameras[0], dropped)))
-    with pytest.raises(DataFormatError, match=r"cam_1.*drops frames at 9"):
-        read_frame_times(Timing(path), [20, 20])
-    lost = SyncedVideo("cam_1", "cam_1.mp4", error="marker not found")
-    write_record(path, replace(record, cameras=(record.cameras[0], lost)))
-    with pytest.raises(DataFormatError, match="marker not found"):
-        read_frame_times(Timing(path), [20, 20])
-    times_file(path, [0, 1e6])
-    with pytest.raises(GofError, match="do not overlap"):
-        read_frame_times(Timing(path), [20, 20])
 
 
 def footage(folder, rig, frames=10):
@@ -177,7 +105,7 @@ def test_command_makes_a_dataset_with_true_poses(tmp_path):
     videos = footage(tmp_path, rig)
     fov = float(np.rad2deg(2 * np.arctan(WIDTH / 2 / FOCAL)))
     baseline = float(np.linalg.norm(rig[2].position - rig[0].position))
-    config = IngestConfig(videos, tmp_path / "set", fov=fov, fps=100.0, width=120, baseline_m=baseline, board="none")
+    config = IngestConfig(videos, tmp_path / "set", fov=fov, fps=(100.0,), width=120, baseline_m=baseline, board="none")
     made = ingest(config)
     dataset = Dataset.open(made.folder)
     assert (dataset.cameras[0].width, dataset.cameras[0].height) == (120, 160) and dataset.test_frames == [4]
@@ -209,7 +137,7 @@ def test_poses_that_cannot_be_solved_say_so_per_camera(tmp_path):
     for file in videos[2].iterdir():
         cv2.imwrite(str(file), blank)
     with pytest.raises(PoseError, match=r"(?s)not registered: .*cam_2.*cam_2: 0 features.*--points"):
-        ingest(IngestConfig(videos, tmp_path / "set", fov=50.0, fps=100.0))
+        ingest(IngestConfig(videos, tmp_path / "set", fov=50.0, fps=(100.0,)))
     assert not (tmp_path / "set" / "dataset.json").exists()
 
 
@@ -218,7 +146,7 @@ def test_known_cameras_are_taken_as_they_are(tmp_path):
     videos = footage(tmp_path, rig, frames=3)
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps({"cameras": [c.to_dict() for c in rig]}))
-    config = IngestConfig(videos, tmp_path / "set", cameras=path, fps=50.0, board="none", depth=True)
+    config = IngestConfig(videos, tmp_path / "set", cameras=path, fps=(50.0,), board="none", depth=True)
     dataset = Dataset.open(ingest(config).folder)
     for c, camera in enumerate(rig):
         found, truth = np.load(tmp_path / "set" / "depth" / f"cam_{c}.npy"), draw(camera)[1]
@@ -231,16 +159,15 @@ def test_known_cameras_are_taken_as_they_are(tmp_path):
 
 def test_footage_errors(tmp_path):
     with pytest.raises(DataFormatError, match="no such video"):
-        first_frame(tmp_path / "none.mp4")
+        stated_info(tmp_path / "none.mp4")
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataFormatError, match="no pictures"):
-        first_frame(tmp_path / "empty")
+        stated_info(tmp_path / "empty")
     cv2.imwrite(str(tmp_path / "empty" / "0.png"), np.zeros((4, 6, 3), np.uint8))
-    lens = Lens.from_fov(6, 4, 40)
     with pytest.raises(DataFormatError, match="has 1 frames, 2"):
-        read_clip(tmp_path / "empty", lens, "none", range(2))
+        list(Clip(tmp_path / "empty", (6, 4), (0, 1), np.copy))
     with pytest.raises(DataFormatError, match="6x4, the lens is given for 5x4"):
-        read_clip(tmp_path / "empty", Lens.from_fov(5, 4, 40), "none", range(1))
+        list(Clip(tmp_path / "empty", (5, 4), (0,), np.copy))
     with pytest.raises(DataFormatError, match="between 0 and 180"):
         Lens.from_fov(6, 4, 180)
     with pytest.raises(GofError, match="at least two cameras"):

@@ -26,7 +26,7 @@ def scene(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def made(scene, tmp_path_factory):
-    return ingest(IngestConfig([scene[0]], tmp_path_factory.mktemp("set") / "fire", start=2, frames=9))
+    return ingest(IngestConfig([scene[0]], tmp_path_factory.mktemp("set") / "fire", start=(2,), frames=9))
 
 
 def test_cameras_are_the_true_ones_up_to_the_published_world(scene, made):
@@ -133,7 +133,7 @@ def test_what_is_missing_or_wrong_is_named(scene, tmp_path):
     with pytest.raises(GofError, match="brings its cameras"):
         ingest(IngestConfig([folder], tmp_path / "a", fov=40.0))
     with pytest.raises(GofError, match="brings its frame times"):
-        ingest(IngestConfig([folder], tmp_path / "b", fps=400.0))
+        ingest(IngestConfig([folder], tmp_path / "b", fps=(400.0,)))
     (folder / "001.mask.png").unlink()
     with pytest.raises(DataFormatError, match=r"001\.mask\.png: must be a picture of 240x320"):
         ingest(IngestConfig([folder], tmp_path / "c", frames=3))

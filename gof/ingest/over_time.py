@@ -1,0 +1,53 @@
+"""What a fixed camera's pixels do over a clip, frame by frame: no clip is ever held in memory as a whole.
+
+`clip` is anything that can be iterated again and again and has a length: (H, W, 3) uint8 RGB pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
+MEDIAN_PASSES = 8  # how often `median` reads the clip: once per bit
+
+
+def darkest(clip: Collection[np.ndarray]) -> np.ndarray:
+    """(H, W, 3) uint8: every pixel as it was in its frame of least luminance (the first of equals)."""
+    low = luma = None
+    for frame in clip:
+        now = frame.astype(np.float32) @ LUMA
+        if low is None:
+            low, luma = frame.copy(), now
+            continue
+        darker = now < luma
+        low[darker], luma[darker] = frame[darker], now[darker]
+    return low
+
+
+def median(clip: Collection[np.ndarray]) -> np.ndarray:
+    """(H, W, 3) uint8: each value's median over time; of an even number the lower of the middle two.
+
+    Found bit by bit: the median has a bit if at most half of the values lie below the number that this bit completes.
+    """
+    below = (len(clip) - 1) // 2  # so many values may lie below the median
+    found = None
+    for bit in (128, 64, 32, 16, 8, 4, 2, 1):
+        count = tried = None
+        for frame in clip:
+            if tried is None:
+                found = np.zeros_like(frame) if found is None else found
+                tried, count = found + np.uint8(bit), np.zeros(frame.shape, np.uint16)
+            count += frame < tried
+        found = np.where(count <= below, tried, found)
+    return found
+
+
+def largest_change(clip: Collection[np.ndarray]) -> np.ndarray:
+    """(H, W) uint8: by how much the channel that changes most differs between its brightest and its darkest frame."""
+    low = high = None
+    for frame in clip:
+        low = frame.copy() if low is None else np.minimum(low, frame, out=low)
+        high = frame.copy() if high is None else np.maximum(high, frame, out=high)
+    return (high - low).max(-1)
