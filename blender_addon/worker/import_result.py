@@ -5,8 +5,10 @@ It also renders one preview frame. (The panel's operator of the same name adds a
     python -m gof_blender.worker.import_result --result result.npz --dataset DATASET --blend out.blend \\
         --preview preview.png --frame 5 --camera cam_0
 
-The scene (background, cameras, colour management, clock) is built again from the spec in DATASET/dataset.json, without
-the simulated fire; the Gaussians take its place. The preview is the view that cameras/<camera>/rgb/<frame>.png shows.
+The scene of a generated dataset (background, cameras, colour management, clock) is built again from the spec in
+DATASET/dataset.json, without the simulated fire; the Gaussians take its place. Of a real capture the cameras are known,
+and each one's picture without fire is put behind the Gaussians. The preview is the view that
+cameras/<camera>/rgb/<frame>.png shows.
 
 Progress goes to standard output as lines ``{"progress": {"stage": "import", "done": 1, "total": 3}}``; what Blender
 prints goes to a log beside the .blend.
@@ -15,8 +17,10 @@ prints goes to a log beside the .blend.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import traceback
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..pure.checked_json import SpecError
@@ -35,14 +39,85 @@ def read_spec(dataset: Path) -> SceneSpec:
             scene is a file outside the dataset.
     """
     description = DatasetDescription.read(dataset)
-    if description.spec is None:
-        raise FileFormatError(
-            f"{dataset / FILE}: holds no scene spec, so there is no scene to build; use a generated dataset"
-        )
+    if not description.spec:
+        raise FileFormatError(f"{dataset / FILE}: holds no scene spec; it is no generated dataset")
     try:
         return SceneSpec.from_dict(description.spec).resolved_in(dataset)
     except (SpecError, FileFormatError) as error:
         raise FileFormatError(f"{dataset / FILE}: spec: {error}") from None
+
+
+@dataclass(frozen=True)
+class GeneratedScene:
+    """The scene that a dataset was generated from."""
+
+    spec: SceneSpec
+
+    @property
+    def frames(self) -> int:
+        return self.spec.clip.frames
+
+    @property
+    def cameras(self) -> list[str]:
+        return list(self.spec.cameras.names)
+
+    def build(self, cloud: gaussians_file.GaussianCloud, mode: str):
+        """Replace the open scene by this one with the cloud. Returns the cloud's object."""
+        return import_into_scene(cloud, self.spec, mode)
+
+    def show(self, camera: str, frame: int) -> None:
+        """Set the scene's camera and time."""
+        import bpy
+
+        bpy.context.scene.camera = bpy.data.objects[camera]
+        bpy.context.scene.frame_set(self.spec.timeline.blender_frame(frame))
+
+    @property
+    def samples(self) -> int:
+        return self.spec.render.samples
+
+
+@dataclass(frozen=True)
+class CapturedScene:
+    """The cameras of a real capture, in `folder`, before their plates."""
+
+    description: DatasetDescription
+    folder: Path
+    samples: int = 16
+
+    @property
+    def frames(self) -> int:
+        return len(self.description.time_s)
+
+    @property
+    def cameras(self) -> list[str]:
+        return [entry.name for entry in self.description.cameras]
+
+    def build(self, cloud: gaussians_file.GaussianCloud, mode: str):
+        """Replace the open scene by this one with the cloud. Returns the cloud's object."""
+        from ..scene import captured, point_cloud
+
+        captured.scene(self.description, self.folder)
+        return point_cloud.add_point_cloud(cloud, captured.FIRST_FRAME, mode)
+
+    def show(self, camera: str, frame: int) -> None:
+        """Set the scene's camera and the time at which it took the frame."""
+        import bpy
+
+        from ..scene import captured
+
+        entry = self.description.cameras[self.cameras.index(camera)]
+        captured.look_through(entry)
+        at = captured.moment(self.description, (entry.time_s or self.description.time_s)[frame])
+        bpy.context.scene.frame_set(math.floor(at), subframe=at - math.floor(at))
+
+
+def read_scene(dataset: Path) -> GeneratedScene | CapturedScene:
+    """What is known of a dataset's scene. Raises FileFormatError as `read_spec`, but not for a capture."""
+    description = DatasetDescription.read(dataset)
+    if description.spec:
+        return GeneratedScene(read_spec(dataset))
+    return CapturedScene(description, dataset)
 
 
 def import_into_scene(cloud: gaussians_file.GaussianCloud, spec: SceneSpec, mode: str):
@@ -65,12 +140,11 @@ def save_blend(path: Path) -> None:
         bpy.ops.wm.save_as_mainfile(filepath=str(draft), copy=True, compress=True, check_existing=False)
 
 
-def render_preview(path: Path, camera: str, samples: int) -> None:
-    """Render the current frame from a rig camera with Cycles and save it as 8-bit display sRGB, atomically."""
+def render_preview(path: Path, samples: int) -> None:
+    """Render the current frame with Cycles and save it as 8-bit display sRGB, atomically."""
     import bpy
 
     scene = bpy.context.scene
-    scene.camera = bpy.data.objects[camera]
     scene.cycles.samples = samples
     settings = scene.render.image_settings
     settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGB", "8"
@@ -84,21 +158,19 @@ def run(args: argparse.Namespace) -> None:
     outputs = [path for path in (args.blend, args.preview) if path is not None]
     _check_outputs(outputs, args.overwrite)
     cloud = gaussians_file.load(args.result)
-    spec = read_spec(args.dataset)
-    _check_view(args, spec)
+    scene = read_scene(args.dataset)
+    _check_view(args, scene)
     for path in outputs:
         path.parent.mkdir(parents=True, exist_ok=True)
     progress = Reporter("import", args.blend.with_suffix(".log"))
     total = 1 + len(outputs)
-    import bpy
-
-    thing = import_into_scene(cloud, spec, args.mode)
-    bpy.context.scene.frame_set(spec.timeline.blender_frame(args.frame))
+    thing = scene.build(cloud, args.mode)
+    scene.show(args.camera, args.frame)
     progress(1, total)
     save_blend(args.blend)
     progress(2, total)
     if args.preview is not None:
-        render_preview(args.preview, args.camera, args.samples or spec.render.samples)
+        render_preview(args.preview, args.samples or scene.samples)
         progress(3, total)
     print(f"{thing.name}: {len(cloud)} Gaussians, {args.mode}")
 
@@ -109,8 +181,8 @@ def _check_outputs(outputs: list[Path], overwrite: bool) -> None:
         raise FileFormatError(f"{existing[0]}: exists already; delete it or pass --overwrite")
 
 
-def _check_view(args: argparse.Namespace, spec: SceneSpec) -> None:
-    last, names = spec.clip.frames - 1, spec.cameras.names
+def _check_view(args: argparse.Namespace, scene: GeneratedScene | CapturedScene) -> None:
+    last, names = scene.frames - 1, scene.cameras
     if not 0 <= args.frame <= last:
         raise FileFormatError(f"--frame {args.frame}: the dataset {args.dataset} has frames 0 to {last}")
     if args.camera not in names:
@@ -123,7 +195,7 @@ def main(argv: list[str] | None = None) -> int:
         prog="python -m gof_blender.worker.import_result", description=__doc__.split("\n")[0]
     )
     parser.add_argument("--result", type=Path, required=True, help="result.npz or result.ply")
-    parser.add_argument("--dataset", type=Path, required=True, help="the generated dataset it was reconstructed from")
+    parser.add_argument("--dataset", type=Path, required=True, help="the dataset it was reconstructed from")
     parser.add_argument("--blend", type=Path, required=True, help="file to save the scene with the cloud to")
     parser.add_argument("--preview", type=Path, help="PNG to render one frame to")
     parser.add_argument("--frame", type=int, default=0, help="dataset frame of the preview and of the saved scene")

@@ -1,0 +1,234 @@
+"""Videos as phones, cheap cameras and broken copies leave them: what does `gof ingest` make of each? Prints a table.
+
+    python -m gof_benchmark.evidence.ordinary_footage CLIP --out OUT [--fps 400] [--fov 35.53] [--marker-m 0.06]
+
+CLIP holds cam_0.mp4, cam_1.mp4 and cam_2.mp4 of one fire (the table of docs/ingest.md: the paper's capture_05/scene_0006).
+ffmpeg makes the variants. Whether frames were paired rightly is not taken from the clocks: every picture of the dataset
+is looked up in the original videos, so the last column counts original frames between pictures that were paired.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from gof.dataset import Dataset
+from gof.errors import GofError, MissingDependencyError
+from gof.footage import stored_frames
+
+CAMERAS = ("cam_0", "cam_1", "cam_2")
+LOOK_UP = (48, 85)  # px: size at which pictures are looked up
+GONE = "not(eq(n,20)+eq(n,21)+eq(n,60))"  # three frames are missing
+LYING = ["-vf", "transpose=2"]  # as a phone stores an upright video
+
+
+@dataclass
+class OrdinaryFootage:
+    """Every variant of a clip through `gof ingest`."""
+
+    clip: tyro.conf.Positional[Path]
+    """Folder with cam_0.mp4, cam_1.mp4, cam_2.mp4."""
+    out: Path = Path("out/ordinary_footage")
+    """Folder for videos and datasets."""
+    fps: float = 400.0
+    """True rate of the clip."""
+    fov: float = 35.53
+    """Its horizontal field of view, degrees."""
+    marker_m: float = 0.06
+    """Side of the board's marker, m."""
+    frames: int = 24
+    """Frames per dataset where a variant does not say: few, as only the reading is looked at."""
+    only: str = ""
+    """Only variants whose name holds this text."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What becomes of the videos, and how they are given to `gof ingest`.
+
+    Attributes:
+        changes: ffmpeg's options per camera that is encoded again.
+        after: what is done to a camera's finished file.
+        options: of `gof ingest`; "TIMES" stands for the times.json of `gof capture sync`.
+        cameras: the first so many.
+        all_frames: whether no --frames is given.
+    """
+
+    name: str
+    options: tuple[str, ...]
+    changes: dict[str, list[str]] = field(default_factory=dict)
+    after: dict[str, str] = field(default_factory=dict)
+    cameras: int = 3
+    all_frames: bool = False
+
+
+def variants(config: OrdinaryFootage) -> list[Variant]:
+    """The rows of the table."""
+    rate, half = f"{config.fps:g}", f"{config.fps / 2:g}"
+    fov, board = ("--fov", f"{config.fov:g}"), ("--marker-m", f"{config.marker_m:g}")
+    usual = ("--fps", rate, *fov, *board)
+    halved = {"cam_1": ["-vf", "select='not(mod(n,2))',setpts=N/(15*TB)", "-r", "15"]}
+    gone = {"cam_1": ["-vf", f"select='{GONE}'", "-fps_mode", "vfr"]}
+    late = {"cam_1": ["-vf", "select='gte(n,7)',setpts=N/(30*TB)"]}
+    slow = {c: ["-vf", "setpts='(N/30+0.004*N*N/100)/TB'", "-fps_mode", "vfr"] for c in CAMERAS}
+    lying = dict.fromkeys(CAMERAS, LYING)
+    tag = dict.fromkeys(CAMERAS, "tag")
+    lying_fov = np.rad2deg(2 * np.arctan(np.tan(np.deg2rad(config.fov) / 2) * 854 / 480))
+    return [
+        Variant("as filmed", usual, all_frames=True),
+        Variant("no board in the pictures", ("--fps", rate, *fov, "--board", "none")),
+        Variant("2 cameras", usual, cameras=2),
+        Variant("1 camera", usual, cameras=1),
+        Variant("cam_1 begins 7 frames late", usual, late, all_frames=True),
+        Variant("the same, `--start 7 0 7`", (*usual, "--start", "7", "0", "7"), late, all_frames=True),
+        Variant("cam_1 has 60 of 100 frames", usual, {"cam_1": ["-frames:v", "60"]}, all_frames=True),
+        Variant("the same, `--frames 24`", usual, {"cam_1": ["-frames:v", "60"]}),
+        Variant("cam_1's file is cut off", usual, after={"cam_1": "cut"}, all_frames=True),
+        Variant("cam_1 at half the rate, one --fps", usual, halved, all_frames=True),
+        Variant(f"the same, `--fps {rate} {half} {rate}`", ("--fps", rate, half, rate, *usual[2:]), halved),
+        Variant("the same, times.json", ("TIMES", *usual[2:]), halved),
+        Variant("cam_1 lacks 3 frames (variable rate)", usual, gone, all_frames=True),
+        Variant("the same, times.json", ("TIMES", *usual[2:]), gone, all_frames=True),
+        Variant("all slow down (variable rate)", usual, slow, all_frames=True),
+        Variant("the same, `--stamps`", ("--stamps", *usual[2:]), slow),
+        Variant("cam_1 smaller", usual, {"cam_1": ["-vf", "scale=320:570"]}),
+        Variant("HEVC, 10 bits", usual, dict.fromkeys(CAMERAS, ["-c:v", "libx265", "-pix_fmt", "yuv420p10le"])),
+        Variant("phones: lying, with rotation tag", ("--fps", rate, "--fov", f"{lying_fov:.4g}", *board), lying, tag),
+        Variant(
+            "the same, cam_1's tag is lost",
+            ("--fps", rate, "--fov", f"{lying_fov:.4g}", *board),
+            lying,
+            {"cam_0": "tag", "cam_2": "tag"},
+        ),
+        Variant(
+            "the same, `--turn clockwise`",
+            ("--fps", rate, "--fov", f"{lying_fov:.4g}", *board, "--turn", "clockwise"),
+            lying,
+            {"cam_0": "tag", "cam_2": "tag"},
+        ),
+        Variant("wrong --fov, board", ("--fps", rate, "--fov", "60", *board)),
+        Variant("wrong --fov, no board", ("--fps", rate, "--fov", "60", "--board", "none")),
+    ]
+
+
+# ---- videos ----------------------------------------------------------------------------------------------------------
+
+
+def ffmpeg(*words: str) -> None:
+    """Run it. Raises MissingDependencyError: it is not installed."""
+    if shutil.which("ffmpeg") is None:
+        raise MissingDependencyError("this script makes its videos with ffmpeg; install it from your system's packages")
+    subprocess.run(["ffmpeg", "-v", "error", "-y", *words], check=True)
+
+
+def make_videos(variant: Variant, config: OrdinaryFootage, folder: Path) -> list[Path]:
+    """The variant's videos."""
+    folder.mkdir(parents=True, exist_ok=True)
+    videos = []
+    for name in CAMERAS[: variant.cameras]:
+        source, video = str(config.clip / f"{name}.mp4"), folder / f"{name}.mp4"
+        after = variant.after.get(name)
+        change = variant.changes.get(name)
+        if change is None:
+            copied = ["-movflags", "+faststart"] if after == "cut" else []
+            ffmpeg("-i", source, "-c", "copy", *copied, str(video))
+        else:
+            codec = [] if "-c:v" in change else ["-c:v", "libx264"]
+            quiet = ["-x265-params", "log-level=error"] if "libx265" in change else []
+            ffmpeg("-i", source, *change, *codec, *quiet, "-crf", "10", str(video))
+        if after == "cut":  # as a copy that broke off
+            video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
+        if after == "tag":
+            tagged = folder / f"{name}_tagged.mp4"
+            ffmpeg("-display_rotation", "-90", "-i", str(video), "-c", "copy", str(tagged))
+            tagged.replace(video)
+        videos.append(video)
+    return videos
+
+
+# ---- what comes out --------------------------------------------------------------------------------------------------
+
+
+def gof(*words: str) -> tuple[int, str]:
+    """Run the command line; exit status and what it said."""
+    done = subprocess.run([sys.executable, "-m", "gof", *words], capture_output=True, text=True)
+    return done.returncode, done.stdout + done.stderr
+
+
+def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], number: int) -> tuple[str, str]:
+    """What `gof ingest` says of the variant, and how far apart in original frames its pairs are."""
+    folder = config.out / f"{number:02d}"
+    shutil.rmtree(folder, ignore_errors=True)
+    videos = make_videos(variant, config, folder / "videos")
+    words = []
+    for option in variant.options:
+        if option != "TIMES":
+            words.append(option)
+            continue
+        status, said = gof("capture", "sync", *map(str, videos), "--out", str(folder / "sync"))
+        if status:
+            return f"sync: {last_line(said)}", ""
+        words += ["--times", str(folder / "sync" / "times.json")]
+    frames = () if variant.all_frames else ("--frames", str(config.frames))
+    made = folder / "set"
+    summary = folder / "summary.json"
+    status, said = gof(
+        "ingest", *map(str, videos), "--out", str(made), "--width", "120", *words, *frames, "--json", str(summary)
+    )
+    if status:
+        return f"refused: {last_line(said)}", ""
+    content = json.loads(summary.read_text(encoding="utf-8"))
+    apart = pairs_apart(Dataset.open(made), originals)
+    notes = "; ".join(content["notes"]) or "nothing to say"
+    poses = content["poses"]["method"]
+    return f"made, poses by {poses}: {notes}", f"{apart:d}"
+
+
+def last_line(said: str) -> str:
+    """The error, without progress bars; folders are cut."""
+    lines = [line for line in said.splitlines() if line.strip() and "━" not in line]
+    where = next((k for k, line in enumerate(lines) if line.startswith(("gof", "error", "Error"))), len(lines) - 1)
+    text = " ".join(line.strip() for line in lines[where:])
+    return " ".join(Path(word).name if word.startswith("/") else word for word in text.split())
+
+
+def small(picture: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.resize(picture, LOOK_UP, interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def pairs_apart(dataset: Dataset, originals: list[np.ndarray]) -> int:
+    """Most original frames between the pictures of a moment: what each shows is looked up in the original videos."""
+    numbers = [
+        [
+            int(((small(np.uint8(np.rint(255 * dataset.image(c, k)))) - originals[c]) ** 2).mean((1, 2, 3)).argmin())
+            for k in range(len(dataset.times_s))
+        ]
+        for c in range(len(dataset.cameras))
+    ]
+    return int(np.ptp(np.array(numbers), axis=0).max())
+
+
+def main(config: OrdinaryFootage) -> None:
+    """Print the table."""
+    originals = [np.stack([small(p) for p in stored_frames(config.clip / f"{name}.mp4")]) for name in CAMERAS]
+    print("| footage | what `gof ingest` does | original frames between paired pictures, at most |\n|---|---|---|")
+    for number, variant in enumerate(variants(config)):
+        if config.only in variant.name:
+            outcome, apart = run(variant, config, originals, number)
+            print(f"| {variant.name} | {outcome} | {apart} |", flush=True)
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(OrdinaryFootage, description=__doc__))
+    except GofError as error:
+        sys.exit(f"error: {error}")

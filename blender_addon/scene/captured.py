@@ -1,0 +1,122 @@
+"""A real capture in Blender: its cameras where they stood, each before its picture without fire.
+
+Nothing of a capture's surroundings is known in 3D, so there is no light and no floor: the plate is the background of the
+camera that renders, and in the viewport of every camera that is looked through.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..pure.description import CameraEntry, DatasetDescription
+from ..pure.io import FileFormatError
+from ..pure.io.files import path_in
+
+FIRST_FRAME = 1  # Blender's frame at time 0
+SENSOR_MM = 36.0
+SAMPLES = 16
+
+
+def scene(description: DatasetDescription, folder: Path) -> None:
+    """Replace the open scene by the capture's cameras and clock: one Blender frame per frame of the dataset.
+
+    Raises:
+        FileFormatError: a camera's plate is not in the dataset.
+    """
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    current = bpy.context.scene
+    current.name = description.name
+    rate = frames_per_second(description)
+    current.render.fps, current.render.fps_base = max(1, round(rate)), max(1, round(rate)) / rate
+    current.frame_start = FIRST_FRAME
+    current.frame_end = round(moment(description, description.time_s[-1]))
+    current.view_settings.view_transform = "Standard"  # plates are pictures for display already
+    current.render.engine = "CYCLES"
+    current.cycles.device = "CPU"
+    current.cycles.samples = SAMPLES
+    current.cycles.use_denoising = False
+    current.render.dither_intensity = 0.0
+    current.cycles.pixel_filter_type, current.cycles.filter_width = "BOX", 1.0  # a wider filter would blur the plate
+    collection = bpy.data.collections.new("Cameras")
+    current.collection.children.link(collection)
+    for entry in description.cameras:
+        add_camera(entry, folder, collection)
+
+
+def frames_per_second(description: DatasetDescription) -> float:
+    """The dataset's usual rate; 25 for a single frame."""
+    return 1 / float(np.median(np.diff(description.time_s))) if len(description.time_s) > 1 else 25.0
+
+
+def moment(description: DatasetDescription, time_s: float) -> float:
+    """Blender frame, with its fraction, of a time on the dataset clock."""
+    return FIRST_FRAME + time_s * frames_per_second(description)
+
+
+def add_camera(entry: CameraEntry, folder: Path, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A camera with the entry's pose and lens, and its plate behind what it sees."""
+    data = bpy.data.cameras.new(entry.name)
+    K = np.array(entry.K)
+    data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
+    data.lens = K[0, 0] / entry.width * SENSOR_MM
+    # Shifts are in widths of the picture; heights of its pixels are those of `look_through`.
+    data.shift_x = 0.5 - K[0, 2] / entry.width
+    data.shift_y = (K[1, 2] - entry.height / 2) * (K[0, 0] / K[1, 1]) / entry.width
+    data.clip_start, data.clip_end = 0.01, 1000.0
+    if plate := _plate(entry, folder):
+        data.show_background_images = True
+        behind = data.background_images.new()
+        behind.image, behind.alpha, behind.frame_method = plate, 1.0, "STRETCH"
+    camera = bpy.data.objects.new(entry.name, data)
+    collection.objects.link(camera)
+    pose = np.linalg.inv(np.array(entry.world_to_camera)) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    camera.matrix_world = Matrix(pose.tolist())
+    return camera
+
+
+def look_through(entry: CameraEntry) -> None:
+    """Make a camera the scene's: its picture size, and its plate as what is behind everything in renders."""
+    current = bpy.context.scene
+    current.camera = bpy.data.objects[entry.name]
+    render = current.render
+    render.resolution_x, render.resolution_y, render.resolution_percentage = entry.width, entry.height, 100
+    ratio = entry.K[1][1] / entry.K[0][0]
+    render.pixel_aspect_x, render.pixel_aspect_y = max(ratio, 1.0), max(1 / ratio, 1.0)
+    current.world = bpy.data.worlds.new("Plate")
+    behind = current.camera.data.background_images
+    _show(current.world, behind[0].image if len(behind) else None)
+
+
+def _plate(entry: CameraEntry, folder: Path) -> bpy.types.Image | None:
+    """The camera's picture without fire, packed into the .blend."""
+    if entry.static is None:
+        return None
+    file = path_in(folder, entry.static)
+    if not file.is_file():
+        raise FileFormatError(f"{file}: no such file, though {folder.name}'s camera {entry.name} names it")
+    image = bpy.data.images.load(str(file))
+    image.name = f"Plate of {entry.name}"
+    image.pack()
+    return image
+
+
+def _show(world: bpy.types.World, plate: bpy.types.Image | None) -> None:
+    """Fill the camera's frame with the plate; black without one."""
+    if hasattr(world, "use_nodes"):  # always on since Blender 5
+        world.use_nodes = True
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    nodes.clear()
+    output, light = nodes.new("ShaderNodeOutputWorld"), nodes.new("ShaderNodeBackground")
+    links.new(light.outputs["Background"], output.inputs["Surface"])
+    light.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    world.cycles.sampling_method = "NONE"  # it lights nothing
+    if plate is None:
+        return
+    place, picture = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeTexImage")
+    picture.image, picture.extension, picture.interpolation = plate, "EXTEND", "Closest"
+    links.new(place.outputs["Window"], picture.inputs["Vector"])
+    links.new(picture.outputs["Color"], light.inputs["Color"])
