@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -160,3 +161,14 @@ class Camera:
             raise DataFormatError(f"{source}: camera field cannot be read ({e})") from e
         except (DataFormatError, NonFiniteError) as e:
             raise type(e)(f"{source}: {e}") from e
+
+
+def sizes_px(cameras: Iterable[Camera]) -> tuple[tuple[int, int], ...]:
+    """The different picture sizes, (width, height), in the cameras' order: what a picture's score depends on."""
+    return tuple(dict.fromkeys((camera.width, camera.height) for camera in cameras))
+
+
+def in_words(sizes: Iterable[tuple[int, int]]) -> str:
+    """Picture sizes for people: "480x854 px"; "" when none is known."""
+    words = ", ".join(f"{width}x{height}" for width, height in sizes)
+    return f"{words} px" if words else ""

@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import tyro
 
+from gof.cameras import in_words
 from gof.costs import StageCost, StageLog
 from gof.errors import GofError
 from gof.evaluate.scores import Scores
@@ -186,8 +187,10 @@ def summarise(scores: Scores) -> None:
     console.print(table)
     if scores.psnr_flame is not None:
         console.print(
-            f"held-out pictures, flame only: PSNR [bold]{scores.psnr_flame:.2f} dB[/] (plate alone "
-            f"{scores.psnr_flame_plate:.2f} dB), SSIM {scores.ssim_flame:.3f} ({scores.ssim_flame_plate:.3f})"
+            f"held-out pictures at {in_words(scores.images.sizes_px)}, flame only: "
+            f"PSNR [bold]{scores.psnr_flame:.2f} dB[/] "
+            f"(plate alone {scores.psnr_flame_plate:.2f} dB), "
+            f"SSIM {scores.ssim_flame:.3f} ({scores.ssim_flame_plate:.3f})"
         )
 
 

@@ -1,7 +1,7 @@
 """A real capture in Blender: its cameras where they stood, each before its picture without fire.
 
-Nothing of a capture's surroundings is known in 3D, so there is no light and no floor: the plate is the background of the
-camera that renders, and in the viewport of every camera that is looked through.
+Nothing of a capture's surroundings is known in 3D, so there is no light and no floor: the plate is the background of
+the camera that renders, and in the viewport of every camera that is looked through.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
+from gof.cameras import in_words
 from gof.commands.foreign_options import ForeignOptions
 from gof.dataset import Dataset
 from gof.errors import GofError
@@ -185,7 +186,7 @@ def _add_own_rows(table: Table, dve: VelocityScore) -> None:
 
 def picture_table(scores: Scores) -> Table:
     """The pictures' scores with those of the plate; scores that no picture has are left out."""
-    table = Table(title="Held-out pictures", title_justify="left")
+    table = Table(title=f"Held-out pictures{_at_size(scores)}", title_justify="left")
     for column in ("score", "result", "fire-free plate alone"):
         table.add_column(column, justify="left" if column == "score" else "right")
     for key, label, digits in PICTURE_ROWS:
@@ -198,13 +199,19 @@ def picture_table(scores: Scores) -> Table:
 
 def published_table(scores: Scores) -> Table:
     """The authors' figures beside what they publish; empty when not asked for."""
-    table = Table(title="Held-out pictures, by the authors' definitions", title_justify="left")
+    table = Table(title=f"Held-out pictures{_at_size(scores)}, by the authors' definitions", title_justify="left")
     for column in ("score", "result", "published, other footage"):
         table.add_column(column, justify="left" if column == "score" else "right")
     if scores.published is not None:
         for key, label, digits in PUBLISHED_ROWS:
             table.add_row(label, _number(getattr(scores.published, key), digits), _number(getattr(THEIRS, key), digits))
     return table
+
+
+def _at_size(scores: Scores) -> str:
+    """The pictures' size, in words that follow others."""
+    words = in_words(scores.images.sizes_px) if scores.images else ""
+    return f" at {words}" if words else ""
 
 
 def _number(value: float | None, digits: int = 3) -> str:

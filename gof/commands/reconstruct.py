@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from gof.cameras import in_words, sizes_px
 from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.files import write_json
@@ -112,6 +113,9 @@ def main(argv: list[str]) -> int:
     for stage in result.stages:
         print(f"{stage.name:<12} {stage.seconds:8.1f} s {stage.peak_mb:8.0f} MB")
     if scores.psnr_flame is not None:
-        print(f"held-out pictures, flame only: {scores.psnr_flame:.2f} dB, SSIM {scores.ssim_flame:.3f}")
+        at, full = in_words(scores.sizes_px), in_words(sizes_px(dataset.cameras))
+        print(f"held-out pictures at {at}, flame only: {scores.psnr_flame:.2f} dB, SSIM {scores.ssim_flame:.3f}")
+        if at != full:
+            print(f"'gof evaluate' scores at the dataset's {full}, where the same result has fewer dB")
     print(f"{result.count} Gaussians -> {result.path}")
     return 0

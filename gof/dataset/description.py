@@ -123,6 +123,11 @@ class DatasetDescription:
         """Whether lengths are metres; poses solved without any known length have a unit of their own, and say so."""
         return str(self.provenance.get("scale", METRES)).startswith(METRES)
 
+    @property
+    def is_filmed(self) -> bool:
+        """Whether its pictures are footage of a real fire, of which no motion is known; False for a simulated one."""
+        return not self.spec and self.velocity is None
+
     def __post_init__(self):
         count = len(self.time_s)
         if not _increasing(self.time_s):

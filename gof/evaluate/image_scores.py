@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.cameras import sizes_px
 from gof.dataset import Dataset
 from gof.errors import MissingDependencyError
 from gof.evaluate import perceptual
@@ -145,6 +146,7 @@ def image_scores(
             absent=tuple(metrics.absent),
             board_share=float(np.mean(covered)),
             pictures=tuple(rows),
+            sizes_px=sizes_px(dataset.cameras),
             **{f"{name}_std": spread for name, (_, spread) in statistics.items()},
         ),
     )

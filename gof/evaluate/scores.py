@@ -160,13 +160,15 @@ Spread = make_dataclass("Spread", [(f"{name}_std", float | None, None) for name 
 class ImageScores(Spread):
     """What is behind the means: every picture, and of each figure F its standard deviation over pictures, `F_std`.
 
-    `board_share` of the pixels do not count; `absent` says which scores are not there, and why.
+    `board_share` of the pixels do not count; `absent` says which scores are not there, and why. `sizes_px` are the
+    (width, height) that pictures were scored at: the same result scores lower at a larger size.
     """
 
     count: int
     absent: tuple[str, ...]
     board_share: float
     pictures: tuple[PictureScore, ...]
+    sizes_px: tuple[tuple[int, int], ...] = ()
 
 
 # ---------------------------------------------------------------- where the result came from

@@ -20,6 +20,7 @@ class HeldOutScores:
     Attributes:
         psnr, ssim: of whole pictures, PSNR in dB.     psnr_flame, ssim_flame: of the flame in them.
         psnr_flame_novel: of the flame seen by the cameras kept for novel views, dB.
+        sizes_px: (width, height) that the pictures were scored at: the same result scores lower at a larger size.
     """
 
     psnr: float | None = None
@@ -27,6 +28,7 @@ class HeldOutScores:
     psnr_flame: float | None = None
     ssim_flame: float | None = None
     psnr_flame_novel: float | None = None
+    sizes_px: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.cameras import Camera
+from gof.cameras import Camera, sizes_px
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr, ssim
 from gof.flame_mask import flame_mask
@@ -61,7 +61,8 @@ class HeldOut:
         for picture in self._novel if not plates else ():
             image = self._draw(picture, gaussians, plates)
             values["psnr_flame_novel"].append(psnr(image, picture.truth, picture.flame))
-        return HeldOutScores(**{name: _mean(found) for name, found in values.items()})
+        sizes = sizes_px(picture.camera for picture in self._training)
+        return HeldOutScores(**{name: _mean(found) for name, found in values.items()}, sizes_px=sizes)
 
     def side_by_side(self, gaussians: TransientGaussians, plates: Sequence[np.ndarray]) -> np.ndarray | None:
         """(2 H, C W, 3): a held-out frame in the middle of the clip, above what the Gaussians make of it.

@@ -73,8 +73,8 @@ class Monitor(Protocol):
     def progress(self, done: int, total: int, note: str) -> None:
         """Steps done, and the loss in words."""
 
-    def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
-        """At EVALUATE_AT and the last step; returns the held-out flame PSNR to show, dB, or None.
+    def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> str | None:
+        """At EVALUATE_AT and the last step; returns what to show of the held-out pictures, or None.
 
         Args: see `Surroundings.result`.
         """
@@ -107,7 +107,7 @@ def optimize(
     pictures = _TrainingPictures(observation)
     start = load_checkpoint(checkpoint, flame.optimizer)
     mean_loss = None
-    psnr = None
+    held_out = None
     for step in range(start, schedule.iterations):
         f, c = pictures.drawn(schedule.seed, step)
         flame.optimizer.set_learning_rate({"x0": schedule.position_rate(units, step)})
@@ -120,12 +120,12 @@ def optimize(
         last = done == schedule.iterations
         if done in EVALUATE_AT or last:
             _require_finite(float(loss.array[0]), flame.optimizer, step)
-            psnr = monitor.evaluate(done, *flame.state())
+            held_out = monitor.evaluate(done, *flame.state())
         if done % CHECK_EVERY == 0 or last:
             value = float(loss.array[0])
             _require_finite(value, flame.optimizer, step)
             mean_loss = value if mean_loss is None else 0.8 * mean_loss + 0.2 * value
-            monitor.progress(done, schedule.iterations, note=_note(mean_loss, psnr))
+            monitor.progress(done, schedule.iterations, note=_note(mean_loss, held_out))
         if done % CHECKPOINT_EVERY == 0:
             save_checkpoint(checkpoint, flame.optimizer, done, monitor.spent())
     return flame.state()
@@ -199,8 +199,8 @@ def _loss(flame: _Flame, pictures: _TrainingPictures, f: int, c: int, alpha_loss
     return loss + alpha_loss * dr.mean(share * pictures.outside(f, c))
 
 
-def _note(loss: float, psnr: float | None) -> str:
-    return f"loss {loss:.4f}" if psnr is None else f"loss {loss:.4f}, held-out flame {psnr:.2f} dB"
+def _note(loss: float, held_out: str | None) -> str:
+    return ", ".join([f"loss {loss:.4f}", *filter(None, [held_out])])
 
 
 def _require_finite(loss: float, optimizer: Adam, step: int) -> None:

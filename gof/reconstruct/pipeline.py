@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.cameras import in_words
 from gof.costs import StageCost, StageLog
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom, refuse_leaked_work, refuse_leaks
@@ -302,10 +303,13 @@ class _Monitor:
     def spent(self) -> Spent:
         return Spent(time.perf_counter() - self.start, self.curve.seconds)
 
-    def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> float | None:
+    def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> str | None:
         gaussians.save(self.snapshot, source=f"gof reconstruct, step {step}")
         point = self.curve.add(step, partial(self.held_out.score, gaussians, plates))
-        return point.scores.psnr_flame
+        scores = point.scores
+        if scores.psnr_flame is None:
+            return None
+        return f"held-out flame {scores.psnr_flame:.2f} dB at {in_words(scores.sizes_px)}"
 
 
 # ---- Save: the result, the plates that a flame is drawn over, and nothing that was only on the way -------------------

@@ -97,7 +97,7 @@ def animate(
     camera_number: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> Animation:
-    """Draw truth, reconstruction, velocity and true velocity for every frame of one camera.
+    """Draw truth (or what was filmed), reconstruction, velocity and true velocity for every frame of one camera.
 
     The reconstruction is drawn over `plate`, unless it has static Gaussians.
 
@@ -111,7 +111,7 @@ def animate(
     has_truth = dataset.has_velocity
     drawn, alphas = [], []
     for number, k in enumerate(frames):
-        time_s = float(dataset.times_s[k])
+        time_s = float(dataset.camera_times_s(camera_number)[k])
         alive = velocity_module.living(gaussians, time_s)
         fields = [velocity_module.screen_velocity(alive, camera, time_s)]
         if has_truth:
@@ -146,10 +146,20 @@ def animate(
         )
     frame_s = dataset.frame_time_s
     shown_ms = int(np.clip(round(8 * frame_s * 1000), 60, 200))
-    titles = ["truth", "reconstruction", "velocity, reconstruction", *(["velocity, truth"] if has_truth else [])]
+    titles = [
+        original(dataset),
+        "reconstruction",
+        "velocity, reconstruction",
+        *(["velocity, truth"] if has_truth else []),
+    ]
     return Animation(
         pages, titles, longest, shown_ms, shown_ms / 1000 / frame_s if frame_s else 1.0, int(np.argmax(alphas))
     )
+
+
+def original(dataset: Dataset) -> str:
+    """What a dataset's own pictures are called."""
+    return "filmed" if dataset.description.is_filmed else "truth"
 
 
 def three_views(
@@ -158,9 +168,9 @@ def three_views(
     """Rows of pictures at one time: [(row title, [(camera name, data URI)])]: truth, reconstruction, difference."""
     from gof.render import render
 
-    rows: dict[str, list] = {"truth": [], "reconstruction": [], "difference": []}
-    time_s = float(dataset.times_s[frame])
+    rows: dict[str, list] = {original(dataset): [], "reconstruction": [], "difference": []}
     for number, camera in enumerate(dataset.cameras):
+        time_s = float(dataset.camera_times_s(number)[frame])
         background = plates[number] if gaussians.dynamic.all() else None
         truth = dataset.image(number, frame)
         image = np.clip(render(gaussians, camera, time_s, background=background)["color"], 0, 1)

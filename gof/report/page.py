@@ -8,6 +8,7 @@ from typing import Any
 
 from PIL import Image
 
+from gof.cameras import in_words
 from gof.costs import StageCost
 from gof.dataset import Dataset
 from gof.dataset.plates import background
@@ -74,6 +75,10 @@ def build_report(
         "views_frame": frame,
         "views_time_ms": 1000 * (dataset.times_s[frame] - dataset.times_s[0]),
         "views_held_out": frame in dataset.test_frames,
+        "filmed": dataset.description.is_filmed,
+        "in_metres": dataset.description.in_metres,
+        "original": pictures.original(dataset),
+        "picture_size": in_words(scores.images.sizes_px) if scores.images else "",
         "scores": scores,
         "verdicts": verdicts(scores),
         "chart": l2_chart(scores),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from gof.cameras import in_words
 from gof.evaluate.scores import ControlScore, Scores, VelocityScore
 
 COMPARED = {
@@ -40,7 +41,9 @@ def verdicts(scores: Scores) -> list[Verdict]:
     if scores.psnr_flame is not None:
         gain = scores.psnr_flame - scores.psnr_flame_plate
         side = "above" if gain > 0 else "below"
-        sentence = f"On flame pixels of held-out frames, {abs(gain):.1f} dB {side} the fire-free plate alone."
+        size = in_words(scores.images.sizes_px) if scores.images else ""
+        where = f"held-out frames ({size})" if size else "held-out frames"
+        sentence = f"On flame pixels of {where}, {abs(gain):.1f} dB {side} the fire-free plate alone."
         out.append(Verdict(gain > 0, sentence))
     return out
 
