@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -166,3 +167,26 @@ def test_scores_of_an_older_version_are_refused_with_the_remedy(out, tmp_path):
     (tmp_path / "scores.json").write_text(json.dumps(content))
     with pytest.raises(DataFormatError, match=r"scores\.json: not schema 'gof-scores' version 1; run 'gof evaluate"):
         main([str(tmp_path)])
+
+
+def test_a_filmed_fire_is_not_called_a_simulation(out, tmp_path):
+    """Nobody measured how a real fire moves: the page must not claim it, and says at what size its pictures scored."""
+    data = json.loads((out / "dataset/dataset.json").read_text())
+    shutil.copytree(out / "dataset", tmp_path / "dataset")
+    real = data | {"velocity": None, "spec": None}
+    (tmp_path / "dataset/dataset.json").write_text(json.dumps(real))
+    shutil.copytree(out / "reconstruct", tmp_path / "reconstruct")
+    scores = evaluate(tmp_path / "reconstruct/result.npz", Dataset.open(tmp_path / "dataset"))
+    camera = data["cameras"][0]
+    assert scores.dve is None and scores.images.sizes_px == ((camera["width"], camera["height"]),)
+    scores.write(tmp_path / "scores.json")
+    assert main([str(tmp_path)]) == 0
+    text = re.sub(r"data:image/[^\"\s]+", "", (tmp_path / "report.html").read_text())
+    assert "simulation" not in text and "truth" not in text and "true frame" not in text
+    assert "The fire was filmed" in text and "<div>filmed</div>" in text and "in m/s" in text
+    assert f"of {camera['width']}x{camera['height']} px against what was filmed" in text
+    assert f"held-out frames ({camera['width']}x{camera['height']} px)" in text
+    no_length = real | {"provenance": {"scale": "unknown: the unit is the distance between first and last camera"}}
+    (tmp_path / "dataset/dataset.json").write_text(json.dumps(no_length))
+    assert main([str(tmp_path)]) == 0
+    assert "the unit of length is not known" in (tmp_path / "report.html").read_text()
