@@ -27,6 +27,7 @@ CAMERAS = ("cam_0", "cam_1", "cam_2")
 LOOK_UP = (48, 85)  # px: size at which pictures are looked up
 GONE = "not(eq(n,20)+eq(n,21)+eq(n,60))"  # three frames are missing
 QUICK = ("--width", "120", "--plate", "minimum")
+SLOWING = "(N/30+0.004*N*N/100)/TB"  # from 30 to about 24 frames a second
 LYING = ["-vf", "transpose=2"]  # as a phone stores an upright video
 
 
@@ -78,7 +79,10 @@ def variants(config: OrdinaryFootage) -> list[Variant]:
     halved = {"cam_1": ["-vf", "select='not(mod(n,2))',setpts=N/(15*TB)", "-r", "15"]}
     gone = {"cam_1": ["-vf", f"select='{GONE}'", "-fps_mode", "vfr"]}
     late = {"cam_1": ["-vf", "select='gte(n,7)',setpts=N/(30*TB)"]}
-    slow = {c: ["-vf", "setpts='(N/30+0.004*N*N/100)/TB'", "-fps_mode", "vfr"] for c in CAMERAS}
+    slow = {
+        c: ["-vf", f"settb=1/15360,setpts='{SLOWING}'", "-fps_mode", "vfr", "-enc_time_base", "1/15360"]
+        for c in CAMERAS
+    }
     hevc = ["-c:v", "libx265", "-pix_fmt", "yuv420p10le"]
     lying = {c: LYING for c in CAMERAS}
     tag = dict.fromkeys(CAMERAS, "tag")
