@@ -146,8 +146,9 @@ def test_errors(folder, changes, message):
     "changes, message",
     [
         ({"schema": "gof-capture"}, "not schema 'gof-dataset' version 1; choose the folder of a finished dataset"),
-        ({"spec": None}, "no scene spec"),
-        ({"spec": {}}, "gof-scene"),
+        ({"spec": None}, "has no cameras"),  # taken for a capture, see test_import_capture.py
+        ({"spec": {}}, "has no cameras"),
+        ({"spec": {"schema": "gof-scene"}}, "spec"),
     ],
 )
 def test_foreign_dataset(folder, tmp_path, changes, message):
