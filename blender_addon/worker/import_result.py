@@ -186,7 +186,9 @@ def _check_view(args: argparse.Namespace, scene: GeneratedScene | CapturedScene)
     if not 0 <= args.frame <= last:
         raise FileFormatError(f"--frame {args.frame}: the dataset {args.dataset} has frames 0 to {last}")
     if args.camera not in names:
-        raise FileFormatError(f"--camera {args.camera}: the dataset {args.dataset} has {', '.join(names) or 'no cameras'}")
+        raise FileFormatError(
+            f"--camera {args.camera}: the dataset {args.dataset} has {', '.join(names) or 'no cameras'}"
+        )
 
 
 def main(argv: list[str] | None = None) -> int:
