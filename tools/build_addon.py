@@ -19,6 +19,7 @@ SOURCE = ROOT / "blender_addon"
 NAME = "gaussians_on_fire"
 KINDS = {".py", ".toml"}
 BESIDE = {"LICENSE"}
+DOCUMENTATION = {ROOT / "docs" / "addon.md": "documentation.md"}  # what the add-on's Help opens
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the first time a zip can hold
 
 
@@ -60,8 +61,9 @@ def build(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".tmp")
     with zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
-        for file in files():
-            entry = zipfile.ZipInfo(f"{NAME}/{file.relative_to(SOURCE).as_posix()}", EPOCH)
+        named = {file: file.relative_to(SOURCE).as_posix() for file in files()} | DOCUMENTATION
+        for file, name in sorted(named.items(), key=lambda pair: Path(pair[1])):
+            entry = zipfile.ZipInfo(f"{NAME}/{name}", EPOCH)
             entry.external_attr, entry.compress_type = 0o644 << 16, zipfile.ZIP_DEFLATED
             archive.writestr(entry, file.read_bytes())
     draft.replace(path)
@@ -72,7 +74,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the zip")
     path = build(parser.parse_args().out)
-    print(f"{path} ({path.stat().st_size / 1000:.0f} kB, {len(files())} files)")
+    print(f"{path} ({path.stat().st_size / 1000:.0f} kB, {len(files()) + len(DOCUMENTATION)} files)")
     return 0
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import bpy
 
 HAS_DROP = hasattr(bpy.types, "FileHandler")  # files dropped on a window: 4.1 and later
+EEVEE_DRAWS_POINTS = "surface_render_method" in bpy.types.Material.bl_rna.properties
+"""EEVEE of 4.2 and later; that of 3.4 draws none, and those between were not tried."""
 LINEAR_COLOR_SPACES = ("Linear Rec.709", "Linear")  # the second up to 3.6
 
 

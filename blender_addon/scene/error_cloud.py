@@ -68,7 +68,7 @@ def show(thing: bpy.types.Object) -> list[bpy.types.Object]:
     views = []
     for number, (name, mode, color, vectors) in enumerate(
         (
-            ("Error", "points", "error", "velocity"),
+            ("Error", gaussian_nodes.QUICK, "error", "velocity"),
             ("True Velocity", "arrows", "speed", "true velocity"),
             ("Error Arrows", "arrows", "error", "error"),
         ),

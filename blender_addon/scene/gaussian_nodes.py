@@ -18,6 +18,7 @@ from .nodes import Nodes, pick
 NAME = "Transient Gaussians"
 LAYOUT = 2  # raise it when the inputs change: clouds of an older add-on keep their own node group
 MODES = ("points", "ellipsoids", "arrows", "streaks")
+QUICK = "points" if compat.EEVEE_DRAWS_POINTS else "ellipsoids"  # the quickest that every view draws
 COLORS = ("image", "speed", "age", "lifetime", "error", "doubt")
 VECTORS = ("velocity", "true velocity", "error")
 ICOSAHEDRON_RADIUS = EXTENT / 0.7947  # its faces touch the ball of EXTENT; the material does the rounding
@@ -30,9 +31,9 @@ INPUTS = (  # name, kind, default, least, largest, description
     ("Time Scale", FLOAT, 1.0, -1e3, 1e3, "1 plays as fast as it was filmed, 0.1 ten times slower"),
     ("Opacity Cut", FLOAT, CUT_OFF, 0.0, 1.0, "Gaussians fainter than this are not drawn"),
     ("Share", FLOAT, 1.0, 0.0, 1.0, "Share of the Gaussians that is drawn; fewer arrows are easier to read"),
-    ("Color By", WHOLE, 0, 0, 5, "0 image colour, 1 speed, 2 age, 3 lifetime, 4 velocity error, 5 velocity doubt"),
-    ("Color Min", FLOAT, 0.0, -1e6, 1e6, "Value at the dark end of the colour map (m/s or s)"),
-    ("Color Max", FLOAT, 1.0, -1e6, 1e6, "Value at the bright end of the colour map (m/s or s)"),
+    ("Color By", WHOLE, 0, 0, 5, "0 image color, 1 speed, 2 age, 3 lifetime, 4 velocity error, 5 velocity doubt"),
+    ("Color Min", FLOAT, 0.0, -1e6, 1e6, "Value at the dark end of the color map (m/s or s)"),
+    ("Color Max", FLOAT, 1.0, -1e6, 1e6, "Value at the bright end of the color map (m/s or s)"),
     ("Emission", FLOAT, 1.0, 0.0, 1e6, "Brightness of the flame; 1 looks as in the footage"),
     (
         "Light on Scene",
@@ -40,7 +41,7 @@ INPUTS = (  # name, kind, default, least, largest, description
         1.0,
         0.0,
         1e6,
-        "Factor on the light that the flame throws on everything else; a colour map throws none",
+        "Factor on the light that the flame throws on everything else; a color map throws none",
     ),
     ("Line Time", FLOAT, 0.02, 0.0, 1e3, "Length of arrows and streaks: the way of this many seconds"),
     ("Arrows Show", WHOLE, 0, 0, 2, "0 velocity, 1 true velocity, 2 velocity error; the last two once scored"),

@@ -86,8 +86,22 @@ def add_view(mesh: bpy.types.Mesh, name: str) -> bpy.types.Object:
     return thing
 
 
+def why_not_color(mesh: bpy.types.Mesh, color: str) -> str | None:
+    """Why a cloud has no values for one of `gaussian_nodes.COLORS`, if it has none."""
+    if color == "error" and "gs_true_velocity" not in mesh.attributes:
+        return "score first: choose a Dataset in the panel Score and press Show Errors"
+    if color == "doubt" and "gs_velocity_sd" not in mesh.attributes:
+        return "this file does not say how sure its velocities are"
+    return None
+
+
 def color_by(thing: bpy.types.Object, color: str) -> None:
-    """Colour a cloud by one of `gaussian_nodes.COLORS`, over the range of its values."""
+    """Colour a cloud by one of `gaussian_nodes.COLORS`, over the range of its values.
+
+    Raises ValueError where it has none.
+    """
+    if problem := why_not_color(thing.data, color):
+        raise ValueError(f"{thing.name}: {problem}")
     settings = inputs(thing)
     settings["Color By"] = gaussian_nodes.COLORS.index(color)
     if color != "image":
@@ -107,11 +121,10 @@ def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
             return float(-2 * np.median(lifetime)), float(2 * np.median(lifetime))
         return float(np.percentile(lifetime, 2)), float(np.percentile(lifetime, 98))
     if color == "doubt":
-        said = column(mesh, "gs_velocity_sd", 1) if "gs_velocity_sd" in mesh.attributes else np.ones(1, np.float32)
-        return 0.0, float(np.percentile(said, 98))
+        return 0.0, float(np.percentile(column(mesh, "gs_velocity_sd", 1), 98))
     velocity = column(mesh, "gs_velocity", 3)
     if color == "error":
-        velocity = velocity - (column(mesh, "gs_true_velocity", 3) if "gs_true_velocity" in mesh.attributes else 0)
+        velocity = velocity - column(mesh, "gs_true_velocity", 3)
     return 0.0, float(np.percentile(np.linalg.norm(velocity, axis=1), 98))
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import benchmark, fire, reconstruction, score
+from . import benchmark, fire, preferences, reconstruction, score
 
 PANELS = {"fire": fire, "benchmark": benchmark, "reconstruction": reconstruction, "score": score}
 
@@ -21,11 +21,12 @@ class GOF_PG_scene(bpy.types.PropertyGroup):
 
 
 def _classes(module) -> tuple[type, ...]:
-    return (*getattr(module, "GROUPS", ()), module.Settings, *module.CLASSES)
+    settings = (module.Settings,) if module in PANELS.values() else ()
+    return (*getattr(module, "GROUPS", ()), *settings, *module.CLASSES)
 
 
 def register() -> None:
-    for module in PANELS.values():
+    for module in (preferences, *PANELS.values()):
         for kind in _classes(module):
             bpy.utils.register_class(kind)
         getattr(module, "register", lambda: None)()
@@ -36,7 +37,7 @@ def register() -> None:
 def unregister() -> None:
     del bpy.types.Scene.gof
     bpy.utils.unregister_class(GOF_PG_scene)
-    for module in reversed(PANELS.values()):
+    for module in reversed((preferences, *PANELS.values())):
         getattr(module, "unregister", lambda: None)()
         for kind in reversed(_classes(module)):
             bpy.utils.unregister_class(kind)

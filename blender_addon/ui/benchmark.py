@@ -17,7 +17,7 @@ from ..pure.spec import BlendFile, SceneSpec
 from ..scene import place
 from . import scene_spec
 from .job_operator import JobOperator
-from .panel import SidebarPanel, write_lines
+from .panel import SidebarPanel, show_text, write_lines
 
 PURPOSE = {
     "toy": "Seconds, to see whether it works",
@@ -164,7 +164,7 @@ class GOF_OT_open_benchmark(bpy.types.Operator):
             self.report({"ERROR"}, f"there is no {path} yet: press Bake & Render")
             return {"CANCELLED"}
         if self.what == "log":
-            _show_text(context, path)
+            show_text(context, path)
         else:
             bpy.ops.wm.path_open(filepath=str(path))
         return {"FINISHED"}
@@ -245,23 +245,6 @@ def _blender() -> list[str]:
 def _copy_scene(scene: bpy.types.Scene, path: Path) -> None:
     """Write the scene as it is now, unsaved changes too, to a file of its own."""
     bpy.data.libraries.write(str(path), {scene}, path_remap="ABSOLUTE", fake_user=True)
-
-
-def _show_text(context, path: Path) -> None:
-    """Show a file in a text editor of this screen, or in one of a new window."""
-    before = next(
-        (text for text in bpy.data.texts if text.filepath and Path(bpy.path.abspath(text.filepath)) == path), None
-    )
-    if before is not None:
-        bpy.data.texts.remove(before)
-    text = bpy.data.texts.load(str(path))
-    area = next((area for area in context.screen.areas if area.type == "TEXT_EDITOR"), None) if context.screen else None
-    if area is None and not bpy.app.background:
-        bpy.ops.wm.window_new()
-        area = context.window_manager.windows[-1].screen.areas[0]
-        area.type = "TEXT_EDITOR"
-    if area is not None:
-        area.spaces.active.text = text
 
 
 Settings = GOF_PG_benchmark

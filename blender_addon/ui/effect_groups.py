@@ -12,7 +12,10 @@ import bpy
 
 from ..pure import effects
 from ..scene.effects import changes_scene
+from .panel import number, vector
 
+SUFFIXES = {"m_s": "m/s", "ev_per_s": "EV/s", "us": "µs", "s": "s", "deg": "°", "ev": "EV", "m": "m"}  # longest first
+WORDS = {"metres": "m", "seconds": "s", "electrons": "e⁻", "stops": "EV", "metre": "1/m", "cells": "cells"}
 DEFAULT = ("vorticity",)  # without it the solver's own diffusion makes a flame like candle wax
 
 
@@ -26,11 +29,22 @@ def _descriptions(settings: type) -> dict[str, str]:
     }
 
 
+def label(name: str, note: str) -> str:
+    """What a panel calls a field: its name, and its unit by the suffix or, without one, by its description."""
+    for suffix, unit in SUFFIXES.items():
+        if name.endswith(f"_{suffix}"):
+            return f"{name.removesuffix('_' + suffix).replace('_', ' ').capitalize()} ({unit})"
+    words = note.replace(",", " ").replace(".", " ").split()
+    unit = next((WORDS[word] for word in reversed(words) if word in WORDS), None)
+    return name.replace("_", " ").capitalize() + (f" ({unit})" if unit else "")
+
+
 def _properties(settings: type) -> dict:
     """Blender properties of the fields that are a number, a place or a choice; the others keep their defaults."""
     kinds, notes, found = typing.get_type_hints(settings), _descriptions(settings), {}
     for field in dataclasses.fields(settings):
-        common = {"name": field.name.replace("_", " ").capitalize(), "description": notes.get(field.name, "")}
+        note = notes.get(field.name, "")
+        common = {"name": label(field.name, note), "description": note}
         kind = kinds[field.name]
         if kind is float:
             found[field.name] = bpy.props.FloatProperty(**common, default=field.default, precision=3)
@@ -92,6 +106,17 @@ def draw(layout, groups: GOF_PG_effects) -> None:
             box.prop(group, "use")
             if group.use:
                 settings = box.column(align=True)
+                settings.use_property_split = True
                 for field in group.__annotations__:
                     if field != "use":
-                        settings.prop(group, field)
+                        _draw_field(settings, group, field)
+
+
+def _draw_field(layout, group, field: str) -> None:
+    kind = group.bl_rna.properties[field]
+    if kind.type == "ENUM":
+        layout.prop(group, field)
+    elif kind.is_array:
+        vector(layout, group, field)
+    else:
+        number(layout, group, field)

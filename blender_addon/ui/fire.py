@@ -7,7 +7,7 @@ from ..pure.checked_json import SpecError
 from ..pure.fuels import FUELS
 from ..scene import place
 from . import effect_groups, scene_spec
-from .panel import SidebarPanel
+from .panel import SidebarPanel, number, vector
 
 
 class GOF_PG_cameras(bpy.types.PropertyGroup):
@@ -28,25 +28,25 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
         soft_max=8,
     )
     arc_deg: FloatProperty(
-        name="Arc", description="Degrees between the first and the last camera", default=70, min=0, max=359
+        name="Arc (°)", description="Angle between the first and the last camera", default=70, min=0, max=359
     )
     azimuth_deg: FloatProperty(
-        name="Facing", description="Degrees from +X to the middle of the arc, counter-clockwise", default=-90
+        name="Facing (°)", description="Angle from +X to the middle of the arc, counter-clockwise", default=-90
     )
-    radius: FloatProperty(name="Distance", description="From the fire, metres", default=2.8, min=0.05, soft_max=20)
-    height: FloatProperty(name="Height", description="Of the cameras above the place of the fire, metres", default=0.9)
+    radius: FloatProperty(name="Distance (m)", description="From the fire", default=2.8, min=0.05, soft_max=20)
+    height: FloatProperty(name="Height (m)", description="Of the cameras above the place of the fire", default=0.9)
     look_at_height: FloatProperty(
-        name="Aim", description="Height of the point that the cameras look at, metres", default=0.75
+        name="Aim (m)", description="Height of the point that the cameras look at", default=0.75
     )
     focal_mm: FloatProperty(
-        name="Focal",
-        description="Focal length in millimetres, for a sensor whose long side is 36 mm",
+        name="Focal (mm)",
+        description="Focal length, for a sensor whose long side is 36 mm",
         default=50,
         min=1,
         soft_max=200,
     )
     sensor_px: IntVectorProperty(
-        name="Sensor",
+        name="Sensor (px)",
         description="Pixels along a row, and number of rows",
         size=2,
         default=(1280, 720),
@@ -57,14 +57,14 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
         name="Roll",
         description="How the camera body is turned about its viewing direction; the rows of the sensor turn with it",
         items=[
-            ("90", "90 (portrait)", "Clockwise seen from behind"),
-            ("-90", "-90 (portrait)", "Counter-clockwise seen from behind"),
-            ("0", "0 (landscape)", "Upright"),
-            ("180", "180 (landscape)", "Upside down"),
+            ("90", "90° Portrait", "Clockwise seen from behind"),
+            ("-90", "-90° Portrait", "Counter-clockwise seen from behind"),
+            ("0", "0° Landscape", "Upright"),
+            ("180", "180° Landscape", "Upside down"),
         ],
     )
     fps: FloatProperty(
-        name="Rate",
+        name="Rate (fps)",
         description="Pictures per second of the benchmark; the scene keeps its own frame rate",
         default=100,
         min=1,
@@ -77,7 +77,7 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
 
     fuel: EnumProperty(
         name="Fuel",
-        description="How the fire burns, and its colour",
+        description="How the fire burns, and its color",
         default="propane_high",
         items=[(name, name.replace("_", " ").capitalize(), "") for name in FUELS],
     )
@@ -90,13 +90,13 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
             ("logs", "Logs", "Three crossed logs"),
         ],
     )
-    radius: FloatProperty(name="Radius", description="Of the burner, metres", default=0.13, min=0.001, soft_max=2)
+    radius: FloatProperty(name="Radius (m)", description="Of the burner", default=0.13, min=0.001, soft_max=2)
     clearance: FloatProperty(
-        name="Lift", description="From the place of the fire up to the burner, metres", default=0.03, min=0
+        name="Lift (m)", description="From the place of the fire up to the burner", default=0.03, min=0
     )
     domain_size: FloatVectorProperty(
-        name="Domain",
-        description="Box of air around the fire, metres",
+        name="Domain (m)",
+        description="Box of air around the fire",
         default=(0.8, 0.8, 1.6),
         min=0.01,
         subtype="XYZ",
@@ -202,12 +202,14 @@ class GOF_PT_fire(SidebarPanel, bpy.types.Panel):
         fire, layout = context.scene.gof.fire, self.layout
         layout.use_property_split, layout.use_property_decorate = True, False
         column = layout.column(align=True)
-        for name in ("fuel", "shape", "radius", "clearance"):
+        for name in ("fuel", "shape"):
             column.prop(fire, name)
-        layout.column(align=True).prop(fire, "domain_size")
+        for name in ("radius", "clearance"):
+            number(column, fire, name)
+        vector(layout.column(align=True), fire, "domain_size")
         column = layout.column(align=True)
         for name in ("resolution", "seed"):
-            column.prop(fire, name)
+            number(column, fire, name)
         layout.prop(fire, "spot")
         there = place.find(context.scene, place.DOMAIN)
         layout.operator(GOF_OT_add_fire.bl_idname, text="Replace Fire" if there else "Add Fire", icon="MOD_FLUIDSIM")
@@ -232,12 +234,14 @@ class GOF_PT_cameras(SidebarPanel, bpy.types.Panel):
         for names in (
             ("count", "eval_count"),
             ("arc_deg", "azimuth_deg", "radius", "height", "look_at_height"),
-            ("focal_mm", "sensor_px"),
-            ("roll_deg", "fps"),
+            ("focal_mm", "fps"),
         ):
             column = layout.column(align=True)
             for name in names:
-                column.prop(cameras, name)
+                number(column, cameras, name)
+        column = layout.column(align=True)
+        vector(column, cameras, "sensor_px")
+        column.prop(cameras, "roll_deg")
         column = layout.column(align=True)
         there = bool(place.cameras(context.scene))
         column.operator(

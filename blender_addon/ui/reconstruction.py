@@ -7,8 +7,8 @@ import bpy
 from bpy_extras.io_utils import ImportHelper
 
 from ..pure.io import FileFormatError, gaussians_file
-from ..scene import compat, gaussian_nodes, point_cloud
-from .panel import SidebarPanel
+from ..scene import clip_in_scene, compat, gaussian_nodes, point_cloud
+from .panel import SidebarPanel, number, write_lines
 
 MANY = 2_000_000  # Gaussians; from here on an import asks back
 SECONDS_EACH, BYTES_EACH, FRAME_SECONDS_EACH = 4e-6, 250, 0.1e-6  # measured: benchmark/evidence/addon_speed.py
@@ -20,18 +20,23 @@ MODES = [
     ("streaks", "Streaks", "The way just travelled, as sparks leave it"),
 ]
 COLORS = [
-    ("image", "Image Colour", "As in the footage"),
+    ("image", "Image Color", "As in the footage"),
     ("speed", "Speed", "m/s"),
     ("age", "Age", "Seconds since its brightest moment"),
     ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
-    ("error", "Velocity Error", "m/s against the true velocity; first use the panel Score"),
-    ("doubt", "Velocity Doubt", "m/s, standard deviation of a component; 0 where the file does not say"),
+    ("error", "Velocity Error", "m/s against the true velocity; score first (panel Score, Show Errors)"),
+    ("doubt", "Velocity Doubt", "m/s, standard deviation of a component, where the file says it"),
 ]
 VECTORS = [
     ("velocity", "Velocity", "As reconstructed"),
     ("true velocity", "True Velocity", "At the Gaussian's centre"),
     ("error", "Error", "Reconstructed minus true"),
 ]
+
+
+UNITS = {"Line Time": "Line Time (s)"}
+COLORLESS = ("SOLID", "WIREFRAME")
+GREY = "Solid view shows no colors"
 
 
 def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
@@ -43,19 +48,29 @@ def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
 
     def write(self, number: int) -> None:
         thing = bpy.context.object
-        if socket == "Color By":
-            point_cloud.color_by(thing, choices[number])
-        else:
+        if socket != "Color By":
             point_cloud.inputs(thing)[socket] = number
+        elif problem := point_cloud.why_not_color(thing.data, choices[number]):
+            _say(f"{items[number][1]}: {problem}")
+        else:
+            point_cloud.color_by(thing, choices[number])
 
     return bpy.props.EnumProperty(items=items, get=read, set=write, **annotations)
+
+
+def _say(text: str) -> None:
+    """Tell the user from where there is no operator to report; whoever runs a script reads the console."""
+    if bpy.app.background:
+        print(text)
+    else:
+        bpy.context.window_manager.popup_menu(lambda menu, _: menu.layout.label(text=text), icon="ERROR")
 
 
 class GOF_PG_reconstruction(bpy.types.PropertyGroup):
     """``scene.gof.reconstruction``: settings of the active cloud that have names instead of numbers."""
 
     mode: _enum("Mode", gaussian_nodes.MODES, MODES, name="Show As")
-    color: _enum("Color By", gaussian_nodes.COLORS, COLORS, name="Colour By")
+    color: _enum("Color By", gaussian_nodes.COLORS, COLORS, name="Color By")
     vectors: _enum("Arrows Show", gaussian_nodes.VECTORS, VECTORS, name="Arrows")
 
 
@@ -69,22 +84,31 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
     filter_glob: bpy.props.StringProperty(default="*.npz;*.ply", options={"HIDDEN"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
-    mode: bpy.props.EnumProperty(name="Show As", items=MODES, default="points")
+    mode: bpy.props.EnumProperty(name="Show As", items=MODES, default=gaussian_nodes.QUICK)
     start_frame: bpy.props.FloatProperty(
         name="Start Frame", default=1.0, description="Scene frame that is time 0 of the reconstruction"
     )
+    fit: bpy.props.EnumProperty(
+        name="Scene",
+        description="What becomes of the scene's frame range and rate",
+        items=[
+            ("new", "Fit If New", "Fit them to the clip if they are still those of Blender's new file"),
+            ("fit", "Fit to Clip", "Fit them to the clip"),
+            ("keep", "Keep", "Leave them as they are"),
+        ],
+    )
     step: bpy.props.IntProperty(name="Every n-th", default=1, min=1, description="Import every n-th Gaussian only")
     everything: bpy.props.BoolProperty(
-        name="Import However Many", description="Do not ask back when there are millions", options={"SKIP_SAVE"}
+        name="However Many", description="Do not ask back when there are millions", options={"SKIP_SAVE"}
     )
     fps: bpy.props.FloatProperty(
-        name="Files per Second",
+        name="Files (per s)",
         default=0.0,
         min=0.0,
         description="Numbers per second of a PLY sequence; 0 = one per frame of the scene",
     )
     clip_seconds: bpy.props.FloatProperty(
-        name="Clip Length",
+        name="Clip (s)",
         default=0.0,
         min=0.0,
         description="FTGS-PLY: seconds from the first to the last frame; 0 = by its number of frames",
@@ -98,11 +122,14 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
     def draw(self, context):
         layout = self.layout
         layout.use_property_split = True
-        for name in ("mode", "start_frame", "step", "everything"):
-            layout.prop(self, name)
+        layout.prop(self, "mode")
+        layout.prop(self, "fit")
+        for name in ("start_frame", "step"):
+            number(layout, self, name)
+        layout.prop(self, "everything")
         layout.label(text="Files of other methods")
         for name in ("fps", "clip_seconds"):
-            layout.prop(self, name)
+            number(layout, self, name)
 
     def execute(self, context):
         started = time.perf_counter()
@@ -115,7 +142,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
                 raise FileFormatError(
                     f"{number:,} Gaussians: about {number * SECONDS_EACH:.0f} s to import, "
                     f"{number * BYTES_EACH / 1e9:.1f} GB of memory and {number * FRAME_SECONDS_EACH:.1f} s per frame. "
-                    f"Set Every n-th to {-(-number * self.step // MANY)} or more, or tick Import However Many"
+                    f"Set Every n-th to {-(-number * self.step // MANY)} or more, or tick However Many"
                 )
             cloud = gaussians_file.load(source, clock, self.step)
         except (FileFormatError, OSError, MemoryError) as error:
@@ -126,11 +153,19 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         )
         thing["gof_source"] = str(source[0] if len(source) == 1 else source[0].parent)
         thing["gof_time_unit"] = self.clip_seconds if len(source) == 1 else 1 / clock.fps  # for `gof evaluate`
+        clip_in_scene.keep(thing, cloud)
+        if self.fit == "fit" or (self.fit == "new" and clip_in_scene.is_new(context.scene)):
+            clip_in_scene.fit(context.scene, thing)
         for other in context.selected_objects:
             other.select_set(False)
         thing.select_set(True)
         context.view_layer.objects.active = thing
-        self.report({"INFO"}, f"{thing.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s")
+        said = f"{thing.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s"
+        if clip := clip_in_scene.line(context.scene, thing):
+            said += f". {clip}"
+        if _shows_no_colors(context):
+            said += f". {GREY}: press Show Colors in the panel"
+        self.report({"INFO"}, said)
         return {"FINISHED"}
 
     def _source(self) -> list[Path]:
@@ -140,8 +175,40 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         return gaussians_file.files_of(chosen)
 
 
+class GOF_OT_fit_scene(bpy.types.Operator):
+    """Set the scene's frame range to the clip, and its rate to one at which the clip is no flicker"""
+
+    bl_idname = "gof.fit_scene"
+    bl_label = "Fit Scene to Clip"
+    bl_options = {"UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return point_cloud.inputs(context.object) is not None and clip_in_scene.CLIP in context.object
+
+    def execute(self, context):
+        clip_in_scene.fit(context.scene, context.object)
+        self.report({"INFO"}, clip_in_scene.line(context.scene, context.object))
+        return {"FINISHED"}
+
+
+class GOF_OT_show_colors(bpy.types.Operator):
+    """Show materials in this view: Solid and Wireframe show no colors of Gaussians"""
+
+    bl_idname = "gof.show_colors"
+    bl_label = "Show Colors"
+
+    @classmethod
+    def poll(cls, context):
+        return context.space_data is not None and context.space_data.type == "VIEW_3D"
+
+    def execute(self, context):
+        context.space_data.shading.type = "MATERIAL"
+        return {"FINISHED"}
+
+
 class GOF_OT_fit_colors(bpy.types.Operator):
-    """Set the colour map's range to that of the values, without the largest two percent"""
+    """Set the color map's range to that of the values, without the largest two percent"""
 
     bl_idname = "gof.fit_colors"
     bl_label = "Fit Range"
@@ -166,17 +233,23 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
         layout.operator("gof.import_result", icon="IMPORT", text="Import Reconstruction...")
         cloud = point_cloud.inputs(context.object)
         if cloud is None:
-            layout.label(text="Select a reconstruction to change it", icon="INFO")
+            write_lines(layout, context, "Select a reconstruction to change it", "INFO")
             return
         layout.use_property_split = True
         layout.use_property_decorate = False
 
         def show(column, *names):
             for name in names:
-                column.prop(cloud.modifier, f'["{cloud.identifier(name)}"]', text=name)
+                key = f'["{cloud.identifier(name)}"]'
+                number(column, cloud.modifier, key, UNITS.get(name, name))
 
         column = layout.column(align=True)
-        column.label(text=f"{context.object.name}: {len(context.object.data.vertices):,} Gaussians")
+        column.label(text=f"{len(context.object.data.vertices):,} Gaussians", icon="POINTCLOUD_DATA")
+        if clip := clip_in_scene.line(context.scene, context.object):
+            write_lines(column, context, clip)
+            column.operator("gof.fit_scene")
+        self._warn(context, layout, settings.mode)
+        column = layout.column(align=True)
         column.prop(settings, "mode")
         if settings.mode in ("arrows", "streaks"):
             show(column, "Line Time")
@@ -186,12 +259,30 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
         column = layout.column(align=True)
         column.prop(settings, "color")
         if settings.color != "image":
-            show(column, "Color Min", "Color Max")
+            unit = "s" if settings.color in ("age", "lifetime") else "m/s"
+            for name in ("Color Min", "Color Max"):
+                number(column, cloud.modifier, f'["{cloud.identifier(name)}"]', f"{name} ({unit})")
             column.operator("gof.fit_colors")
         column = layout.column(align=True)
         show(column, "Start Frame", "Time Scale")
         column = layout.column(align=True)
         show(column, "Emission", "Light on Scene")
+
+    @staticmethod
+    def _warn(context, layout, mode: str) -> None:
+        """Why the view shows less than there is, with the way out."""
+        shading = context.space_data.shading.type
+        if shading in COLORLESS:
+            write_lines(layout, context, GREY, "INFO")
+            layout.operator("gof.show_colors", icon="SHADING_TEXTURE")
+        elif mode == "points" and shading == "MATERIAL" and not compat.EEVEE_DRAWS_POINTS:
+            write_lines(layout, context, "Material Preview of this Blender draws no points: show Ellipsoids", "ERROR")
+
+
+def _shows_no_colors(context) -> bool:
+    """Whether all 3D views of the screen are of a kind that shows no materials."""
+    areas = [area for area in (context.screen.areas if context.screen else ()) if area.type == "VIEW_3D"]
+    return bool(areas) and all(area.spaces.active.shading.type in COLORLESS for area in areas)
 
 
 def _menu(menu, context):
@@ -207,7 +298,7 @@ def unregister() -> None:
 
 
 Settings = GOF_PG_reconstruction
-CLASSES = (GOF_OT_import_result, GOF_OT_fit_colors, GOF_PT_reconstruction)
+CLASSES = (GOF_OT_import_result, GOF_OT_fit_scene, GOF_OT_show_colors, GOF_OT_fit_colors, GOF_PT_reconstruction)
 if compat.HAS_DROP:
 
     class GOF_FH_result(bpy.types.FileHandler):

@@ -7,6 +7,7 @@ import bpy
 from ..pure.io import FileFormatError, velocity_reader
 from ..pure.score_process import INSTALL, Evaluation, EvaluationError
 from ..scene import error_cloud, point_cloud
+from . import preferences
 from .job_operator import JobOperator
 from .panel import SidebarPanel, write_lines
 
@@ -18,7 +19,9 @@ class GOF_PG_score(bpy.types.PropertyGroup):
         name="Dataset", subtype="DIR_PATH", description="Folder of the dataset with the true velocity"
     )
     python: bpy.props.StringProperty(
-        name="Python", subtype="FILE_PATH", description="Python that gof is installed in, such as .venv/bin/python"
+        name="Python",
+        subtype="FILE_PATH",
+        description="Python that gof is installed in, such as .venv/bin/python; the preferences keep one for all files",
     )
     numbers: bpy.props.StringProperty(description="The last scores, one 'name: value' per line")
     centres: bpy.props.StringProperty(description="The last velocity error at the Gaussians' centres")
@@ -50,12 +53,13 @@ class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
 
     def begin(self, context) -> Evaluation:
         settings, thing = context.scene.gof.score, _cloud(context)
-        if not settings.python:
+        python = settings.python or preferences.python()
+        if not python:
             raise EvaluationError(f"Set Python to the one that has gof, or {INSTALL}")
         if "gof_source" not in thing:
             raise EvaluationError(f"{thing.name}: not imported from a file; import the reconstruction again")
         return Evaluation(
-            Path(bpy.path.abspath(settings.python)),
+            Path(bpy.path.abspath(python)),
             Path(thing["gof_source"]),
             Path(bpy.path.abspath(settings.dataset)),
             thing.get("gof_time_unit", 0.0),
@@ -68,7 +72,7 @@ class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
 
 
 class GOF_OT_show_errors(_ScoreOperator, bpy.types.Operator):
-    """Place views beside the reconstruction: coloured by velocity error; true velocity and error as arrows"""
+    """Place views beside the reconstruction: colored by velocity error; true velocity and error as arrows"""
 
     bl_idname = "gof.show_errors"
     bl_label = "Show Errors"
@@ -99,18 +103,17 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.gof.score
         layout.use_property_split = True
         thing = _cloud(context)
-        layout.label(
-            text=f"Reconstruction: {thing.name}" if thing else "Select a reconstruction", icon="POINTCLOUD_DATA"
-        )
+        write_lines(layout, context, f"Of {thing.name}" if thing else "Select a reconstruction", "POINTCLOUD_DATA")
         layout.prop(settings, "dataset")
-        layout.prop(settings, "python")
+        if settings.python or not preferences.python():
+            layout.prop(settings, "python")
         job = GOF_OT_score.job
         layout.operator("gof.score", text=f"{job} (Esc stops it)" if job else "Compute Score")
         if settings.numbers:
             box = layout.box().column(align=True)
             for line in settings.numbers.splitlines():
                 name, value = line.split(": ", 1)
-                row = box.row()
+                row = box.split(factor=0.65)
                 row.label(text=name)
                 row.label(text=value)
         layout.operator("gof.show_errors")

@@ -255,3 +255,45 @@ def test_a_fire_in_the_users_scene_burns_when_played():
         result["flame"] = [int(flame.size), float(flame.max())]
     """)
     assert found["flame"][0] == 12 * 12 * 24 and found["flame"][1] > 0.1
+
+
+def test_every_number_says_its_unit_and_no_label_is_cut():
+    """Lengths, angles, times and rates of the panels, by their labels; 15 characters fit the sidebar's first width."""
+    found = in_addon("""
+        from gof_blender.ui import effect_groups
+        groups = {"fire": fire, "cameras": fire.cameras}
+        groups |= {name: getattr(fire.effects, name) for name in effect_groups.GROUPS}
+        for group, owner in groups.items():
+            for name, kind in owner.bl_rna.properties.items():
+                if kind.type in ("FLOAT", "INT"):
+                    result[f"{group}.{name}"] = kind.name
+    """)
+    units = {"fire.radius": "m", "fire.domain_size": "m", "cameras.arc_deg": "°", "cameras.focal_mm": "mm"}
+    units |= {
+        "cameras.sensor_px": "px",
+        "cameras.fps": "fps",
+        "rolling_shutter.readout_s": "s",
+        "sync_board.tick_us": "µs",
+    }
+    units |= {"moving_emitter.reach": "m", "exposure.drift_ev_per_s": "EV/s", "sensor_noise.read_noise": "e⁻"}
+    for name, unit in units.items():
+        assert found[name].endswith(f"({unit})"), name
+    without = {name for name in found if "(" not in found[name]}
+    lengths = ("radius", "height", "size", "position", "_deg", "_m", "_s", "_us", "_px", "_mm", "fps")
+    assert not {name for name in without if name.endswith(lengths)}
+    assert max(map(len, found.values())) <= 20
+
+
+def test_one_spelling_of_color_in_blenders_window():
+    """What the user reads in Blender is spelt as Blender spells it."""
+    import ast
+    from pathlib import Path
+
+    ui = Path(__file__).parents[2] / "blender_addon" / "ui"
+    for path in [*ui.glob("*.py"), ui.parent / "scene" / "gaussian_nodes.py"]:
+        tree = ast.parse(path.read_text())
+        said = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+        own = [
+            ast.get_docstring(n, clean=False) for n in ast.walk(tree) if isinstance(n, (ast.Module, ast.FunctionDef))
+        ]
+        assert not [text for text in said if "olour" in text and text not in own], path

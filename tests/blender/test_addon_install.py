@@ -37,6 +37,11 @@ for _ in range(2):
     assert state() == (first, True), state()
 for panel in (getattr(bpy.types, name) for name in first if "_PT_" in name):
     assert panel.bl_category == "Gaussians on Fire", panel
+preferences = bpy.context.preferences.addons[name].preferences
+preferences.python = "/somewhere/python"
+assert sys.modules[name + ".ui.preferences"].python() == "/somewhere/python"
+assert bpy.ops.gof.documentation() == {"FINISHED"}
+assert bpy.data.texts["documentation.md"].lines[0].body == "# The Blender add-on"
 assert {"fire", "benchmark", "reconstruction", "score"} <= set(bpy.context.scene.gof.bl_rna.properties.keys())
 print("INSTALLED")
 """
@@ -73,13 +78,14 @@ def test_zip_holds_the_sources_and_nothing_else_and_is_reproducible(built, tmp_p
     with zipfile.ZipFile(built) as archive:
         names = archive.namelist()
     assert names == sorted(names) and {name.split("/")[0] for name in names} == {build_addon.NAME}
-    assert {Path(name).suffix for name in names} == {".py", ".toml", ""} and not any(
+    assert {Path(name).suffix for name in names} == {".py", ".toml", ".md", ""} and not any(
         "__pycache__" in name for name in names
     )
     assert {
         "gaussians_on_fire/__init__.py",
         "gaussians_on_fire/blender_manifest.toml",
         "gaussians_on_fire/LICENSE",
+        "gaussians_on_fire/documentation.md",
     } <= set(names)
     assert build_addon.build(tmp_path).read_bytes() == built.read_bytes()
 

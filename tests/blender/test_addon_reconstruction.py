@@ -202,6 +202,9 @@ def colors():
 
 image = colors()
 speed = np.linalg.norm(values(drawn(thing)[0], "velocity", 3), axis=1)
+settings.color = "error"
+result["before scoring"] = settings.color
+point_cloud.add_column(thing.data, "gs_true_velocity", np.zeros((len(thing.data.vertices), 3)))
 for color in ("speed", "age", "lifetime", "error"):
     settings.color = color
     low, high = cloud["Color Min"], cloud["Color Max"]
@@ -233,6 +236,8 @@ result["share again"] = state(thing)[1].tolist()
     assert [found[color][2] for color in ("speed", "age", "lifetime", "error")] == [
         0
     ] * 4  # a colour map lights nothing
+    assert found["before scoring"] == "image", "there is no error yet to show"
+    assert found["error"][:2] == found["speed"][:2], "against a truth that stands still"
     assert found["order"] == [1, 1] and found["poll"] and found["fitted"] and found["same again"]
     assert found["emission"][0] < 1e-4 and found["emission"][1] == 0.25
     opacity = at(result, 0.5)[1]
@@ -242,7 +247,7 @@ result["share again"] = state(thing)[1].tolist()
 
 
 def test_colour_by_how_sure_the_velocity_is(tmp_path):
-    """Dark where the velocity is sure; where nobody says how sure, as bright as its speed; nothing breaks without."""
+    """Dark where the velocity is sure; where nobody says how sure, as bright as its speed; refused without."""
     result = replace(random_gaussians(60), t_sigma=np.full(60, np.inf), dynamic=np.ones(60, bool))
     result.save(tmp_path / "silent.npz")
     doubt = np.linspace(0, 1, 60)
@@ -258,7 +263,7 @@ for name in ("unsure", "silent"):
     cloud = point_cloud.inputs(thing)
     cloud["Opacity Cut"] = 0.0
     data = drawn(thing)[0]
-    result[name] = [values(data, "gs_color", 4)[:, :3].tolist(), cloud["Color Max"]]
+    result[name] = [values(data, "gs_color", 4)[:, :3].tolist(), cloud["Color Max"], scene.gof.reconstruction.color]
 """,
         tmp_path,
     )
@@ -267,7 +272,7 @@ for name in ("unsure", "silent"):
     assert found["unsure"][1] == pytest.approx(np.percentile(np.append(np.delete(doubt, 7), speed), 98), rel=1e-5)
     assert shown[0, 1] < 0.02 and shown[0, 2] > shown[0, 0], "the dark end of the map is violet"
     assert shown[-1, 0] > 0.9 and shown[-1, 2] < 0.1, "the bright end is yellow"
-    assert np.ptp(np.array(found["silent"][0]), axis=0).max() < 1e-6
+    assert found["silent"][2] == "image", "there is nothing to colour by"
 
 
 @pytest.mark.parametrize(
@@ -282,7 +287,7 @@ for name in ("unsure", "silent"):
         ("nan.npz", "", "must be finite"),
         ("clip.ftgs.ply", "", "set Clip Length"),
         ("huge.ply", "", "Set Every n-th to 5 or more"),
-        ("huge.ply", "step=3", "tick Import However Many"),
+        ("huge.ply", "step=3", "tick However Many"),
     ],
 )
 def test_bad_input_is_an_error_and_changes_nothing(folder, bad_files, name, options, message):
@@ -440,3 +445,51 @@ gof_blender.unregister()
     assert np.abs(seen["place"] - (position @ matrix.T + [1, 2, 3])).max() < 1e-5
     n = len(opacity)
     assert seen["counts"].tolist() == [12 * n, 16 * n, 6 * n]
+
+
+def test_the_first_minute(folder):
+    """A new file is fitted to the clip, a user's timeline is left alone; what is imported can be seen in EEVEE."""
+    found = in_blender(
+        LOOK
+        + """
+from gof_blender.scene import clip_in_scene, gaussian_nodes
+timeline = lambda: [scene.frame_start, scene.frame_end, scene.render.fps, scene.render.fps_base]
+def load(name, **options):
+    bpy.ops.gof.import_result(filepath=str(folder / name), **options)
+    return bpy.context.object
+result["quick"] = gaussian_nodes.QUICK
+load("result.npz")
+result["users"] = timeline()
+scene.render.fps = 24
+thing = load("result.npz")
+result["mode"] = scene.gof.reconstruction.mode
+result["new"], result["line"], result["clip"] = timeline(), clip_in_scene.line(scene, thing), list(thing["gof_clip_s"])
+scene.frame_start, scene.frame_end, scene.render.fps = 1, 250, 24
+load("result.npz", fit="keep")
+result["kept"] = timeline()
+point_cloud.inputs(bpy.context.object)["Time Scale"] = 0.1
+bpy.ops.gof.fit_scene()
+result["slow"] = timeline()
+point_cloud.inputs(bpy.context.object)["Start Frame"] = -500
+bpy.ops.gof.fit_scene()
+result["moved"] = [timeline()[:2], point_cloud.inputs(bpy.context.object)["Start Frame"]]
+bpy.ops.gof.import_result(directory=str(folder / "sequence"), fps=10.0, fit="fit")
+result["sequence"] = timeline()
+load("sequence/0001.ply", fit="fit")
+result["still"] = [timeline() == result["sequence"], bpy.ops.gof.fit_scene.poll()]
+""",
+        folder,
+    )
+    result = TransientGaussians.load(folder / "result.npz")
+    fading = result.dynamic & np.isfinite(result.t_sigma)
+    first, last = np.percentile(result.t_mu[fading], [1, 99])
+    assert found["quick"] == found["mode"] == "points", "Blender 4.2 and later draw points in every view"
+    assert found["clip"] == pytest.approx([first, last], abs=1e-6)
+    assert found["users"] == [1, 250, 50, 1.0] and found["kept"] == [1, 250, 24, 1.0]
+    rate = next(rate for rate in (24, 25, 30, 50) if rate * (last - first) >= 30)  # 30 frames are no flicker
+    assert found["new"] == [round(1 + first * rate), round(1 + last * rate), rate, 1.0]
+    assert f"frames {found['new'][0]} to {found['new'][1]} at {rate} fps" in found["line"]
+    assert found["slow"] == [round(1 + 240 * first), round(1 + 240 * last), 24, 1.0], "long enough at the scene's rate"
+    assert found["moved"] == [[1, round(1 + 240 * (last - first))], pytest.approx(1 - 240 * first, abs=1e-3)]
+    assert found["sequence"] == [1, 1 + 0.3 * 100, 100, 1.0], "three files, 10 a second"
+    assert found["still"] == [True, False]
