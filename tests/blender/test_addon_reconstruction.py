@@ -415,6 +415,8 @@ def test_debians_blender(folder, tmp_path):
         + """
 bpy.ops.gof.import_result(filepath=str(folder / "result.npz"), start_frame=-4.5)
 thing = bpy.context.object
+first_mode = scene.gof.reconstruction.mode
+scene.gof.reconstruction.mode = "points"
 from mathutils import Matrix
 thing.matrix_world = Matrix(((0, -2, 0, 1), (1, 0, 0, 2), (0, 0, 0.5, 3), (0, 0, 0, 1)))
 scene.render.fps, scene.render.fps_base = 60, 1.5
@@ -426,7 +428,7 @@ for mode in ("ellipsoids", "arrows", "streaks"):
     scene.gof.reconstruction.mode = mode
     counts.append(len(state(thing)[1]))
 scene.gof.reconstruction.color = "speed"
-np.savez(folder / "seen.npz", place=place, alpha=alpha, counts=counts, version=bpy.app.version)
+np.savez(folder / "seen.npz", place=place, alpha=alpha, counts=counts, version=bpy.app.version, first_mode=first_mode)
 gof_blender.unregister()
 """
     )
@@ -439,6 +441,7 @@ gof_blender.unregister()
     )
     assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
     seen = np.load(folder / "seen.npz")
+    assert seen["first_mode"] == ("points" if tuple(seen["version"]) >= (4, 2) else "ellipsoids")
     position, opacity = at(TransientGaussians.load(folder / "result.npz"), 14.75 / 40)
     assert np.abs(seen["alpha"] - opacity).max() < 1e-5
     matrix = np.array([[0, -2, 0], [1, 0, 0], [0, 0, 0.5]])
