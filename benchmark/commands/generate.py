@@ -11,8 +11,12 @@ import tyro
 from gof.costs import Costs, StageLog
 from gof.errors import GofError
 from gof.files import only_run_in, write_json
+from gof.terminal import console
+from gof_benchmark.generator.looks import require_look
 from gof_benchmark.scenes import claim, load_scene
+from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.layout import Layout
+from gof_blender.pure.sense import require_sense
 from gof_blender.pure.spec import SceneSpec
 
 
@@ -53,8 +57,11 @@ def main(argv: list[str]) -> int:
         raise GofError(f"--workers {config.workers}: must be 1 or more")
     spec = load_scene(config.scene, config.preset)
     layout = Layout(config.out)
+    if not layout.description.exists():
+        for note in _checked(spec, layout):
+            console().print("note:", note, style="yellow")
     if config.estimate:
-        _print_estimate(spec, config.json)
+        _print_estimate(spec, layout, config.json)
         return 0
     claim(layout, spec)
     log = StageLog(layout.costs)
@@ -69,11 +76,27 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _print_estimate(spec: SceneSpec, json: Path | None) -> None:
+def _checked(spec: SceneSpec, layout: Layout) -> list[str]:
+    """What the user should know of a spec before anything is made. Raises GofError: it would be no dataset."""
+    try:
+        notes = require_sense(spec)
+        require_look(spec.display)
+        layout.require_free(spec)
+    except SpecError as error:
+        raise GofError(f"{spec.name}: {error}") from error
+    if not layout.bake_marker.exists():
+        from gof_benchmark.generator import machine
+
+        machine.refuse(spec, layout.root)
+    return notes
+
+
+def _print_estimate(spec: SceneSpec, layout: Layout, json: Path | None) -> None:
     from gof_benchmark.generator import machine
 
     prediction = machine.predict(spec, machine.this_machine())
     print(prediction)
+    machine.refuse(spec, layout.root)  # again: now the machine is known
     if json:
         write_json(json, asdict(prediction))
 

@@ -19,9 +19,15 @@ from gof.errors import GofError
 from gof.worker import die_with_parent
 from gof_blender.pure.layout import Layout
 
+REFUSED = 2  # exit status of a worker whose spec is wrong
+
 
 class BlenderLost(GofError):
     """A Blender process died or failed; the same work may succeed in another one."""
+
+
+class StageRefused(GofError):
+    """A Blender process says that the spec is wrong; the same work fails in every other one, too."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +49,15 @@ def run_stage(stage: str, root: Path) -> ProcessCost:
 
     Raises:
         BlenderLost: it failed; the message holds its last lines.
+        StageRefused: it cannot be done.
     """
     start = time.perf_counter()
     process, log = _start(stage, root)
     with _killed_on_error(process):
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode == REFUSED:
+        raise StageRefused(_last_lines(log, 1))
     if process.returncode:
         raise BlenderLost(f"stage '{stage}' of {root} ended with status {process.returncode}:\n{_last_lines(log)}")
     seconds = time.perf_counter() - start
@@ -74,6 +83,7 @@ class Renderer:
 
         Raises:
             BlenderLost: the Blender process died; the picture is not there.
+        StageRefused: it cannot be rendered.
         """
         with cls._lock:
             idle = cls._idle.setdefault(root, deque())
@@ -109,9 +119,14 @@ class Renderer:
             raise self._lost()
         return json.loads(line)
 
-    def _lost(self) -> BlenderLost:
-        self._process.kill()
-        status = self._process.wait()
+    def _lost(self) -> GofError:
+        try:
+            status = self._process.wait(timeout=1)  # it has closed its output, and is about to end
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            status = self._process.wait()
+        if status == REFUSED:
+            return StageRefused(_last_lines(self._log, 1))
         return BlenderLost(f"the renderer of {self._root} ended with status {status}:\n{_last_lines(self._log)}")
 
 
@@ -137,5 +152,5 @@ def _killed_on_error(process: subprocess.Popen) -> Iterator[None]:
         raise
 
 
-def _last_lines(log: Path) -> str:
-    return "\n".join(log.read_text(encoding="utf-8", errors="replace").splitlines()[-15:])
+def _last_lines(log: Path, count: int = 15) -> str:
+    return "\n".join(log.read_text(encoding="utf-8", errors="replace").splitlines()[-count:])

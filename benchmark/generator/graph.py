@@ -20,7 +20,7 @@ from gof import extras
 from gof.costs import StageLog
 from gof.errors import GofError
 from gof.progress import progress_bar
-from gof_benchmark.generator.blender_process import ProcessCost, Renderer, run_stage
+from gof_benchmark.generator.blender_process import ProcessCost, Renderer, StageRefused, run_stage
 from gof_blender.pure import effects
 from gof_blender.pure.cost_model import stage_settings
 from gof_blender.pure.layout import Layout
@@ -109,6 +109,7 @@ class Generation:
         self._root = layout.root.resolve()
         self._running: dict = {}  # future -> stage
         self._rendered = 0  # pictures, in this run
+        self._plates = 0
         self._steps = 0  # of the solver
         self._wall_before = {cost.name: cost.settings.get("wall_s", 0.0) for cost in log.stages()}
         self._begun: dict[str, float] = {}  # stage -> clock when its first task began
@@ -125,7 +126,7 @@ class Generation:
             stages = ["video"] if any(map(effects.encodes, self._spec.effects)) else []
             stages += ["flow"] if "flow" in self._spec.ground_truth else []
             for stage in [*stages, "finish"]:
-                self._submit(stage, run_stage, stage)
+                self._submit(stage, _stage, stage)
                 self._wait_for(lambda: not self._running)
         finally:
             self._client.cancel(list(self._running))
@@ -135,7 +136,7 @@ class Generation:
         spec = self._spec
         baked = self._layout.bake_marker.is_file()
         if not baked:
-            self._submit("bake", run_stage, "bake")
+            self._submit("bake", _stage, "bake")
         waiting = [(frame, camera) for frame in range(spec.clip.frames) for camera in range(len(spec.cameras.names))]
         truth_pending = True
         with progress_bar("generate") as update:
@@ -148,7 +149,7 @@ class Generation:
                     self._submit("render", _render, frame, camera, priority=-frame)
                 if truth_pending and baked and "bake" not in self._running.values():
                     truth_pending = False
-                    self._submit("ground-truth", run_stage, "ground-truth", priority=1)
+                    self._submit("ground-truth", _stage, "ground-truth", priority=1)
                 self._collect()
                 update(*self._progress())
                 time.sleep(POLL_S)
@@ -176,7 +177,9 @@ class Generation:
             stage = self._running.pop(future)
             if future.status != "finished":
                 raise GofError(f"{stage} failed {RETRIES + 1} times; the last time: {future.exception()}")
-            cost: ProcessCost = future.result()
+            cost: ProcessCost | StageRefused = future.result()
+            if isinstance(cost, StageRefused):
+                raise cost
             self._rendered += stage == "render"
             settings = stage_settings(stage, self._spec) | {"wall_s": self._wall_s(stage, cost.seconds)}
             self._log.record(stage, cost.seconds, cost.peak_mb, settings, resumed=True)
@@ -193,15 +196,29 @@ class Generation:
             time.sleep(POLL_S)
 
     def _progress(self) -> tuple[int, int]:
-        """Solver steps, pictures and ground truth done, of all: rough units of one total."""
-        pictures = self._spec.clip.frames * len(self._spec.cameras.names)
+        """Solver steps, plates and pictures done, of all: rough units of one total."""
+        names = self._spec.cameras.names
+        pictures = (self._spec.clip.frames + 1) * len(names)
+        if self._plates < len(names):
+            self._plates = self._layout.plates(names)
         last = self._spec.timeline.last_frame
         if self._layout.bake_marker.is_file():
             self._steps = last
         while self._steps < last and self._layout.cached_velocity(self._steps + 1).is_file():
             self._steps += 1
-        return self._steps + self._rendered, last + pictures
+        return self._steps + self._plates + self._rendered, last + pictures
 
 
-def _render(frame: int, camera: int, root: Path) -> ProcessCost:
-    return Renderer.render(root, frame, camera)
+def _stage(stage: str, root: Path) -> ProcessCost | StageRefused:
+    """A refusal is an answer: dask would do work that raises again, and print how it went."""
+    try:
+        return run_stage(stage, root)
+    except StageRefused as refusal:
+        return refusal
+
+
+def _render(frame: int, camera: int, root: Path) -> ProcessCost | StageRefused:
+    try:
+        return Renderer.render(root, frame, camera)
+    except StageRefused as refusal:
+        return refusal

@@ -48,6 +48,11 @@ def refuse_if_too_large(spec: SceneSpec, root: Path) -> Prediction:
         GofError: memory or disk of this machine do not suffice; says what would fit.
     """
     print(predict(spec, known_machine() or REFERENCE), flush=True)
+    return refuse(spec, root)
+
+
+def refuse(spec: SceneSpec, root: Path) -> Prediction:
+    """The prediction. Raises GofError: this machine cannot make the dataset; says which field helps."""
     try:
         return require_room(spec, root)
     except SpecError as error:

@@ -14,6 +14,8 @@ import math
 import os
 import shutil
 import sys
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -32,6 +34,8 @@ CACHE_BYTES_PER_CELL_STEP, VELOCITY_BYTES_PER_CELL_FRAME = 14.0, 6.0
 PICTURE_BYTES_PER_PIXEL = 10.0
 NOISE_BAKE, NOISE_MEMORY = 0.22, 0.3  # of the coarse bake, per fine cell that a coarse cell is divided into
 CORES = os.cpu_count() or 1
+YEAR_S = 365 * 86400.0
+LONGEST_S = YEAR_S
 SMOKE_SAMPLE = 20  # times one without smoke: all lamps, through the soot; 6 where it has begun, 24 in a full domain
 
 
@@ -133,31 +137,59 @@ def require_room(spec: SceneSpec, root: Path) -> Prediction:
     """The prediction for a dataset in the folder `root`, which need not exist yet.
 
     Raises:
-        SpecError: memory or disk of this machine do not suffice; says what would fit.
+        SpecError: memory or disk of this machine do not suffice, or it would take years; says which field helps.
     """
-    prediction = predict(spec, known_machine() or REFERENCE)
+    machine = known_machine() or REFERENCE
+    prediction = predict(spec, machine)
     memory = memory_mb()
     disk = shutil.disk_usage(next(path for path in (root, *root.parents) if path.exists())).free / 2**20
     if prediction.memory_mb > 0.9 * memory:
-        if spec.domain is None:
-            raise SpecError(
-                f"{spec.name}: needs about {prediction.memory_mb / 1000:.0f} GB of memory, this machine has "
-                f"{memory / 1000:.0f} GB; resample fire.grids to fewer cells"
-            )
-        smaller = spec.domain.resolution
-        while smaller > 8 and predict(with_resolution(spec, smaller), REFERENCE).memory_mb > 0.8 * memory:
-            smaller -= 8
+        advice = _advice(spec, lambda other: predict(other, machine).memory_mb, 0.8 * memory)
         raise SpecError(
-            f"{spec.name}: needs about {prediction.memory_mb / 1000:.0f} GB of memory, this machine has "
-            f"{memory / 1000:.0f} GB; lower domain.resolution from {spec.domain.resolution} to {smaller}, or make "
-            "domain.size tighter around the flame"
+            f"{spec.name}: needs about {prediction.memory_mb / 1000:.3g} GB of memory, this machine has "
+            f"{memory / 1000:.3g} GB; {advice}"
         )
     if prediction.disk_mb > disk:
+        advice = _advice(spec, lambda other: predict(other, machine).disk_mb, 0.9 * disk)
         raise SpecError(
-            f"{spec.name}: needs about {prediction.disk_mb / 1000:.1f} GB of disk, {root} has {disk / 1000:.1f} GB "
-            "free; choose another output folder, or lower domain.resolution or clip.frames"
+            f"{spec.name}: needs about {prediction.disk_mb / 1000:.3g} GB of disk, {root} has {disk / 1000:.3g} GB "
+            f"free; choose another output folder, or {advice}"
         )
+    if prediction.total_s > LONGEST_S:
+        advice = _advice(spec, lambda other: predict(other, machine).total_s, LONGEST_S)
+        years = prediction.total_s / YEAR_S
+        raise SpecError(f"{spec.name}: would take this machine about {years:.2g} years; {advice}")
     return prediction
+
+
+def _advice(spec: SceneSpec, cost: Callable[[SceneSpec], float], room: float) -> str:
+    """The one field that brings a cost down to what there is room for, and its largest value that does."""
+    for name, values, changed in _smaller(spec):
+        if cost(changed(values[-1])) <= room:  # the smallest helps: find the largest that does
+            first = bisect_left(values, True, key=lambda value, changed=changed: cost(changed(value)) <= room)
+            return f"lower {name} from {values[0] + 1} to {values[first]}"
+    if spec.domain is None:
+        return "lower render.percentage and clip.frames, or resample fire.grids to fewer cells"
+    return "lower domain.resolution, render.percentage and clip.frames together"
+
+
+def _smaller(spec: SceneSpec) -> Iterator[tuple[str, range, Callable[[int], SceneSpec]]]:
+    """Fields that cost, their smaller values from the largest on, and the spec with one of these."""
+    least = -(-400 // min(spec.cameras.sensor_px))
+    if spec.domain and spec.domain.resolution > 8:
+        yield "domain.resolution", range(spec.domain.resolution - 1, 7, -1), lambda value: with_resolution(spec, value)
+    if spec.render.percentage > least:
+        yield (
+            "render.percentage",
+            range(spec.render.percentage - 1, least - 1, -1),
+            lambda value: replace(spec, render=replace(spec.render, percentage=value)),
+        )
+    if spec.clip.frames > 1:
+        yield (
+            "clip.frames",
+            range(spec.clip.frames - 1, 0, -1),
+            lambda value: replace(spec, clip=replace(spec.clip, frames=value)),
+        )
 
 
 def memory_mb() -> float:

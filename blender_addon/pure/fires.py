@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from .spec import SceneSpec
 
 Vector = tuple[float, float, float]
+MOST_CELLS = 2048  # along the longest side
+LEAST_SIDE, MOST_SIDE = 1e-3, 1e3
+MOST_JET = 100.0  # m/s; faster gas is no longer the incompressible gas of the solver
 
 
 @dataclass(frozen=True)
@@ -38,8 +41,9 @@ class Domain:
     """Cells along the longest side."""
 
     def __post_init__(self):
-        require(all(side > 0 for side in self.size), "domain.size", "positive on every side", self.size)
-        require(8 <= self.resolution <= 2048, "domain.resolution", "between 8 and 2048", self.resolution)
+        rule = f"in [{LEAST_SIDE:g}, {MOST_SIDE:g}] m on every side"
+        require(all(LEAST_SIDE <= side <= MOST_SIDE for side in self.size), "domain.size", rule, self.size)
+        require(8 <= self.resolution <= MOST_CELLS, "domain.resolution", f"between 8 and {MOST_CELLS}", self.resolution)
 
     @property
     def max(self) -> Vector:
@@ -74,6 +78,7 @@ class Fire:
     """Upward speed at which the fuel leaves the burner, m/s."""
 
     def __post_init__(self):
+        require(0 <= self.jet_speed <= MOST_JET, "fire.jet_speed", f"in [0, {MOST_JET:g}] m/s", self.jet_speed)
         require(self.fuel in FUELS, "fire.fuel", f"one of {sorted(FUELS)}", self.fuel)
         require(self.radius > 0, "fire.radius", "positive", self.radius)
 

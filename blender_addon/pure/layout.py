@@ -99,6 +99,14 @@ class Layout:
         """Whether a frame's cache is complete, also while the bake goes on: the next step is then there too."""
         return self.bake_marker.is_file() or self.cached_velocity(blender_frame + 1).is_file()
 
+    def pictures(self) -> int:
+        """How many pictures are finished: their EXR is written last."""
+        return sum(1 for _ in self.root.glob("cameras/*/exr/[0-9]*.exr"))
+
+    def plates(self, cameras: list[str]) -> int:
+        """How many of the cameras' plates are finished."""
+        return sum(self.static_exr(name).is_file() for name in cameras)
+
     def log(self, stage: str) -> Path:
         return self.hidden / f"{stage}.log"
 
@@ -112,16 +120,24 @@ class Layout:
 
         Raises SpecError if the folder holds other things, or was made from another spec or files that have changed.
         """
-        published = spec.published_in(self.root).to_dict()
-        if self.spec.exists():
-            self._check_claim(published, spec)
-        elif self.root.is_dir() and any(self.root.iterdir()):
-            raise SpecError(f"{self.root} is not empty and holds no spec.json; choose a new output folder")
-        else:
-            self.root.mkdir(parents=True, exist_ok=True)
-            write_json(self.spec, published, indent=2)
+        self.require_free(spec)
+        try:
+            if not self.spec.exists():
+                self.root.mkdir(parents=True, exist_ok=True)
+                write_json(self.spec, spec.published_in(self.root).to_dict(), indent=2)
+        except OSError as error:
+            raise SpecError(f"{self.root}: cannot be made ({error.strerror}); choose another output folder") from error
         write_json(self.local_spec, spec.to_dict())
         write_json(self.inputs, self._stamps(spec))
+
+    def require_free(self, spec: SceneSpec) -> None:
+        """Raise SpecError where `claim` would; nothing is written."""
+        if self.spec.exists():
+            self._check_claim(spec.published_in(self.root).to_dict(), spec)
+        elif self.root.exists() and not self.root.is_dir():
+            raise SpecError(f"{self.root} is a file; choose a new output folder")
+        elif self.root.is_dir() and any(self.root.iterdir()):
+            raise SpecError(f"{self.root} is not empty and holds no spec.json; choose a new output folder")
 
     def _check_claim(self, published: dict, spec: SceneSpec) -> None:
         way_out = f"choose another output folder, or delete {self.root}"

@@ -28,6 +28,7 @@ from .timeline import Timeline
 SCHEMA = "gof-scene"
 VERSION = 1
 MOST_PICTURES = 100_000
+MOST_PIXELS = 65_536  # along a side; Blender renders no larger
 BACKGROUND = "background.blend"  # of a dataset: the surroundings that a spec's .blend gave it
 LAST_FRAME = 1_048_574  # Blender counts no further
 
@@ -80,10 +81,11 @@ class Rig:
         require(self.eval_count >= 0, "cameras.eval_count", "0 or more", self.eval_count)
         require(0.0 <= self.arc_deg < 360.0, "cameras.arc_deg", "in [0, 360)", self.arc_deg)
         require(self.radius > 0, "cameras.radius", "positive", self.radius)
-        require(self.focal_mm > 0, "cameras.focal_mm", "positive", self.focal_mm)
+        require(1 <= self.focal_mm <= 5000, "cameras.focal_mm", "in [1, 5000] mm", self.focal_mm)
         total = self.count + self.eval_count
         require(len(self.placed) in (0, total), "cameras.placed", f"empty, or {total} poses", len(self.placed))
-        require(min(self.sensor_px) >= 16, "cameras.sensor_px", "at least 16 pixels each way", self.sensor_px)
+        sides = min(self.sensor_px) >= 16 and max(self.sensor_px) <= MOST_PIXELS
+        require(sides, "cameras.sensor_px", f"16 to {MOST_PIXELS} pixels each way", self.sensor_px)
 
     @property
     def portrait(self) -> bool:
@@ -129,7 +131,13 @@ class Display:
     view_transform: Literal["Standard", "Filmic", "AgX"] = "Filmic"
     look: str = "None"
     exposure: float = 0.0
+    """Stops."""
     gamma: float = 1.0
+
+    def __post_init__(self):
+        # Blender would clamp what is outside, and the dataset would say what the pictures are not.
+        require(-10 <= self.exposure <= 10, "display.exposure", "in [-10, 10] stops", self.exposure)
+        require(0.1 <= self.gamma <= 5, "display.gamma", "in [0.1, 5]", self.gamma)
 
 
 @dataclass(frozen=True)

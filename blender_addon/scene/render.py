@@ -57,7 +57,11 @@ def configure(spec: SceneSpec) -> None:
     layer.use_pass_emit = True
     display = spec.display
     view = scene.view_settings
-    view.view_transform, view.look = display.view_transform, display.look
+    try:
+        view.view_transform, view.look = display.view_transform, display.look
+    except TypeError as error:  # of this Blender's colour management
+        known = str(error).partition("not found in ")[2]
+        raise SpecError(f"display.look must be one of {known}, got {display.look!r}") from None
     view.exposure, view.gamma = display.exposure, display.gamma
 
 
@@ -79,9 +83,9 @@ def _set_up_denoiser(cycles) -> None:
         cycles.denoising_quality = "FAST"
 
 
-def plates(spec: SceneSpec, layout: Layout) -> None:
+def plates(spec: SceneSpec, layout: Layout, progress: Progress = lambda done, total: None) -> None:
     """Render each camera's view without the fire where it is missing: linear (.exr) and for display (.png). Write the
-    masks of a sync board, if the spec has one."""
+    masks of a sync board, if the spec has one. Calls progress(done, total) after each camera."""
     if any(map(shows_board, spec.effects)):
         _write_board_masks(spec, layout)
     scene, flame = bpy.context.scene, find_flame()
@@ -102,6 +106,7 @@ def plates(spec: SceneSpec, layout: Layout) -> None:
         _write_png(layout.static(camera.name), seen(beauty[..., :3], spec, index, -1))
         # The fire is alone in the flame pass: lamps and screens of a user's scene are not part of it.
         images.write_exr(layout.static_exr(camera.name), beauty, passes["Depth.Z"], np.zeros_like(beauty[..., :3]))
+        progress(len(spec.cameras.names) - len(missing) + missing.index((index, camera)) + 1, len(spec.cameras.names))
     flame.hide_render = False
     scene.cycles.samples = spec.render.samples
     scene.render.use_persistent_data = True

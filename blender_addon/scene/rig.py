@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
+from ..pure import camera_poses
 from ..pure.description import CameraEntry
 from ..pure.spec import Rig, SceneSpec
 
@@ -101,22 +100,6 @@ def poses(rig: Rig) -> list[Matrix]:
     """Camera to world of all cameras, those for evaluation last: as they were placed, or on the arc."""
     if rig.placed:
         return [Matrix.LocRotScale(Vector(pose.position), Quaternion(pose.rotation), None) for pose in rig.placed]
-    turns = [(Vector(rig.look_at) - Vector(position)).to_track_quat("-Z", "Y") for position in _positions(rig)]
-    return [
-        Matrix.LocRotScale(Vector(position), turn, None) for position, turn in zip(_positions(rig), turns, strict=True)
-    ]
-
-
-def _positions(rig: Rig) -> list[tuple[float, float, float]]:
-    step = rig.arc_deg / (rig.count - 1) if rig.count > 1 else 0.0
-    first = rig.azimuth_deg - (rig.arc_deg / 2 if rig.count > 1 else 0.0)
-    places = [(first + index * step, rig.height) for index in range(rig.count)]
-    # For evaluation: in the middle of equal parts of the arc, a tenth of the distance higher.
-    part = rig.arc_deg / max(rig.eval_count, 1)
-    start = rig.azimuth_deg - rig.arc_deg / 2
-    places += [(start + (index + 0.5) * part, rig.height + 0.1 * rig.radius) for index in range(rig.eval_count)]
-    x, y, _ = rig.look_at
-    return [
-        (x + rig.radius * math.cos(math.radians(angle)), y + rig.radius * math.sin(math.radians(angle)), height)
-        for angle, height in places
-    ]
+    places = camera_poses.on_the_arc(rig)
+    turns = [(Vector(rig.look_at) - Vector(position)).to_track_quat("-Z", "Y") for position in places]
+    return [Matrix.LocRotScale(Vector(position), turn, None) for position, turn in zip(places, turns, strict=True)]

@@ -75,9 +75,11 @@ def render(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     _open_blend(layout)
     from ..scene import render as cycles
 
-    progress(0, spec.clip.frames * len(spec.cameras.names))
-    cycles.plates(spec, layout)
-    cycles.frames(spec, layout, progress)
+    plates = len(spec.cameras.names)
+    total = plates * (1 + spec.clip.frames)
+    progress(0, total)
+    cycles.plates(spec, layout, lambda done, _: progress(done, total))
+    cycles.frames(spec, layout, lambda done, _: progress(plates + done, total))
 
 
 def serve(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:

@@ -48,7 +48,7 @@ def test_too_large_is_refused_with_advice(tmp_path):
     huge = replace(DEMO, domain=replace(DEMO.domain, resolution=2048))
     with pytest.raises(GofError, match=r"lower domain\.resolution from 2048 to") as error:
         machine.refuse_if_too_large(huge, tmp_path)
-    advice = int(str(error.value).split(" to ")[1].split(",")[0])
+    advice = int(str(error.value).split(" to ")[1].split()[0])
     assert (
         predicted(replace(DEMO, domain=replace(DEMO.domain, resolution=advice))).memory_mb
         < 0.9 * psutil.virtual_memory().total / 2**20

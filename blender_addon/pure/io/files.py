@@ -138,5 +138,11 @@ def read_json(path: Path) -> Any:
         raise FileFormatError(f"{path}: no such file") from None
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:  # broken, not UTF-8, brackets without end
+    except UnicodeDecodeError:
+        raise FileFormatError(
+            f"{path}: not readable as JSON: its text is not UTF-8; save it so in your editor"
+        ) from None
+    except (ValueError, RecursionError) as error:  # broken, brackets without end
+        if not text.strip():
+            raise FileFormatError(f"{path}: not readable as JSON: the file is empty; copy or write it again") from None
         raise FileFormatError(f"{path}: not readable as JSON ({error}); was it cut off while being copied?") from None

@@ -1,0 +1,68 @@
+"""Where the cameras of a rig stand and look, without Blender."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .spec import Rig
+
+HALF_SENSOR = 18.0  # mm of the long side that a focal length refers to
+
+
+def on_the_arc(rig: Rig) -> list[tuple[float, float, float]]:
+    """World positions of cameras that are not placed one by one, those for evaluation last."""
+    step = rig.arc_deg / (rig.count - 1) if rig.count > 1 else 0.0
+    first = rig.azimuth_deg - (rig.arc_deg / 2 if rig.count > 1 else 0.0)
+    places = [(first + index * step, rig.height) for index in range(rig.count)]
+    # For evaluation: in the middle of equal parts of the arc, a tenth of the distance higher.
+    part = rig.arc_deg / max(rig.eval_count, 1)
+    start = rig.azimuth_deg - rig.arc_deg / 2
+    places += [(start + (index + 0.5) * part, rig.height + 0.1 * rig.radius) for index in range(rig.eval_count)]
+    x, y, _ = rig.look_at
+    return [
+        (x + rig.radius * math.cos(math.radians(angle)), y + rig.radius * math.sin(math.radians(angle)), height)
+        for angle, height in places
+    ]
+
+
+def positions(rig: Rig) -> np.ndarray:
+    """(C, 3) world metres of all cameras."""
+    return np.array([pose.position for pose in rig.placed] if rig.placed else on_the_arc(rig), float)
+
+
+def seen(rig: Rig, points: np.ndarray) -> np.ndarray:
+    """(C, N) whether a camera's picture has a point (N, 3) in it; what stands between is not asked."""
+    along = HALF_SENSOR / rig.focal_mm
+    across = along * rig.sensor_px[1] / rig.sensor_px[0]
+    half = np.array([across, along] if rig.portrait else [along, across])
+    turned = np.einsum("cij,cnj->cni", _axes(rig), points[None] - positions(rig)[:, None])
+    right, up, depth = turned[..., 0], turned[..., 1], -turned[..., 2]
+    return (depth > 0) & (np.abs(right) <= half[0] * depth) & (np.abs(up) <= half[1] * depth)
+
+
+def _axes(rig: Rig) -> np.ndarray:
+    """(C, 3, 3) rows: right, up and backward of every camera, in the world."""
+    if rig.placed:
+        return np.stack([_matrix(pose.rotation).T for pose in rig.placed])
+    back = positions(rig) - np.array(rig.look_at, float)
+    length = np.linalg.norm(back, axis=1, keepdims=True)
+    back = np.divide(back, length, out=np.tile([0.0, -1.0, 0.0], (len(back), 1)), where=length > 0)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    level = np.linalg.norm(right, axis=1, keepdims=True)
+    right = np.divide(right, level, out=np.tile([1.0, 0.0, 0.0], (len(back), 1)), where=level > 1e-9)  # straight down
+    return np.stack([right, np.cross(back, right), back], axis=1)
+
+
+def _matrix(rotation: tuple[float, float, float, float]) -> np.ndarray:
+    w, x, y, z = np.array(rotation, float) / math.hypot(*rotation)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
