@@ -15,7 +15,7 @@ from gof.terminal import console
 from gof_benchmark.generator.looks import require_look
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.checked_json import SpecError
-from gof_blender.pure.layout import Layout
+from gof_blender.pure.layout import Layout, leaving
 from gof_blender.pure.sense import require_sense
 from gof_blender.pure.spec import SceneSpec
 
@@ -69,6 +69,8 @@ def main(argv: list[str]) -> int:
         with only_run_in(layout.hidden):
             _make(spec, layout, log, config)
         print(_summary(log.costs()))
+        for note in leaving(layout):
+            console().print("note:", note, style="yellow")
     if config.json:
         costs = asdict(log.costs())
         write_json(config.json, {"dataset": str(layout.root), "wall_s": costs["wall_s"], "stages": costs["stages"]})

@@ -11,15 +11,18 @@ import os
 import platform
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
 from gof.errors import GofError
+from gof.progress import progress_bar
 from gof_benchmark.generator.blender_process import Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
-from gof_blender.pure.checked_json import SpecError
+from gof_blender.pure.checked_json import SpecError, from_dict
 from gof_blender.pure.cost_model import (
     CORES,
     REFERENCE,
@@ -27,12 +30,15 @@ from gof_blender.pure.cost_model import (
     Prediction,
     cells,
     known_machine,
+    machine_file,
     picture_s,
     predict,
     remember,
     require_room,
     with_resolution,
 )
+from gof_blender.pure.io import FileFormatError
+from gof_blender.pure.io.records import read_record, write_record
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
@@ -82,19 +88,57 @@ class TinyRun:
     pictures: tuple[tuple[int, int, float], ...]
 
 
+RUNS = {  # of the calibration: cells along the longest side, solver steps, and pictures of (percentage, samples)
+    "empty": (8, 2, ()),
+    "small": (32, 24, ((25, 4),)),
+    "large": (56, 14, ((10, 2), (25, 2), (25, 16))),
+    "unseen": (44, 20, ((18, 8),)),
+}
+STAGES = sum(1 + 2 * len(pictures) for *_, pictures in RUNS.values())  # Blender processes that are waited for
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a calibration has measured so far: it goes on there after it was stopped."""
+
+    SCHEMA: ClassVar[str] = "gof-calibration"
+    VERSION: ClassVar[int] = 1
+
+    runs: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def path(cls) -> Path:
+        return machine_file().with_name("calibration.json")
+
+    @classmethod
+    def read(cls) -> dict[str, TinyRun]:
+        """Runs by name; none where there is no such file that this version reads."""
+        try:
+            kept = read_record(cls, cls.path()).runs
+            return {name: from_dict(TinyRun, kept[name], f"{name}.") for name in RUNS if name in kept}
+        except (FileFormatError, SpecError):
+            return {}
+
+
 def calibrate() -> Machine:
     """Measure this machine with tiny runs and keep the coefficients for later."""
-    print("measuring this machine (about a minute) ...", flush=True)
-    demo = load_scene("demo", "toy")
-    with tempfile.TemporaryDirectory() as folder:
-        root = Path(folder)
-        empty = measure(demo, root / "empty", resolution=8, steps=2)
-        small = measure(demo, root / "small", resolution=32, steps=24, pictures=((25, 4),))
-        large = measure(demo, root / "large", resolution=56, steps=14, pictures=((10, 2), (25, 2), (25, 16)))
-        fitted = fit(empty, small, large)
-        unseen = measure(demo, root / "unseen", resolution=44, steps=20, pictures=((18, 8),))
-    machine = replace(fitted, error=prediction_error(fitted, unseen))
+    demo, runs = load_scene("demo", "toy"), Measured.read()
+    done = sum(1 + 2 * len(RUNS[name][2]) for name in runs)
+    with tempfile.TemporaryDirectory() as folder, progress_bar("measuring this machine (once)") as update:
+
+        def tick() -> None:
+            nonlocal done
+            done += 1
+            update(min(done, STAGES), STAGES)
+
+        update(done, STAGES)
+        for name in (name for name in RUNS if name not in runs):
+            runs[name] = measure(demo, Path(folder) / name, *RUNS[name], tick)
+            write_record(Measured.path(), Measured({name: asdict(run) for name, run in runs.items()}))
+    fitted = fit(runs["empty"], runs["small"], runs["large"])
+    machine = replace(fitted, error=prediction_error(fitted, runs["unseen"]))
     remember(machine)
+    Measured.path().unlink(missing_ok=True)
     return machine
 
 
@@ -139,21 +183,30 @@ def prediction_error(machine: Machine, run: TinyRun) -> float:
 
 
 def measure(
-    demo: SceneSpec, root: Path, resolution: int, steps: int, pictures: tuple[tuple[int, int], ...] = ()
+    demo: SceneSpec,
+    root: Path,
+    resolution: int,
+    steps: int,
+    pictures: tuple[tuple[int, int], ...] = (),
+    tick: Callable[[], None] = lambda: None,
 ) -> TinyRun:
-    """Bake a small scene, and render single pictures, (percentage, samples) each, of its last frame."""
+    """Bake a small scene, and render single pictures, (percentage, samples) each, of its last frame; `tick` is called
+    after every Blender process."""
     clip = replace(demo.clip, frames=FRAMES, warm_up_frames=max(steps - FRAMES, 0))
     spec = replace(with_resolution(demo, resolution), clip=clip)
     layout = _bake_folder(spec, root / "0", *(pictures[0] if pictures else (6, 1)))
     bake_s = _stage_s("bake", layout)
+    tick()
     velocity_s = _stage_s("ground-truth", layout) if pictures else None
     rendered = []
     for index, (percentage, samples) in enumerate(pictures):
         if index:
             layout = _bake_folder(spec, root / str(index), percentage, samples)
             _stage_s("bake", layout)
+        tick()
         width, height = (side * percentage // 100 for side in spec.cameras.sensor_px)
         rendered.append((width * height, samples, _picture_s(layout)))
+        tick()
     return TinyRun(resolution, cells(spec), spec.timeline.last_frame, bake_s, velocity_s, tuple(rendered))
 
 

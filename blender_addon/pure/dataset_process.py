@@ -20,6 +20,7 @@ from .costs import Costs, StageCost
 from .layout import Layout
 from .spec import SceneSpec
 
+UNITS = {"bake": " steps", "render": " pictures", "ground-truth": " frames"}
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -45,6 +46,15 @@ def expected_s(spec: SceneSpec, prediction: cost_model.Prediction) -> dict[str, 
         "ground-truth": prediction.ground_truth_s * cost_model.CORES,
     }
     return {stage: known.get(stage, 2.0) for stage in stages(spec)}
+
+
+def left_s(spec: SceneSpec, layout: Layout, expected: dict[str, float]) -> dict[str, float]:
+    """Of the expected seconds those that a dataset still needs that was begun in the folder."""
+    if not layout.bake_marker.is_file():
+        return expected  # an unfinished bake starts over, and what was rendered of it is the same again
+    total = spec.clip.frames * len(spec.cameras.names)
+    missing = max(1 - layout.pictures() / total, 0.0)
+    return expected | {"bake": 0.0, "render": expected["render"] * missing}
 
 
 class Job:
@@ -76,12 +86,21 @@ class Job:
         return max(1.0 - (now + self._later()) / total, 0.0)  # sums in another order differ by a rounding
 
     @property
+    def share(self) -> float:
+        """Done of this stage, 0..1."""
+        return self._said.share
+
+    @property
     def seconds_left(self) -> float:
         return self._left_here() + self._later()
 
     def __str__(self) -> str:
-        done = f" {self._said.done} of {self._said.total}" if self._said.total else ""
-        return f"{self.stage or 'ready'}{done}, {cost_model.duration(self.seconds_left)} left"
+        if not self._said.total:
+            return f"{self.stage or 'ready'} starts, about {cost_model.duration(self.seconds_left)} left"
+        unit = UNITS.get(self.stage, "")
+        return (
+            f"{self.stage} {self._said.done} of {self._said.total}{unit}, {cost_model.duration(self.seconds_left)} left"
+        )
 
     def poll(self) -> bool:
         """Take note of progress and go on to the next stage. Returns whether there is more to do.

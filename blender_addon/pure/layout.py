@@ -10,6 +10,8 @@ from .checked_json import SpecError
 from .io.files import read_json, write_json
 from .spec import SceneSpec
 
+CUT_OFF = 0.05  # of the light of the widest section, from which a flame counts as cut off by the domain's side
+
 
 @dataclass(frozen=True)
 class FrameFiles:
@@ -198,3 +200,16 @@ class Layout:
         kinds = self.PATTERNS | {"static": self.STATIC}
         kinds |= ({"flow": self.FLOW} if with_flow else {}) | ({"board_mask": self.BOARD_MASK} if with_board else {})
         return {kind: pattern.replace("{camera}", camera) for kind, pattern in kinds.items()}
+
+
+def leaving(layout: Layout) -> list[str]:
+    """What a finished bake says of a flame that reaches the domain's sides, where it is cut off; nothing of others."""
+    if not layout.bake_marker.is_file():
+        return []
+    cut = read_json(layout.bake_marker).get("cut_off", {})
+    return [
+        f"the flame leaves the domain through its {side} ({100 * share:.0f} % of its widest section), where pictures "
+        f"and truth end: make domain.size larger there"
+        for side, share in cut.items()
+        if share >= CUT_OFF
+    ]

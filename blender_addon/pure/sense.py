@@ -176,7 +176,7 @@ def _length(metres: float) -> str:
 
 
 def _point(place) -> str:
-    return f"({', '.join(f'{value:.3g}' for value in place)})"
+    return f"({', '.join(f'{round(float(value), 6) + 0.0:.3g}' for value in place)})"
 
 
 def _box(domain: Domain) -> str:

@@ -20,7 +20,7 @@ from ..pure.effects import absorbs_light, encodes, expose, shows_board
 from ..pure.io.files import atomic_path, temporary
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
-from . import effects, images, rig
+from . import effects, images, rig, view
 from .fire_objects import find_flame
 
 FLAME_VISIBLE = 0.02
@@ -55,14 +55,7 @@ def configure(spec: SceneSpec) -> None:
     layer = scene.view_layers[0]
     layer.use_pass_z = True
     layer.use_pass_emit = True
-    display = spec.display
-    view = scene.view_settings
-    try:
-        view.view_transform, view.look = display.view_transform, display.look
-    except TypeError as error:  # of this Blender's colour management
-        known = str(error).partition("not found in ")[2]
-        raise SpecError(f"display.look must be one of {known}, got {display.look!r}") from None
-    view.exposure, view.gamma = display.exposure, display.gamma
+    view.apply(spec.display, scene)
 
 
 def can_denoise() -> bool:

@@ -1,6 +1,7 @@
 """Panel "Benchmark": a dataset with exact ground truth, made by Blender processes beside this one."""
 
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +11,13 @@ from bpy.props import EnumProperty, StringProperty
 from ..pure import cost_model
 from ..pure import spec as spec_file
 from ..pure.checked_json import SpecError
-from ..pure.dataset_process import Job, expected_s
-from ..pure.layout import Layout
+from ..pure.dataset_process import Job, expected_s, left_s
+from ..pure.layout import Layout, leaving
 from ..pure.presets import PRESETS
-from ..pure.spec import BlendFile, SceneSpec
+from ..pure.sense import require_sense
+from ..pure.spec import BACKGROUND, BlendFile, SceneSpec
 from ..scene import place
+from ..scene.view import require_display
 from . import scene_spec
 from .job_operator import JobOperator
 from .panel import SidebarPanel, show_text, write_lines
@@ -59,32 +62,50 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
     )
 
 
-def planned(scene: bpy.types.Scene) -> tuple[SceneSpec, Layout]:
-    """The spec that the two panels describe, and where its dataset goes. Raises SpecError that says what to change."""
+def spec_of(scene: bpy.types.Scene, background_file: Path) -> SceneSpec:
+    """The spec that the two panels describe. Raises SpecError that says what to change.
+
+    Args:
+        background_file: where the surroundings are, or will be, for a benchmark of this scene.
+    """
     if problem := why_not():
         raise SpecError(problem)
     from ..scene import render
 
     settings = scene.gof.benchmark
-    if not settings.folder or (settings.folder.startswith("//") and not bpy.data.filepath):
-        raise SpecError("choose an output folder: this file has not been saved, so there is no folder beside it")
-    layout = Layout(Path(bpy.path.abspath(settings.folder)).resolve())
     if settings.background == "file":
         if not settings.spec_file:
             raise SpecError("choose a spec file (.json), or another background")
         spec = spec_file.load(bpy.path.abspath(settings.spec_file))
     else:
-        spec = replace(scene_spec.of_scene(scene), name=layout.root.name or "fire")
+        spec = scene_spec.of_scene(scene)
         if settings.background == "scene":
             marker = place.find(scene, place.PLACE)
             if marker is None:
                 raise SpecError("there is no fire in this scene: press Add Fire, or choose another background")
-            background = BlendFile(layout.background.as_posix(), marker.name)
+            background = BlendFile(background_file.as_posix(), marker.name)
             spec = replace(spec, background="blend_file", blend_file=background, display=scene_spec.display_of(scene))
         else:
             spec = replace(spec, background=settings.background)
     spec = spec.with_preset(settings.preset)
-    return (spec if render.can_denoise() else replace(spec, render=replace(spec.render, denoise=False))), layout
+    return spec if render.can_denoise() else replace(spec, render=replace(spec.render, denoise=False))
+
+
+def folder_of(scene: bpy.types.Scene) -> Layout:
+    """Where the dataset goes. Raises SpecError that says what to change."""
+    settings = scene.gof.benchmark
+    if not settings.folder or (settings.folder.startswith("//") and not bpy.data.filepath):
+        raise SpecError("choose an output folder: this file has not been saved, so there is no folder beside it")
+    return Layout(Path(bpy.path.abspath(settings.folder)).resolve())
+
+
+def planned(scene: bpy.types.Scene) -> tuple[SceneSpec, Layout]:
+    """The spec that the two panels describe, and where its dataset goes. Raises SpecError that says what to change."""
+    layout = folder_of(scene)
+    spec = spec_of(scene, layout.background)
+    return (
+        spec if scene.gof.benchmark.background == "file" else replace(spec, name=layout.root.name or "fire")
+    ), layout
 
 
 def why_not() -> str | None:
@@ -104,7 +125,8 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
 
     bl_idname = "gof.bake_render"
     bl_label = "Bake & Render"
-    stopped = "Stopped; what is finished stays. Bake & Render goes on there"
+    stopped = "Stopped; what is finished stays. Resume goes on there"
+    ask = "gof.stop_benchmark"
 
     @classmethod
     def poll(cls, context):
@@ -113,10 +135,14 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
     def begin(self, context) -> Job:
         """A job whose folder is claimed and which fits this machine."""
         spec, layout = planned(context.scene)
+        for note in require_sense(spec, files=not _brings_its_scene(spec, layout)):
+            self.report({"WARNING"}, note)
+        require_display(spec.display)
+        layout.require_free(spec)
         if not layout.bake_marker.is_file():
             cost_model.require_room(spec, layout.root)
         layout.claim(spec)
-        if spec.blend_file and layout.background == Path(spec.blend_file.path) and not layout.bake_marker.is_file():
+        if _brings_its_scene(spec, layout) and not layout.bake_marker.is_file():
             _copy_scene(context.scene, layout.background)
         return Job(spec, layout, _blender())
 
@@ -125,7 +151,7 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
 
 
 class GOF_OT_stop_benchmark(bpy.types.Operator):
-    """Stop the running benchmark; what is finished stays"""
+    """Stop the running benchmark, after a question; finished pictures stay"""
 
     bl_idname = "gof.stop_benchmark"
     bl_label = "Stop"
@@ -133,6 +159,15 @@ class GOF_OT_stop_benchmark(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         return GOF_OT_bake_render.job is not None
+
+    def invoke(self, context, event):
+        return context.window_manager.invoke_props_dialog(self, width=320)
+
+    def draw(self, context):
+        job = GOF_OT_bake_render.job
+        column = self.layout.column(align=True)
+        for index, line in enumerate(loss(job) if job else ("It has ended already.",)):
+            column.label(text=line, icon="QUESTION" if index == 0 else "BLANK1")
 
     def execute(self, context):
         GOF_OT_bake_render.stop_job()
@@ -189,7 +224,7 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
         column.prop(settings, "preset")
         column.prop(settings, "folder")
         if job is not None:
-            _draw_job(layout, job)
+            _draw_job(layout, context, job)
         else:
             self._draw_plan(context, layout)
         row = layout.row(align=True)
@@ -198,41 +233,68 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
 
     def _draw_plan(self, context, layout) -> None:
         try:
-            spec, folders = planned(context.scene)
-            _draw_cost(layout.box(), context, spec)
+            spec = spec_of(context.scene, Path(BACKGROUND).absolute())
+            notes = require_sense(spec, files=context.scene.gof.benchmark.background == "file")
         except (SpecError, OSError) as error:
             write_lines(layout, context, str(error), "ERROR")
             return
+        try:
+            spec, folders = planned(context.scene)
+            folders.require_free(spec)
+        except (SpecError, OSError) as error:
+            _draw_cost(layout.box(), context, spec, None)
+            write_lines(layout, context, str(error), "ERROR")
+            return
         if folders.description.is_file():
-            layout.label(text="Finished: see the report", icon="CHECKMARK")
-        else:
-            text = "Resume" if folders.spec.is_file() else "Bake & Render"
-            layout.operator(GOF_OT_bake_render.bl_idname, text=text, icon="RENDER_ANIMATION")
+            made = time.strftime("%Y-%m-%d %H:%M", time.localtime(folders.description.stat().st_mtime))
+            write_lines(layout, context, f"Finished {made}: see the report", "CHECKMARK")
+            return
+        _draw_cost(layout.box(), context, spec, folders)
+        for note in (*notes, *leaving(folders)):
+            write_lines(layout, context, note, "INFO")
+        text = "Resume" if folders.spec.is_file() else "Bake & Render"
+        layout.operator(GOF_OT_bake_render.bl_idname, text=text, icon="RENDER_ANIMATION")
 
 
-def _draw_cost(box, context, spec: SceneSpec) -> None:
-    """What the dataset is, and what it should cost."""
+def loss(job: Job) -> list[str]:
+    """What stopping a job now costs, as lines of a question."""
+    if job.stage == "bake":
+        return ["Stop the benchmark?", f"The bake ({100 * job.share:.0f} % done) would start over.", "Cancel goes on."]
+    return ["Stop the benchmark?", "Finished pictures stay; Resume goes on there.", "Cancel goes on."]
+
+
+def _brings_its_scene(spec: SceneSpec, layout: Layout) -> bool:
+    """Whether the surroundings are this very scene, which is written into the dataset's folder."""
+    return bool(spec.blend_file) and layout.background == Path(spec.blend_file.path)
+
+
+def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
+    """What the dataset is, and what it should cost; of one that was begun, what is left."""
     prediction = cost_model.predict(spec, cost_model.known_machine() or cost_model.REFERENCE)
-    seconds = sum(expected_s(spec, prediction).values())
-    column = box.column(align=True)
+    expected = expected_s(spec, prediction)
     frames, cameras = spec.clip.frames, len(spec.cameras.names)
-    column.label(text=f"{frames * cameras} pictures ({frames} x {cameras})", icon="CAMERA_DATA")
-    column.label(text=f"About {cost_model.duration(seconds)}", icon="TIME")
+    column = box.column(align=True)
+    done = layout.pictures() if layout else 0
+    there = f", {done} made" if done else ""
+    column.label(text=f"{frames * cameras} pictures ({frames} x {cameras}){there}", icon="CAMERA_DATA")
+    seconds = sum(left_s(spec, layout, expected).values()) if layout else sum(expected.values())
+    begun = layout is not None and layout.bake_marker.is_file()
+    column.label(text=f"About {cost_model.duration(seconds)}{' left' if begun else ''}", icon="TIME")
     column.label(text=f"{prediction.memory_mb / 1000:.1f} GB of memory", icon="MEMORY")
     column.label(text=f"{prediction.disk_mb / 1000:.2f} GB of disk", icon="DISK_DRIVE")
     source = f"within {100 * prediction.error:.0f} %" if prediction.error < 1 else "roughly"
     write_lines(column, context, f"Predicted {source}, measured on {prediction.measured_on}")
 
 
-def _draw_job(layout, job: Job) -> None:
+def _draw_job(layout, context, job: Job) -> None:
     box = layout.box()
     if hasattr(bpy.types.UILayout, "progress"):  # since Blender 4.0
         box.progress(factor=job.fraction, text=f"{100 * job.fraction:.0f} %")
     else:
         filled = round(20 * job.fraction)
         box.label(text=f"{'|' * filled}{'.' * (20 - filled)}  {100 * job.fraction:.0f} %")
-    box.label(text=str(job), icon="TIME")
-    box.operator(GOF_OT_stop_benchmark.bl_idname, text="Stop (Esc)", icon="CANCEL")
+    write_lines(box, context, str(job), "TIME")
+    box.operator(GOF_OT_stop_benchmark.bl_idname, text="Stop", icon="CANCEL")
 
 
 def _blender() -> list[str]:

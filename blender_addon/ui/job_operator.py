@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import bpy
+
 from ..pure.checked_json import SpecError
 from ..pure.io import FileFormatError
 
@@ -19,6 +21,8 @@ class JobOperator:
     job = None
     """The job that runs in this Blender, one at a time. It belongs to the process, not to a file: it is never saved."""
     stopped = "Stopped"
+    ask = ""
+    """Operator that Esc calls to ask before it ends the job; "" ends it at once."""
 
     def begin(self, context):
         """A job, ready to run. Raises one of FAILURES that says what to change."""
@@ -47,7 +51,7 @@ class JobOperator:
         return {"FINISHED"}
 
     def invoke(self, context, event):
-        """Do the job beside the user's work; Esc stops it."""
+        """Do the job beside the user's work; Esc stops it, after a question where there is much to lose."""
         try:
             type(self).job = self.begin(context)
         except FAILURES as error:
@@ -59,7 +63,12 @@ class JobOperator:
 
     def modal(self, context, event):
         job = self.job
-        if (event.type == "ESC" and event.value == "PRESS") or job is None:
+        escape = event.type == "ESC" and event.value == "PRESS" and not _is_playing(context)
+        if escape and job is not None and self.ask:
+            group, name = self.ask.split(".")
+            getattr(getattr(bpy.ops, group), name)("INVOKE_DEFAULT")
+            return {"RUNNING_MODAL"}
+        if escape or job is None:
             self.cancel(context)
             self.report({"WARNING"}, self.stopped)
             return {"CANCELLED"}
@@ -72,7 +81,9 @@ class JobOperator:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if unfinished:
-            context.workspace.status_text_set(f"{self.bl_label}: {job}. Esc stops it")
+            context.workspace.status_text_set(
+                f"{self.bl_label}: {job}. Esc {'asks whether to stop' if self.ask else 'stops it'}"
+            )
             _redraw(context)
             return {"PASS_THROUGH"}
         self.cancel(context)
@@ -85,6 +96,11 @@ class JobOperator:
         context.window_manager.event_timer_remove(self._timer)
         context.workspace.status_text_set(None)
         _redraw(context)
+
+
+def _is_playing(context) -> bool:
+    """Whether an animation is played: Esc is its key then."""
+    return any(window.screen.is_animation_playing for window in context.window_manager.windows)
 
 
 def _redraw(context) -> None:

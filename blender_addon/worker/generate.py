@@ -53,7 +53,7 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
         return
     import bpy
 
-    from ..scene import build
+    from ..scene import build, flame_edges
     from ..scene.flame_source import flame_source
 
     shutil.rmtree(layout.bake, ignore_errors=True)
@@ -63,11 +63,12 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
 
         blend_file.save(bpy.data.collections["Background"], layout.background)
     _save_blend(layout)  # the cache folder is relative to the file
-    flame_source(spec).bake(layout, progress)
+    source = flame_source(spec)
+    source.bake(layout, progress)
+    cut_off = flame_edges.cut_off(spec, source)
     bpy.context.scene.frame_set(spec.timeline.first_frame)
     _save_blend(layout)
-    # Only its presence is read; what it says is for people.
-    write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string})
+    write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string, "cut_off": cut_off})
 
 
 def render(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:

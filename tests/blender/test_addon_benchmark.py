@@ -16,9 +16,9 @@ from gof_benchmark.commands import generate
 from gof_blender.pure import cost_model, report
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.costs import Costs, StageCost
-from gof_blender.pure.dataset_process import Job, JobError, expected_s, stages
+from gof_blender.pure.dataset_process import Job, JobError, expected_s, left_s, stages
 from gof_blender.pure.effects import video_compression
-from gof_blender.pure.layout import Layout
+from gof_blender.pure.layout import Layout, leaving
 from tests.blender.runs import TOY
 from tests.blender.test_addon_fire import in_addon
 
@@ -130,7 +130,7 @@ import time
 from pathlib import Path
 from gof_blender.pure import spec
 from gof_blender.pure.dataset_process import Job
-from gof_blender.pure.layout import Layout
+from gof_blender.pure.layout import Layout, leaving
 layout = Layout(Path({str(layout.root)!r}))
 job = Job(spec.load(layout.spec), layout, {PYTHON!r})
 while job.poll():
@@ -156,12 +156,12 @@ while job.poll():
 
 @pytest.mark.blender
 def test_failed_stage_says_why(tmp_path):
-    spec = replace(TOY, background="blend_file", blend_file=scene_spec.BlendFile(str(tmp_path / "gone.blend")))
+    spec = replace(TOY, display=scene_spec.Display(look="Nonsense"))
     layout = Layout(tmp_path / "failing")
     layout.claim(spec)
-    with pytest.raises(JobError, match=r"bake failed with status 2:\n.*there is no file .*gone\.blend"):
+    with pytest.raises(JobError, match=r"bake failed with status 2:\n.*display.look must be one of .*'Very High"):
         Job(spec, layout, PYTHON).run()
-    assert "there is no file" in layout.job_log.read_text()
+    assert "display.look" in layout.job_log.read_text()
 
 
 @pytest.mark.blender
@@ -246,3 +246,157 @@ def test_report_escapes_names(tmp_path, made):
     shutil.copy(made.velocity / "zarr.json", layout.velocity)
     report.write(layout)
     assert "<script>" not in layout.report.read_text() and "&lt;script&gt;" in layout.report.read_text()
+
+
+PAPER = """
+        from types import SimpleNamespace
+        class Paper:
+            "A layout that keeps what is drawn on it."
+            def __init__(self):
+                self.said = []
+            def label(self, text="", icon="NONE", **_):
+                self.said.append(text)
+            def operator(self, name, text="", **_):
+                self.said.append(f"[{text or name}]")
+                return SimpleNamespace()
+            def prop(self, owner, name, text=None, **_):
+                self.said.append(f"({name})")
+            def __getattr__(self, name):
+                return lambda *a, **k: self
+        def plan():
+            paper = Paper()
+            system = SimpleNamespace(ui_scale=1.0)
+            context = SimpleNamespace(scene=scene, region=SimpleNamespace(width=220),
+                                      preferences=SimpleNamespace(system=system))
+            bpy.types.GOF_PT_benchmark._draw_plan(None, context, paper)
+            return " ".join(paper.said)
+"""
+
+
+@pytest.mark.blender
+def test_the_plan_is_that_of_this_spec_and_of_what_is_left(made, tmp_path):
+    """A changed spec is not finished; what was begun shows what is left; without a folder the cost is shown all the
+    same; what makes no sense is said in the plan and refused by the button."""
+    shutil.copytree(made.root, tmp_path / "cube fire")
+    begun = Layout(tmp_path / "begun fire")
+    shutil.copytree(made.root, begun.root)
+    begun.description.unlink()
+    for path in sorted(begun.root.glob("cameras/*/exr/0*.exr"))[:5]:
+        path.unlink()
+    found = in_addon(
+        PAPER
+        + """
+        settings = scene.gof.benchmark
+        settings.preset, settings.background = "toy", "file"
+        settings.spec_file = settings.folder = ""
+        folder = sys.argv[1]
+        settings.spec_file = folder + "/cube fire/spec.json"
+        result["no folder"] = plan()
+        settings.folder = folder + "/cube fire"
+        result["finished"] = plan()
+        settings.preset = "preview"
+        result["changed"] = plan()
+        settings.preset, settings.folder = "toy", folder + "/begun fire"
+        settings.spec_file = folder + "/begun fire/spec.json"
+        result["begun"] = plan()
+        settings.folder, settings.background = folder + "/new", "workshop"
+        fire.cameras.radius, fire.cameras.height = 0.1, 0.5
+        result["inside"], result["pressed"] = plan(), message(bpy.ops.gof.bake_render)
+        fire.cameras.radius, fire.cameras.height = 2.8, 0.9
+        fire.radius = 0.06
+        result["hint"] = plan()
+        """,
+        tmp_path,
+    )
+    assert "About" in found["no folder"] and "choose an output folder" in found["no folder"].replace("  ", " ")
+    assert "Finished 20" in found["finished"] and "[Bake" not in found["finished"] and "About" not in found["finished"]
+    assert "was made from" in found["changed"] and "clip," in found["changed"] and "Finished" not in found["changed"]
+    assert "About" in found["changed"] and "choose" in found["changed"]
+    assert "12 pictures (4 x 3), 7 made" in found["begun"] and "left" in found["begun"] and "[Resume]" in found["begun"]
+    for text in (found["inside"], found["pressed"]):
+        assert "in the fire" in text and "[Bake" not in text
+    assert "cells" in found["hint"] and "[Bake & Render]" in found["hint"]
+    assert not (tmp_path / "new").exists()
+
+
+def test_what_is_left_is_not_paid_again(tmp_path):
+    layout = Layout(tmp_path)
+    expected = expected_s(TOY, cost_model.predict(TOY, cost_model.REFERENCE))
+    assert left_s(TOY, layout, expected) == expected
+    layout.hidden.mkdir()
+    layout.bake_marker.write_text("{}")
+    for camera in ("cam_0", "cam_1", "cam_2"):
+        path = layout.frame(camera, 0).exr
+        path.parent.mkdir(parents=True)
+        path.touch()
+    left = left_s(TOY, layout, expected)
+    assert left["bake"] == 0 and left["render"] == pytest.approx(expected["render"] * 4 / 5)
+    assert left["ground-truth"] == expected["ground-truth"]
+
+
+@pytest.mark.blender
+def test_esc_asks_and_playback_keeps_its_key():
+    """The events as Blender hands them to a running operator; a person's own presses: tools/addon_screenshots.py."""
+    found = in_addon("""
+        from types import SimpleNamespace
+        from gof_blender.ui import job_operator
+        asked, ended = [], []
+        real = job_operator.bpy
+        job_operator.bpy = SimpleNamespace(ops=SimpleNamespace(gof=SimpleNamespace(stop_benchmark=asked.append)))
+        class Job:
+            def poll(self): return True
+            def stop(self): ended.append("stopped")
+            def __str__(self): return "bake 3 of 9"
+        class Operator(job_operator.JobOperator):
+            bl_label, job = "Bake", Job()
+            def report(self, kind, text): ended.append(text)
+        class Asking(Operator):
+            ask, job = "gof.stop_benchmark", Job()
+        def context(playing):
+            window = SimpleNamespace(screen=SimpleNamespace(is_animation_playing=playing, areas=[]))
+            manager = SimpleNamespace(windows=[window], event_timer_remove=lambda timer: None)
+            return SimpleNamespace(window_manager=manager, workspace=SimpleNamespace(status_text_set=ended.append))
+        escape = SimpleNamespace(type="ESC", value="PRESS")
+        result["playing"] = [list(Asking().modal(context(True), escape)), list(asked), list(ended)]
+        result["asked"] = [list(Asking().modal(context(False), escape)), list(asked), list(ended)]
+        quick = Operator()
+        quick._timer = None
+        result["quick playing"] = list(quick.modal(context(True), escape))
+        result["quick"] = [list(quick.modal(context(False), escape)), list(ended)]
+        job_operator.bpy = real
+    """)
+    assert found["playing"] == [["PASS_THROUGH"], [], []], "Blender ends the playback"
+    assert found["asked"] == [["RUNNING_MODAL"], ["INVOKE_DEFAULT"], []], "the job goes on"
+    assert found["quick playing"] == ["PASS_THROUGH"]
+    assert found["quick"] == [["CANCELLED"], ["stopped", None, "Stopped"]]
+
+
+@pytest.mark.blender
+def test_a_flame_that_is_cut_off_is_said(tmp_path):
+    """A column of light 2 cells wide whose share at the top is known: 0.3 of its widest section, in one frame only."""
+    found = in_addon("""
+        import numpy as np
+        from types import SimpleNamespace
+        from gof_blender.pure.spec import Clip, SceneSpec
+        from gof_blender.scene import flame_edges
+        spec = SceneSpec("x", clip=Clip(frames=9))
+        def light(frame):
+            values = np.zeros((8, 8, 12), np.float32)
+            values[3:5, 3:5, :8] = 1.0
+            if frame == spec.timeline.blender_frame(8):
+                values[3:5, 3:5, 8:] = 0.3
+            return values
+        result["column"] = flame_edges.cut_off(spec, SimpleNamespace(light=light))
+        result["dark"] = flame_edges.cut_off(spec, SimpleNamespace(light=lambda frame: np.zeros((4, 4, 4))))
+    """)
+    sides = ("-x side", "+x side", "-y side", "+y side")
+    assert found["column"] == {"top": 0.3, **dict.fromkeys(sides, 0.0)}
+    assert set(found["dark"].values()) == {0.0}
+    layout = Layout(tmp_path)
+    assert leaving(layout) == []
+    layout.hidden.mkdir()
+    layout.bake_marker.write_text(json.dumps({"cut_off": found["column"]}))
+    (note,) = leaving(layout)
+    assert "through its top (30 % of its widest section)" in note and "domain.size" in note
+    layout.bake_marker.write_text("{}")
+    assert leaving(layout) == [], "of an older version"

@@ -107,3 +107,29 @@ def test_a_machine_file_of_another_version_is_measured_again(tmp_path, monkeypat
     assert machine.known_machine() == TRUE
     (tmp_path / "gof" / "machine.json").write_text('{"start": 1.0}')
     assert machine.known_machine() is None
+
+
+def test_a_calibration_that_was_stopped_goes_on(tmp_path, monkeypatch):
+    """Runs of a machine whose law is known; stopped before the third, it measures only what is missing."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    made = []
+
+    def measure(demo, root, resolution, steps, pictures, tick):
+        if len(made) == 2:
+            made.append("stopped")
+            raise KeyboardInterrupt
+        made.append(root.name)
+        tick()
+        pixels = tuple((1280 * p // 100 * (720 * p // 100), s) for p, s in pictures)
+        return run_of(TRUE, resolution, steps, pixels)
+
+    monkeypatch.setattr(machine, "measure", measure)
+    with pytest.raises(KeyboardInterrupt):
+        machine.calibrate()
+    assert machine.known_machine() is None
+    found = machine.calibrate()
+    assert made == ["empty", "small", "stopped", "large", "unseen"]
+    assert found.bake_power == pytest.approx(TRUE.bake_power, rel=1e-3) and found.error < 0.01
+    assert machine.known_machine() == found and not machine.Measured.path().exists()
+    machine.Measured.path().write_text("{")
+    assert machine.Measured.read() == {}
