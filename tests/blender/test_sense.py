@@ -18,6 +18,7 @@ from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.effects import moving_emitter, obstacles
 from gof_blender.pure.fires import Domain, Fire
+from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import BlendFile, Clip, Display, Pose, Render, Rig, SceneSpec
 from tests.blender.runs import in_blender
 
@@ -216,3 +217,14 @@ def test_looks_are_those_of_the_installed_blender():
 
     for view, known in found.items():
         assert looks.known_looks(view) == list(ast.literal_eval(known))
+
+
+def test_what_cannot_be_read_or_made_is_said_in_words(tmp_path):
+    (tmp_path / "empty.json").write_text(" \n")
+    (tmp_path / "utf16.json").write_bytes(json.dumps(PLAIN.to_dict()).encode("utf-16"))
+    for name, words in (("empty", "the file is empty; copy or write it again"), ("utf16", "not UTF-8; save it so")):
+        with pytest.raises(SpecError, match=f"{name}.json: .*{words}"):
+            scene_spec.load(tmp_path / f"{name}.json")
+    for folder in (tmp_path / "empty.json", tmp_path / "empty.json" / "inside"):
+        with pytest.raises(SpecError, match="choose a(nother|  *new) output folder"):
+            Layout(folder).claim(PLAIN)
