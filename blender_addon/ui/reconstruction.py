@@ -267,6 +267,7 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
         show(column, "Start Frame", "Time Scale")
         column = layout.column(align=True)
         show(column, "Emission", "Light on Scene")
+        layout.operator("gof.export_vdb", icon="EXPORT", text="Export OpenVDB...")
 
     @staticmethod
     def _warn(context, layout, mode: str) -> None:
