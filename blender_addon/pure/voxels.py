@@ -5,7 +5,7 @@ A Gaussian of opacity alpha and colour c, seen alone, adds alpha * c to a pictur
     e(x) = alpha(t) c g(x) / (sqrt(2 pi) s)        per metre,   g(x) = exp(-0.5 |R^T (x - x(t)) / scale|^2)
 
 where s is the geometric mean of its three standard deviations: along a ray through the centre of a round one the
-integral is alpha * c; of others it is in the mean. Gaussians add up and hide nothing, as fire does. Velocity is the mean
+integral is alpha * c; of others it is in the mean. Gaussians add up and hide nothing, as fire does. Velocity is a mean
 of the Gaussians' at a voxel, weighted by alpha g / s.
 """
 

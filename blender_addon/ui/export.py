@@ -44,17 +44,19 @@ class GOF_OT_export_vdb(bpy.types.Operator, ExportHelper):
 
     def _write(self, scene, thing, path: Path) -> list[Path]:
         try:
-            import openvdb  # noqa: F401
+            from ..scene import images  # noqa: F401  (the wheel's Blender finds its own Python packages by it)
+
+            import openvdb  # noqa: F401  # isort: skip
         except ImportError:
             raise FileFormatError(
                 "this Blender comes without the openvdb module for Python: use 4.4 or later"
             ) from None
+        rate = scene.render.fps / scene.render.fps_base
         cloud = gaussians_file.load(
-            Path(thing["gof_source"]), gaussians_file.Clock(thing.get("gof_fps", 24.0), thing["gof_time_unit"] or None)
+            Path(thing["gof_source"]), gaussians_file.Clock(thing.get("gof_fps", rate), thing["gof_time_unit"] or None)
         )
         settings = point_cloud.inputs(thing)
         frames = np.arange(scene.frame_start, scene.frame_end + 1)
-        rate = scene.render.fps / scene.render.fps_base
         times_s = (frames - settings["Start Frame"]) / rate * settings["Time Scale"]
         voxel_m = self.voxel_m
         if not voxel_m:

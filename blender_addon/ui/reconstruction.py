@@ -153,6 +153,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         )
         thing["gof_source"] = str(source[0] if len(source) == 1 else source[0].parent)
         thing["gof_time_unit"] = self.clip_seconds if len(source) == 1 else 1 / clock.fps  # for `gof evaluate`
+        thing["gof_fps"] = clock.fps
         clip_in_scene.keep(thing, cloud)
         if self.fit == "fit" or (self.fit == "new" and clip_in_scene.is_new(context.scene)):
             clip_in_scene.fit(context.scene, thing)

@@ -87,7 +87,9 @@ def test_files_are_where_blender_has_the_cloud(tmp_path):
     ).save(tmp_path / "one.npz")
     found = in_blender(
         """
-        import gof_blender, numpy as np, openvdb
+        import gof_blender, numpy as np
+        from gof_blender.scene import images  # puts Blender's own Python packages on the path
+        import openvdb
         gof_blender.register()
         scene = bpy.context.scene
         scene.render.fps, scene.frame_start, scene.frame_end = 100, 21, 25
@@ -122,4 +124,4 @@ def test_files_are_where_blender_has_the_cloud(tmp_path):
     assert found["density"][0] == pytest.approx(centre, abs=1e-3)
     assert found["velocity"][1] == pytest.approx(2.0, abs=1e-5)
     assert found["grids"] == ["density", "emission", "velocity"]
-    assert found["middle"] == pytest.approx(centre, abs=0.03)
+    assert np.abs(found["middle"] - centre).max() < 0.08, "Blender's box is of whole leaves of 8 voxels"
