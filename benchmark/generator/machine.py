@@ -12,17 +12,18 @@ import platform
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from gof.errors import GofError
+from gof.errors import DataFormatError, GofError
 from gof.progress import progress_bar
+from gof.records import read_record, write_record
 from gof_benchmark.generator.blender_process import Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
-from gof_blender.pure.checked_json import SpecError, from_dict
+from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.cost_model import (
     CORES,
     REFERENCE,
@@ -37,8 +38,6 @@ from gof_blender.pure.cost_model import (
     require_room,
     with_resolution,
 )
-from gof_blender.pure.io import FileFormatError
-from gof_blender.pure.io.records import read_record, write_record
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
@@ -104,7 +103,7 @@ class Measured:
     SCHEMA: ClassVar[str] = "gof-calibration"
     VERSION: ClassVar[int] = 1
 
-    runs: dict[str, Any] = field(default_factory=dict)
+    runs: dict[str, TinyRun] = field(default_factory=dict)
 
     @classmethod
     def path(cls) -> Path:
@@ -114,9 +113,8 @@ class Measured:
     def read(cls) -> dict[str, TinyRun]:
         """Runs by name; none where there is no such file that this version reads."""
         try:
-            kept = read_record(cls, cls.path()).runs
-            return {name: from_dict(TinyRun, kept[name], f"{name}.") for name in RUNS if name in kept}
-        except (FileFormatError, SpecError):
+            return {name: run for name, run in read_record(cls, cls.path()).runs.items() if name in RUNS}
+        except DataFormatError:
             return {}
 
 
@@ -134,7 +132,7 @@ def calibrate() -> Machine:
         update(done, STAGES)
         for name in (name for name in RUNS if name not in runs):
             runs[name] = measure(demo, Path(folder) / name, *RUNS[name], tick)
-            write_record(Measured.path(), Measured({name: asdict(run) for name, run in runs.items()}))
+            write_record(Measured.path(), Measured(dict(runs)))
     fitted = fit(runs["empty"], runs["small"], runs["large"])
     machine = replace(fitted, error=prediction_error(fitted, runs["unseen"]))
     remember(machine)
