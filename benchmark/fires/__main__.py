@@ -9,17 +9,12 @@ from typing import Literal
 
 import tyro
 
-from gof.costs import StageLog
 from gof.errors import DataFormatError, GofError, MissingDependencyError
-from gof.files import only_run_in
 from gof_benchmark.fires import SPLITS, BenchmarkFire, fires
+from gof_benchmark.fires.making import make, predicted_s
 from gof_benchmark.fires.twins import simulated, traits, traits_by_name, twins_table
-from gof_benchmark.scenes import built_in_scenes, claim, load_scene
-from gof_benchmark.solvers.openfoam.run import bake
-from gof_blender.pure.cost_model import REFERENCE, duration, known_machine, predict
-from gof_blender.pure.layout import Layout
-
-SOLVE_S = 1800.0  # OpenFOAM, a fire: 15 to 30 minutes of one core
+from gof_benchmark.scenes import built_in_scenes, load_scene
+from gof_blender.pure.cost_model import duration
 
 
 @dataclass
@@ -70,38 +65,6 @@ def seen_before(listed: list[BenchmarkFire]) -> dict:
     return traits_by_name([fire for fire in listed if fire.split == "dev"]) | scenes
 
 
-def make(fire: BenchmarkFire, work: Path) -> None:
-    """One fire: its grids where it burns any, then its dataset. Does nothing where all is there.
-
-    Raises:
-        MissingDependencyError: its grids are not there, and OpenFOAM is not installed.
-        GofError: a folder holds another fire, or a stage failed; what was finished is kept.
-    """
-    layout = Layout(work / fire.name)
-    if fire.foam and not _solved(fire, work):
-        bake(fire.foam, work / "openfoam" / fire.foam.name)
-    spec = fire.spec.resolved(work.resolve())
-    claim(layout, spec)
-    if not layout.description.exists():
-        from gof_benchmark.generator import dataset  # dask is slow to import
-
-        with only_run_in(layout.hidden):
-            dataset.make(spec, layout, StageLog(layout.costs))
-
-
-def predicted_s(fire: BenchmarkFire, work: Path) -> float:
-    """Seconds that are left of a fire, roughly; of one that is not solved yet, what its solver takes."""
-    if Layout(work / fire.name).description.exists():
-        return 0.0
-    if fire.foam and not _solved(fire, work):
-        return SOLVE_S
-    return predict(fire.spec.resolved(work.resolve()), known_machine() or REFERENCE).total_s
-
-
-def _solved(fire: BenchmarkFire, work: Path) -> bool:
-    return (work / fire.spec.fire.grids / "fire.json").exists()
-
-
 def main(argv: list[str] | None = None) -> int:
     config = tyro.cli(Make, prog="python -m gof_benchmark.fires", args=argv)
     try:
@@ -120,12 +83,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _make_all(chosen: list[BenchmarkFire], work: Path) -> int:
-    print(f"{len(chosen)} fires, about {duration(sum(predicted_s(fire, work) for fire in chosen))} left", flush=True)
+    left_s = sum(predicted_s(fire.spec, fire.foam, work / fire.name, work) for fire in chosen)
+    print(f"{len(chosen)} fires, about {duration(left_s)} left", flush=True)
     left_out = []
     for number, fire in enumerate(chosen, 1):
         print(f"[{number}/{len(chosen)}] {fire.name}", flush=True)
         try:
-            make(fire, work)
+            make(fire.spec, fire.foam, work / fire.name, work)
         except MissingDependencyError as e:
             left_out.append(fire.name)
             print(f"left out: {e}", flush=True)

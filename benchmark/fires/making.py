@@ -1,0 +1,50 @@
+"""Making a scene whose fire may have to be solved by OpenFOAM first: its grids, then its dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gof.costs import StageLog
+from gof.files import only_run_in
+from gof_benchmark.scenes import claim
+from gof_benchmark.solvers.openfoam.case import FoamFire
+from gof_benchmark.solvers.openfoam.run import bake
+from gof_blender.pure.cost_model import REFERENCE, known_machine, predict
+from gof_blender.pure.layout import Layout
+from gof_blender.pure.spec import SceneSpec
+
+SOLVE_S = 1800.0  # OpenFOAM, a fire: 15 to 30 minutes of one core
+
+
+def make(spec: SceneSpec, foam: FoamFire | None, folder: Path, work: Path) -> None:
+    """The grids of a scene where it burns any, then its dataset. Does nothing where all is there.
+
+    Args:
+        folder: of the dataset.   work: the place where all fires are solved: `work`/openfoam/FIRE/grids.
+    Raises:
+        MissingDependencyError: its grids are not there, and OpenFOAM is not installed.
+        GofError: a folder holds another scene, or a stage failed; what was finished is kept.
+    """
+    layout = Layout(folder)
+    if foam and not _solved(spec, work):
+        bake(foam, work / "openfoam" / foam.name)
+    spec = spec.resolved(work.resolve())
+    claim(layout, spec)
+    if not layout.description.exists():
+        from gof_benchmark.generator import dataset  # dask is slow to import
+
+        with only_run_in(layout.hidden):
+            dataset.make(spec, layout, StageLog(layout.costs))
+
+
+def predicted_s(spec: SceneSpec, foam: FoamFire | None, folder: Path, work: Path) -> float:
+    """Seconds that are left of a scene, roughly; of one that is not solved yet, what its solver takes."""
+    if Layout(folder).description.exists():
+        return 0.0
+    if foam and not _solved(spec, work):
+        return SOLVE_S
+    return predict(spec.resolved(work.resolve()), known_machine() or REFERENCE).total_s
+
+
+def _solved(spec: SceneSpec, work: Path) -> bool:
+    return (work / spec.fire.grids / "fire.json").exists()

@@ -1,0 +1,140 @@
+"""GoF-Bench: a frozen list of scenes, in sizes, some to develop on and some to be scored on.
+
+A scene is a fire of `gof_benchmark.fires`, or a built-in scene, and how it is seen: `gof_bench_1.json` holds the list and
+nothing that a fire's own file says. A suite does not change once it is out: the next one has another number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from gof.errors import GofError
+from gof.records import read_record
+from gof_benchmark.fires import SPLITS, Split, fires
+from gof_benchmark.scenes import FOLDER as BUILT_IN
+from gof_benchmark.solvers.openfoam.case import FoamFire
+from gof_blender.pure.spec import SceneSpec
+
+FOLDER = Path(__file__).parent
+FILE = FOLDER / "gof_bench_1.json"
+Size = Literal["smoke", "standard", "paper"]
+
+
+@dataclass(frozen=True)
+class ListedScene:
+    """A line of the list.
+
+    Attributes:
+        fire: "dev/NAME", "test/NAME" or "scenes/NAME", whose spec it is.
+        background, cameras: what is seen otherwise than in the fire's own spec: the surroundings, and with them the
+            light; fields of the rig.
+    """
+
+    name: str
+    split: Split
+    fire: str
+    background: str | None = None
+    cameras: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SuiteSize:
+    """A cost preset for all scenes, None for their own settings; and which scenes there are, None for all."""
+
+    preset: str | None
+    scenes: tuple[str, ...] | None
+
+
+@dataclass(frozen=True)
+class SuiteList:
+    """gof_bench_1.json. `ground_truth`: what every scene has beside its velocities."""
+
+    SCHEMA: ClassVar[str] = "gof-suite"
+    VERSION: ClassVar[int] = 1
+
+    name: str
+    sizes: dict[str, SuiteSize]
+    ground_truth: tuple[str, ...]
+    scenes: tuple[ListedScene, ...]
+
+
+@dataclass(frozen=True)
+class SuiteScene:
+    """A scene of the suite in a size.
+
+    Attributes:
+        fire: what burns, as its line says.
+        spec: of a fire of grids with their folder relative to the place where all fires are solved.
+        foam: what OpenFOAM has to solve first; None for a fire that we simulate.
+    """
+
+    name: str
+    split: Split
+    fire: str
+    spec: SceneSpec
+    foam: FoamFire | None
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the spec: another one is another scene."""
+        return hashlib.sha256(json.dumps(self.spec.to_dict(), sort_keys=True).encode()).hexdigest()
+
+    @property
+    def solver(self) -> str:
+        return "Mantaflow" if self.foam is None else "OpenFOAM"
+
+
+def suite_name() -> str:
+    return read_record(SuiteList, FILE).name
+
+
+def scenes_of(size: Size, split: Split | Literal["all"] = "all") -> list[SuiteScene]:
+    """The scenes of a size, in the list's order.
+
+    Raises:
+        DataFormatError: a test fire is not as it was sealed.
+    """
+    listed = read_record(SuiteList, FILE)
+    chosen = listed.sizes[size]
+    burning = _specs()
+    return [
+        _scene(line, listed, chosen.preset, *burning[line.fire])
+        for line in listed.scenes
+        if (chosen.scenes is None or line.name in chosen.scenes) and split in (line.split, "all")
+    ]
+
+
+def pick(scenes: list[SuiteScene], names: tuple[str, ...]) -> list[SuiteScene]:
+    """The named ones of them, all where no name is given. Raises GofError: one is not there."""
+    unknown = sorted(set(names) - {scene.name for scene in scenes})
+    if unknown:
+        there = ", ".join(scene.name for scene in scenes)
+        raise GofError(f"no scene {', '.join(map(repr, unknown))} in this size and split; there are {there}")
+    return [scene for scene in scenes if not names or scene.name in names]
+
+
+def _specs() -> dict[str, tuple[SceneSpec, FoamFire | None]]:
+    """Every fire that a line can name."""
+    found = {fire.name: (fire.spec, fire.foam) for split in SPLITS for fire in fires(split)}
+    for path in BUILT_IN.glob("*/spec.json"):
+        spec = SceneSpec.from_dict(json.loads(path.read_text(encoding="utf-8")))
+        found[f"scenes/{path.parent.name}"] = spec, None
+    return found
+
+
+def _scene(
+    line: ListedScene, listed: SuiteList, preset: str | None, spec: SceneSpec, foam: FoamFire | None
+) -> SuiteScene:
+    seen = dataclasses.replace(
+        spec,
+        name=line.name,
+        ground_truth=listed.ground_truth,
+        background=line.background or spec.background,
+        cameras=dataclasses.replace(spec.cameras, **line.cameras),
+    )
+    return SuiteScene(line.name, line.split, line.fire, seen.with_preset(preset) if preset else seen, foam)
