@@ -13,6 +13,11 @@ COMMANDS = {
         "scene spec -> simulated fire, three rendered videos, ground-truth velocity",
         20,
     ),
+    "benchmark": Command(
+        "gof_benchmark.commands.benchmark",
+        "GoF-Bench: frozen scenes that methods are compared on; submissions checked and ranked",
+        85,
+    ),
     "study": Command(
         "gof_benchmark.commands.study",
         "accuracy against time: of the DVE, the generator, the reconstruction; ablations",

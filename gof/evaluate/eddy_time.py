@@ -15,7 +15,7 @@ from scipy.linalg import toeplitz
 
 from gof.dataset import Dataset
 from gof.errors import GofError
-from gof.evaluate.emission import FlameGrid
+from gof.evaluate.emission import flame_grid
 from gof.evaluate.sparse_grid import StoredField
 
 PLACES = 2048  # in all, drawn from the emission of all frames
@@ -91,9 +91,8 @@ def _area(covariance: np.ndarray) -> float:
 
 def _places(dataset: Dataset, rng: np.random.Generator) -> np.ndarray:
     """(M, 3) world m."""
-    grid = dataset.path / "grids" / "flame.zarr"
-    if grid.exists():
-        flame = FlameGrid(grid)
+    flame = flame_grid(dataset)
+    if flame is not None:
         each = -(-PLACES // len(flame.times_s))
         places = np.concatenate([flame.places(float(time_s), each, rng) for time_s in flame.times_s])
         if len(places):

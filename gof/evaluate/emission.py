@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.sparse_grid import StoredField
@@ -103,6 +104,12 @@ class FlameGrid:
         level = (np.arange(count) + rng.random(count)) / count * total[-1]
         cell = np.concatenate(cells)[np.minimum(np.searchsorted(total, level, side="right"), len(total) - 1)]
         return (cell + rng.random((count, 3))) @ self.index_to_world[:3, :3].T + self.index_to_world[:3, 3]
+
+
+def flame_grid(dataset: Dataset) -> FlameGrid | None:
+    """The true flame of a dataset; None where it has no such grid. Raises DataFormatError as `FlameGrid`."""
+    path = dataset.path / "grids" / "flame.zarr"
+    return FlameGrid(path) if path.exists() else None
 
 
 def velocity_at(points: np.ndarray, gaussians: MovingGaussians, time_s: float) -> tuple[np.ndarray, np.ndarray]:

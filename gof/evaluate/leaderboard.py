@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
-from gof.costs import StageLog
+from gof.costs import StageCost, StageLog
 from gof.errors import DataFormatError
 from gof.evaluate.cells import in_csv, in_markdown
+from gof.evaluate.method import AboutMethod
 from gof.evaluate.published import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.scores import Origin, PublishedFigures, Scores
-from gof.files import read_json
-from gof.records import convert_json
 
 LOWER, NEITHER, HIGHER = -1, 0, 1  # which values of a column are better
 
@@ -25,7 +24,7 @@ class EvaluatedResult:
     """A folder with a scores.json, and what else it says.
 
     Attributes:
-        train_s: seconds of the training; None when the folder does not say.
+        train_s, memory_mb: seconds of the training, and the most memory it needed; None when the folder does not say.
         unfinished, notes: see `AboutMethod`.
     """
 
@@ -35,50 +34,18 @@ class EvaluatedResult:
     train_s: float | None
     unfinished: str | None = None
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class AboutMethod:
-    """method.json, by hand.
-
-    Attributes:
-        name: of the method; with `made_by` after it, if that is given ("CPU re-run").
-        train_seconds: that its training took.
-        unfinished: why the training is not the method's best ("stopped at 3000 of 12000 steps"); such a row says so in
-            its name and competes with nobody.
-        given: what the method was given ("plates", "starting points", "all pictures, held-out ones too").
-    """
-
-    name: str | None = None
-    train_seconds: float | None = None
-    made_by: str | None = None
-    unfinished: str | None = None
-    given: tuple[str, ...] = ()
-
-    def __post_init__(self):
-        if self.name is not None and not self.name.strip():
-            raise DataFormatError("name: is empty; leave it out, and the folder's name stands for it")
-        for field in ("made_by", "unfinished"):
-            if getattr(self, field) is not None and not getattr(self, field).strip():
-                raise DataFormatError(f"{field}: is empty; leave it out, or say it")
-        if self.train_seconds is not None and not 0 <= self.train_seconds < float("inf"):
-            raise DataFormatError(f"train_seconds: {self.train_seconds} is no number of seconds")
-
-    def title(self, folder: Path) -> str:
-        """What the row is called."""
-        remarks = [remark for remark in (self.made_by, self.unfinished) if remark]
-        name = self.name or folder.resolve().name
-        return f"{name} ({', '.join(remarks)})" if remarks else name
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        return (f"given: {', '.join(self.given)}",) if self.given else ()
+    memory_mb: float | None = None
 
     @classmethod
-    def read(cls, folder: Path) -> AboutMethod:
-        """Of a folder; empty where it has none. Raises DataFormatError: a field is of the wrong type (named)."""
-        path = folder / "method.json"
-        return convert_json(cls, read_json(path), path) if path.is_file() else cls()
+    def of(cls, folder: Path, about: AboutMethod, scores: Scores) -> EvaluatedResult:
+        """A folder's result: what method.json says of its costs, else what its costs.json do."""
+        stages = _training(folder)
+        train_s, memory_mb = about.train_seconds, about.memory_mb
+        if train_s is None and stages:
+            train_s = float(sum(stage.seconds for stage in stages))
+        if memory_mb is None and stages:
+            memory_mb = max(stage.peak_mb for stage in stages) or None  # 0: not measured
+        return cls(folder, about.title(folder), scores, train_s, about.unfinished, about.notes, memory_mb)
 
 
 @dataclass(frozen=True)
@@ -101,6 +68,11 @@ def _emission(value: Callable) -> Callable[[EvaluatedResult], float | None]:
     return _velocity(lambda dve: None if dve.on_emission is None else value(dve.on_emission))
 
 
+def _gradients(value: Callable) -> Callable[[EvaluatedResult], float | None]:
+    """An error of the velocity's gradients; None where there is none."""
+    return _velocity(lambda dve: None if dve.gradients is None else value(dve.gradients))
+
+
 def _published(value: Callable[[PublishedFigures], float | None]) -> Callable[[EvaluatedResult], float | None]:
     """One of the authors' figures; None where they were not asked for."""
     return lambda result: None if result.scores.published is None else value(result.scores.published)
@@ -119,6 +91,8 @@ COLUMNS = {
     "fluctuation_cos": Column("fluctuation CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.fluctuation.cos_sim)),
     "emission_l2": Column("on emission L2", LOWER, ".3f", _emission(lambda emission: emission.l2)),
     "emission_cos": Column("on emission CosSim", HIGHER, ".3f", _emission(lambda emission: emission.cos_sim)),
+    "vorticity_l2": Column("vorticity L2", LOWER, ".3f", _gradients(lambda gradients: gradients.vorticity_l2)),
+    "divergence_l2": Column("divergence L2", LOWER, ".3f", _gradients(lambda gradients: gradients.divergence_l2)),
     "skill": Column("skill over constant", HIGHER, ".3f", _velocity(lambda dve: dve.skill_over_constant)),
     "speed_ratio": Column("speed ratio", NEITHER, ".2f", _velocity(lambda dve: dve.speed_ratio)),
     "psnr_flame": Column("PSNR flame (dB)", HIGHER, ".2f", lambda result: result.scores.psnr_flame),
@@ -138,6 +112,7 @@ COLUMNS = {
     "published_psnr_no_sync": Column("PSNR no board (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_no_sync)),
     "published_ssim_no_sync": Column("SSIM no board", HIGHER, ".3f", _published(lambda p: p.ssim_no_sync)),
     "train_s": Column("train (s)", LOWER, ".1f", lambda result: result.train_s),
+    "memory_mb": Column("memory (MB)", LOWER, ".0f", lambda result: result.memory_mb),
     "evaluate_s": Column("evaluate (s)", LOWER, ".1f", lambda result: sum(result.scores.costs.values()) or None),
     "gaussians": Column("Gaussians", NEITHER, "d", lambda result: result.scores.gaussians),
 }
@@ -164,6 +139,8 @@ class Row:
     fluctuation_cos: float | None = None
     emission_l2: float | None = None
     emission_cos: float | None = None
+    vorticity_l2: float | None = None
+    divergence_l2: float | None = None
     skill: float | None = None
     speed_ratio: float | None = None
     psnr_flame: float | None = None
@@ -183,6 +160,7 @@ class Row:
     published_psnr_no_sync: float | None = None
     published_ssim_no_sync: float | None = None
     train_s: float | None = None
+    memory_mb: float | None = None
     evaluate_s: float | None = None
     gaussians: int | None = None
 
@@ -222,9 +200,7 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
                 f"{folder}: no scores.json; run 'gof evaluate RESULT --truth DATASET --out {folder}' first"
             )
         scores = Scores.read(folder / "scores.json")
-        about = AboutMethod.read(folder)
-        train_s = _train_seconds(folder) if about.train_seconds is None else about.train_seconds
-        results.append(EvaluatedResult(folder, about.title(folder), scores, train_s, about.unfinished, about.notes))
+        results.append(EvaluatedResult.of(folder, AboutMethod.read(folder), scores))
     names = [result.name for result in results]
     return [
         replace(result, name=f"{result.name} ({i + 1})") if names.count(result.name) > 1 else result
@@ -232,11 +208,11 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
     ]
 
 
-def _train_seconds(folder: Path) -> float | None:
+def _training(folder: Path) -> tuple[StageCost, ...]:
     for path in (folder / "reconstruct" / "costs.json", folder / "costs.json"):
         if path.is_file():
-            return float(sum(stage.seconds for stage in StageLog(path).stages()))
-    return None
+            return StageLog(path).stages()
+    return ()
 
 
 def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:

@@ -13,6 +13,7 @@ from typing import ClassVar
 
 from gof.errors import DataFormatError
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
+from gof.evaluate.gradients import GradientErrors
 from gof.files import without_place
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
@@ -87,7 +88,8 @@ class VelocityScore(ClipScore):
     `inside` pools the Gaussians inside the domain alone; `fluctuation` is what is left without the mean of each height;
     `within_sd` is the share of the velocity's components within one v_sd of the truth, 0.68 where errors are normal and
     v_sd is right, None where no Gaussian has one;
-    `skill_over_NAME` = 1 - (L2 / L2 of the control)^2; `on_emission` is None for a dataset without a flame grid.
+    `skill_over_NAME` = 1 - (L2 / L2 of the control)^2; `on_emission` and `gradients` are None for a dataset
+    without a flame grid.
     """
 
     frames: tuple[FrameScore, ...]
@@ -103,6 +105,7 @@ class VelocityScore(ClipScore):
     skill_over_height_mean: float | None
     skill_over_true_centre: float | None
     on_emission: EmissionFigures | None
+    gradients: GradientErrors | None = None
 
 
 # ---------------------------------------------------------------- pictures
@@ -214,13 +217,17 @@ class UsedAlignment:
 
 @dataclass(frozen=True)
 class Origin:
-    """How the result was read. `path` and `options` are None for Gaussians that came from memory."""
+    """How the result was read. `path` and `options` are None for Gaussians that came from memory.
+
+    `over_plates`: it was drawn over fire-free plates, as a flame without its surroundings.
+    """
 
     method: str
     notes: tuple[str, ...] = ()
     path: str | None = None
     options: UsedOptions | None = None
     alignment: UsedAlignment | None = None
+    over_plates: bool = False
 
 
 # ---------------------------------------------------------------- all of it

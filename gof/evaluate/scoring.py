@@ -13,7 +13,8 @@ from gof.dataset.plates import background
 from gof.errors import DataFormatError
 from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import DVESequence, Opacity
-from gof.evaluate.emission import EmissionScore, FlameGrid, score_on_emission
+from gof.evaluate.emission import EmissionScore, flame_grid, score_on_emission
+from gof.evaluate.gradients import GradientErrors, score_gradients
 from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, known_frames, timed
 from gof.evaluate.scores import (
     Agreement,
@@ -85,9 +86,10 @@ def evaluate(
         with timed(costs, "dve"):
             sequence = _dve(gaussians, dataset, order, opacity, progress)
             emission = _emission(gaussians, dataset, sequence.times_s, progress)
+            gradients = _gradients(gaussians, dataset, sequence.times_s, progress)
         scores = replace(
             scores,
-            dve=_velocity_score(sequence, order, opacity, emission),
+            dve=_velocity_score(sequence, order, opacity, emission, gradients),
             controls={name: _control_score(name, control) for name, control in sequence.controls.items()},
             warnings=(*partly, *sanity_warnings(sequence)),
         )
@@ -95,18 +97,24 @@ def evaluate(
         scores = replace(scores, warnings=(*partly, "the dataset has no true velocity field, so there is no DVE"))
     scores = replace(scores, warnings=(*scores.warnings, *_leak_warnings(made_from, dataset)))
     if images:
-        before_plates = gaussians.dynamic.all() and (flame_only or origin.method in OURS)
-        if not before_plates and origin.method not in OURS:
+        origin = replace(origin, over_plates=is_flame_alone(gaussians, origin.method, flame_only))
+        if not origin.over_plates and origin.method not in OURS:
             said = "pictures are those of its Gaussians alone, over black; --flame-only draws a flame over the plates"
-            scores = replace(scores, import_=replace(origin, notes=(*origin.notes, said)))
+            origin = replace(origin, notes=(*origin.notes, said))
+        scores = replace(scores, import_=origin)
         own = result if isinstance(result, Path) else None
-        plates = [background(dataset, k, own) if before_plates else BLACK for k in range(len(dataset.cameras))]
+        plates = [background(dataset, k, own) if origin.over_plates else BLACK for k in range(len(dataset.cameras))]
         found = image_scores(gaussians, dataset, plates, costs, extras or Extras(), progress)
         scores = replace(scores, **asdict(found.means), **found.videos, published=found.published, images=found.images)
     return replace(scores, costs={name: round(seconds, 3) for name, seconds in costs.items()})
 
 
 # ---------------------------------------------------------------- the result
+
+
+def is_flame_alone(gaussians: MovingGaussians, method: str, flame_only: bool) -> bool:
+    """Whether a result is drawn over plates: ours without static Gaussians, and others that say they are flames."""
+    return bool(gaussians.dynamic.all()) and (flame_only or method in OURS)
 
 
 def _load(
@@ -193,13 +201,13 @@ def _dve(gaussians: MovingGaussians, dataset: Dataset, order: int, opacity: Opac
 def _emission(
     gaussians: MovingGaussians, dataset: Dataset, times_s: list[float], progress: Progress
 ) -> EmissionFigures | None:
-    grid = dataset.path / "grids" / "flame.zarr"
-    if not grid.exists():
+    flame = flame_grid(dataset)
+    if flame is None:
         return None
     found: EmissionScore = score_on_emission(
         gaussians,
         dataset.velocity,
-        FlameGrid(grid),
+        flame,
         np.array(times_s),
         progress=lambda done, total: progress(done, total, stage="on emission"),
     )
@@ -212,6 +220,21 @@ def _emission(
         undefined=found.score.undefined,
         uncovered=found.uncovered,
         constant=Agreement.of(found.constant),
+    )
+
+
+def _gradients(
+    gaussians: MovingGaussians, dataset: Dataset, times_s: list[float], progress: Progress
+) -> GradientErrors | None:
+    flame = flame_grid(dataset)
+    if flame is None:
+        return None
+    return score_gradients(
+        gaussians,
+        dataset.velocity,
+        flame,
+        np.array(times_s),
+        progress=lambda done, total: progress(done, total, stage="gradients"),
     )
 
 
@@ -233,7 +256,11 @@ def _control_score(name: str, control: DVESequence) -> ControlScore:
 
 
 def _velocity_score(
-    sequence: DVESequence, order: int, opacity: Opacity, emission: EmissionFigures | None
+    sequence: DVESequence,
+    order: int,
+    opacity: Opacity,
+    emission: EmissionFigures | None,
+    gradients: GradientErrors | None,
 ) -> VelocityScore:
     frames = zip(sequence.times_s, sequence.frames, strict=True)
     skills = {f"skill_over_{name}": skill(sequence.pooled, c.pooled) for name, c in sequence.controls.items()}
@@ -247,4 +274,5 @@ def _velocity_score(
         order=order,
         opacity=opacity,
         on_emission=emission,
+        gradients=gradients,
     )

@@ -1,0 +1,49 @@
+"""`gof benchmark`: names its parts and loads only the one that is asked for."""
+
+from __future__ import annotations
+
+import importlib
+
+from gof.errors import GofError
+
+PARTS = {
+    "list": (
+        "gof_benchmark.commands.benchmark_list",
+        "the scenes: fire, cameras, light, and which are for development",
+    ),
+    "make": ("gof_benchmark.commands.benchmark_make", "make the scenes of a size, and compare their truth"),
+    "add": ("gof_benchmark.commands.benchmark_add", "put a result into a submission: scores, frames, pictures"),
+    "check": ("gof_benchmark.commands.benchmark_check", "a submission -> ticks and crosses; a cross refuses it"),
+    "score": ("gof_benchmark.commands.benchmark_score", "submissions -> one page: means, intervals, ranks, wins"),
+}
+
+HELP = """\
+usage: gof benchmark PART [OPTIONS]        gof benchmark PART --help explains one part
+
+GoF-Bench 1, a frozen list of scenes that methods are compared on (docs/benchmark.md).
+
+{parts}
+
+to enter it:
+  gof benchmark make bench --size smoke                          three small scenes, some minutes
+  gof reconstruct bench/smoke/demo --out out/demo                or your own method's training
+  gof benchmark add out/demo bench/smoke/demo mine               a run into the submission 'mine'
+  (write mine/method.json)                                       gof benchmark check says what is missing
+  gof benchmark check mine bench/smoke
+  gof benchmark score mine others bench/smoke --out board        board/board.html
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Run the part that the first argument names; each explains itself with --help.
+
+    Raises:
+        GofError: no part of that name.
+    """
+    if argv and argv[0] in ("-h", "--help", "help"):
+        print(HELP.format(parts="\n".join(f"  {name:<7} {text}" for name, (_, text) in PARTS.items())))
+        return 0
+    if not argv or argv[0] not in PARTS:
+        named = f"no part '{argv[0]}'" if argv else "name a part"
+        raise GofError(f"{named}: gof benchmark {{{','.join(PARTS)}}}; gof benchmark --help explains them")
+    return importlib.import_module(PARTS[argv[0]][0]).main(argv[1:]) or 0

@@ -1,0 +1,55 @@
+"""`gof benchmark check`: a submission -> ticks and crosses."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import tyro
+
+from gof.evaluate.submission import Submission
+from gof.evaluate.submission_check import Finding, check
+from gof.files import write_json
+from gof.terminal import console
+from gof_benchmark.suite.made import made_scenes
+
+STYLES = {"ok": "green", "hint": "yellow", "refused": "bold red"}
+
+
+@dataclass
+class CheckConfig:
+    """Look at every claim of a submission that can be looked at; one cross refuses it (exit status 1).
+
+    Files are there; the clock is the clip's; no held-out frame went in; the checkpoint draws the pictures that came with
+    it; held-out frames look as unseen ones do; scores come out again. Everything is computed anew: about a minute a run.
+    """
+
+    submission: tyro.conf.Positional[Path]
+    """Folder with method.json and one folder a scene (docs/benchmark.md)."""
+    suite: tyro.conf.Positional[Path]
+    """Folder of a size of the suite: WORK/standard."""
+    json: Path | None = None
+    """Also write the findings to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof benchmark check`; 1 where the submission is refused."""
+    config = tyro.cli(CheckConfig, prog="gof benchmark check", args=argv)
+    datasets = {name: made.dataset for name, made in made_scenes(config.suite).items()}
+    out, findings = console(), []
+    for finding in check(Submission.open(config.submission), datasets):
+        findings.append(finding)
+        out.print(str(finding), style=STYLES[finding.verdict], markup=False, highlight=False)
+    out.print(verdict(findings), markup=False, highlight=False)
+    if config.json is not None:
+        write_json(config.json, {"findings": [asdict(finding) for finding in findings]})
+    return 1 if any(finding.verdict == "refused" for finding in findings) else 0
+
+
+def verdict(findings: list[Finding]) -> str:
+    """One sentence."""
+    refused = [finding for finding in findings if finding.verdict == "refused"]
+    hints = sum(finding.verdict == "hint" for finding in findings)
+    if refused:
+        return f"refused: {len(refused)} of {len(findings)} checks failed"
+    return f"passed {len(findings) - hints} checks; {hints} to judge by people"

@@ -1,0 +1,80 @@
+"""`gof benchmark list`: the scenes of the suite."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from rich.table import Table
+
+from gof.files import write_json
+from gof.terminal import console
+from gof_benchmark.suite import Size, SuiteScene, scenes_of, suite_name
+from gof_blender.pure.cost_model import REFERENCE, duration, known_machine, predict
+
+
+@dataclass
+class ListConfig:
+    """The scenes of GoF-Bench 1: what burns, how it is seen, and what it takes to make."""
+
+    size: Size = "standard"
+    """smoke: minutes; standard: hours; paper: a cluster."""
+    split: Literal["dev", "test", "all"] = "all"
+    """dev: for choosing and tuning. test: scored only."""
+    json: Path | None = None
+    """Also write the lines to this file."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A scene in words."""
+
+    scene: str
+    split: str
+    fire: str
+    solver: str
+    cameras: str
+    picture: str
+    frames: str
+    surroundings: str
+    spec: str
+
+    @classmethod
+    def of(cls, scene: SuiteScene) -> Line:
+        rig, clip = scene.spec.cameras, scene.spec.clip
+        across, up = scene.spec.picture_px if rig.roll_deg % 180 == 0 else scene.spec.picture_px[::-1]
+        return cls(
+            scene=scene.name,
+            split=scene.split,
+            fire=scene.fire,
+            solver=scene.solver,
+            cameras=f"{rig.count} over {rig.arc_deg:g} deg",
+            picture=f"{across}x{up}",
+            frames=f"{clip.frames} at {clip.fps:g} Hz",
+            surroundings=scene.spec.background,
+            spec=scene.digest[:12],
+        )
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof benchmark list`."""
+    config = tyro.cli(ListConfig, prog="gof benchmark list", args=argv)
+    scenes = scenes_of(config.size, config.split)
+    lines = [asdict(Line.of(scene)) for scene in scenes]
+    table = Table(title=f"{suite_name()}, {config.size}", title_justify="left")
+    for heading in Line.__dataclass_fields__:
+        table.add_column(heading)
+    for line in lines:
+        table.add_row(*line.values())
+    out = console()
+    out.print(table)
+    ours = [scene.spec for scene in scenes if scene.foam is None]
+    seconds = sum(predict(spec, known_machine() or REFERENCE).total_s for spec in ours)
+    out.print(
+        f"about {duration(seconds)} for those that Mantaflow makes; OpenFOAM's take half an hour of one core each"
+    )
+    if config.json is not None:
+        write_json(config.json, {"suite": suite_name(), "size": config.size, "scenes": lines})
+    return 0

@@ -1,0 +1,108 @@
+"""`gof benchmark score`: submissions -> one page."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from gof import __version__
+from gof.errors import GofError
+from gof.evaluate.eddy_time import eddy_time
+from gof.evaluate.leaderboard import EvaluatedResult
+from gof.evaluate.method import AboutMethod
+from gof.evaluate.scores import Scores
+from gof.evaluate.submission import Run, Submission
+from gof.evaluate.submission_check import score_again
+from gof.evaluate.suite_board import ScoredScene, board
+from gof.evaluate.suite_page import to_html, to_markdown
+from gof.files import atomic_path
+from gof.records import to_json, write_record
+from gof.terminal import console
+from gof_benchmark.suite import suite_name
+from gof_benchmark.suite.made import MadeScene, made_scenes
+
+
+@dataclass
+class ScoreConfig:
+    """Score submissions and write one page: means, how sure they are, who cannot be told from whom, wins per scene.
+
+    Scores are computed from the results, whatever the submissions say, and kept in OUT/scores: the same result on the
+    same dataset is scored once. Development scenes are scored apart (--split dev): no ranks are made of them with test.
+    """
+
+    folders: tyro.conf.Positional[list[Path]]
+    """Submissions, and last the folder of a size of the suite: mine others WORK/standard."""
+    out: Path = Path("out/board")
+    """Folder for board.html, .md and .json; older ones are replaced."""
+    split: Literal["test", "dev"] = "test"
+    """Which scenes."""
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof benchmark score`."""
+    config = tyro.cli(ScoreConfig, prog="gof benchmark score", args=argv)
+    if len(config.folders) < 2:
+        raise GofError("give one submission or more, and last the folder of the suite's size: mine WORK/standard")
+    *folders, suite = config.folders
+    submissions = [Submission.open(folder) for folder in folders]
+    names = [submission.name for submission in submissions]
+    if len(set(names)) < len(names):
+        raise GofError(f"two submissions have one name: {', '.join(sorted(names))}; change it in method.json")
+    scenes = [
+        scored_scene(made, submissions, config.out / "scores") for made in made_scenes(suite, config.split).values()
+    ]
+    scenes = [scene for scene in scenes if scene.runs]
+    if not scenes:
+        raise GofError(f"no submission has a result of a {config.split} scene that is made in {suite}")
+    title = f"{suite_name()}, {suite.resolve().name}, {config.split} scenes"
+    found = board(title, {submission.name: submission.method for submission in submissions}, scenes)
+    write_record(config.out / "board.json", found)
+    for name, text in (("board.html", to_html(found)), ("board.md", to_markdown(found))):
+        with atomic_path(config.out / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    console().print(to_markdown(found), markup=False, highlight=False)
+    print(f"written to {config.out}/board.html, .md, .json")
+    return 0
+
+
+def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> ScoredScene:
+    """A scene with the scores of every submission that has it."""
+    runs = {}
+    for submission in submissions:
+        folders = submission.runs.get(made.scene.name, ())
+        if folders:
+            opened = [Run.open(folder, made.scene.name) for folder in folders]
+            runs[submission.name] = tuple(evaluated(run, made, submission.method, kept) for run in opened)
+    return ScoredScene.of(made.dataset, made.scene.split, eddy_time(made.dataset), runs)
+
+
+def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> EvaluatedResult:
+    """A run's scores, computed here or kept from before."""
+    path = kept / f"{_digits(run, made)}.json"
+    if path.is_file():
+        scores = Scores.read(path)
+    else:
+        print(f"{run.folder}: scoring", flush=True)
+        scores = score_again(run, made.dataset)
+        scores.write(path)
+    # of one scene: its own costs, where they are there, else what the method says of itself
+    costs_here = (run.folder / "costs.json").is_file()
+    return EvaluatedResult.of(run.folder, replace(about, train_seconds=None) if costs_here else about, scores)
+
+
+def _digits(run: Run, made: MadeScene) -> str:
+    """Change with the result, how it is read, the dataset, and the program that scores."""
+    state = hashlib.sha256()
+    files = [run.result] if run.result.is_file() else sorted(path for path in run.result.rglob("*") if path.is_file())
+    files += sorted((run.folder / "plates").glob("*.png"))
+    for path in files:
+        state.update(path.name.encode() + hashlib.sha256(path.read_bytes()).digest())
+    origin = to_json(run.scores)["import"]
+    how = {key: origin[key] for key in ("options", "over_plates")}
+    state.update(json.dumps([how, made.dataset.identity(), __version__], sort_keys=True).encode())
+    return state.hexdigest()[:24]

@@ -1,0 +1,65 @@
+"""The scenes of the suite that are made in a folder, as `gof benchmark make` leaves them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gof.dataset import Dataset
+from gof.errors import DataFormatError
+from gof_benchmark.suite import Size, SuiteScene, scenes_of
+from gof_blender.pure.layout import Layout
+
+SIZES: tuple[Size, ...] = ("smoke", "standard", "paper")
+
+
+@dataclass(frozen=True)
+class MadeScene:
+    """A scene and its dataset."""
+
+    scene: SuiteScene
+    dataset: Dataset
+
+
+def made_scenes(folder: Path, split: str = "all") -> dict[str, MadeScene]:
+    """The finished scenes of WORK/SIZE, by name.
+
+    Raises:
+        DataFormatError: not a size's folder, nothing finished in it, or a scene there was made from another spec.
+    """
+    size = next((size for size in SIZES if folder.resolve().name == size), None)
+    if size is None:
+        raise DataFormatError(f"{folder}: not the folder of a size ({', '.join(SIZES)}) that 'gof benchmark make' made")
+    found = {}
+    for scene in scenes_of(size, split):
+        layout = Layout(folder / scene.name)
+        if layout.description.exists():
+            _require_spec(scene, layout)
+            found[scene.name] = MadeScene(scene, Dataset.open(layout.root))
+    if not found:
+        raise DataFormatError(f"{folder}: no finished scene; make them with: gof benchmark make {folder.parent}")
+    return found
+
+
+def scene_of(dataset: Path) -> MadeScene:
+    """The scene whose dataset lies in WORK/SIZE/SCENE. Raises DataFormatError: it is none of the suite."""
+    name = dataset.resolve().name
+    found = made_scenes(dataset.resolve().parent)
+    if name not in found:
+        raise DataFormatError(f"{dataset}: not a finished scene of the suite; there are {', '.join(found)}")
+    return found[name]
+
+
+def _require_spec(scene: SuiteScene, layout: Layout) -> None:
+    """Raises DataFormatError: the dataset is of another spec than the suite's."""
+    import json
+
+    from gof_blender.pure.spec import SceneSpec
+
+    made = SceneSpec.from_dict(json.loads(layout.spec.read_text(encoding="utf-8")))
+    different = [part for part in made.differences(scene.spec) if part != "fire" or scene.foam is None]
+    if different:
+        raise DataFormatError(
+            f"{layout.root}: was made from another spec ({', '.join(different)} differ): this is not the suite's scene. "
+            "Remove the folder and make it again"
+        )

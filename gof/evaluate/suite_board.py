@@ -1,0 +1,295 @@
+"""Methods side by side over the scenes of a suite: means, how sure they are, and who cannot be told from whom.
+
+A figure of a method is the mean over a scene's frames, over its runs there, and over scenes. Two methods are compared
+on the same frames of the same scenes, difference by difference (`gof.evaluate.statistics`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import ClassVar
+
+import numpy as np
+
+from gof.dataset import Dataset
+from gof.evaluate.eddy_time import EddyTime
+from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult
+from gof.evaluate.method import AboutMethod
+from gof.evaluate.scores import Scores
+from gof.evaluate.statistics import Estimate, over_frames, over_runs, over_scenes, ranks
+
+RANKED = ("l2", "cos_sim", "psnr_flame", "ssim_flame")  # figures that every frame has
+CONTROLS = ("zero", "constant", "height_mean", "true_centre")
+WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, CosSim 0, by definition
+UNIFORM = ("zero", "constant")  # vorticity: L2 1, and no divergence
+NOT_SHOWN = ("flow_prior", "evaluate_s", "speed_ratio", "skill")
+
+Series = dict[float, float]  # time in s -> a figure of that frame
+
+
+@dataclass(frozen=True)
+class ScoredScene:
+    """A scene of the suite, and what every method that was here scores there: the runs by the method's name."""
+
+    name: str
+    split: str
+    eddy_time: EddyTime
+    times_s: tuple[float, ...]  # of the frames, by number
+    runs: dict[str, tuple[EvaluatedResult, ...]]
+
+    @classmethod
+    def of(
+        cls, dataset: Dataset, split: str, eddy: EddyTime, runs: dict[str, tuple[EvaluatedResult, ...]]
+    ) -> ScoredScene:
+        return cls(dataset.description.name, split, eddy, tuple(map(float, dataset.times_s)), runs)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of a method.
+
+    Attributes:
+        half_width: of its 95 % interval; None where nobody can say.
+        seed_sd: standard deviation over runs of one scene, mean over scenes; None with one run each.
+        rank: shared by methods that cannot be told apart; None for those that do not compete.
+        wins: scenes where its mean is the best of all.
+    """
+
+    mean: float
+    half_width: float | None = None
+    seed_sd: float | None = None
+    rank: int | None = None
+    wins: int | None = None
+
+
+@dataclass(frozen=True)
+class BoardRow:
+    """A method, or a control; `figures` by the names of `gof.evaluate.leaderboard.COLUMNS`."""
+
+    name: str
+    what: str
+    competes: bool
+    scenes: int
+    runs: int
+    given: tuple[str, ...]
+    prior: tuple[str, ...] | None
+    figures: dict[str, Figure]
+
+
+@dataclass(frozen=True)
+class BoardScene:
+    """One scene alone: `figures` by method, then by name."""
+
+    name: str
+    split: str
+    eddy_time_s: float
+    at_least: bool
+    eddies: float
+    figures: dict[str, dict[str, Figure]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SuiteBoard:
+    """board.json."""
+
+    SCHEMA: ClassVar[str] = "gof-suite-board"
+    VERSION: ClassVar[int] = 1
+
+    title: str
+    rows: tuple[BoardRow, ...]
+    scenes: tuple[BoardScene, ...]
+
+
+def board(title: str, methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> SuiteBoard:
+    """The board of some methods, by name, over scenes. A method without a result somewhere competes with nobody."""
+    competing = [
+        name for name, about in methods.items() if not about.unfinished and all(name in s.runs for s in scenes)
+    ]
+    places = {key: _places(key, competing, scenes) for key in RANKED}
+    rows = [_row(name, about, scenes, name in competing, places) for name, about in methods.items()]
+    return SuiteBoard(title, (*rows, *_control_rows(methods, scenes)), tuple(map(_alone, scenes)))
+
+
+# ---------------------------------------------------------------- one method
+
+
+def _row(
+    name: str, about: AboutMethod, scenes: Sequence[ScoredScene], competes: bool, places: dict[str, dict[str, Figure]]
+) -> BoardRow:
+    here = [scene for scene in scenes if name in scene.runs]
+    figures = {key: _plain(column.value, name, here) for key, column in COLUMNS.items() if key not in NOT_SHOWN}
+    for key in RANKED:
+        estimate, seed_sd = _estimate(key, name, here)
+        if estimate is not None:
+            place = places[key].get(name)
+            rank, wins = (place.rank, place.wins) if place else (None, None)
+            figures[key] = Figure(estimate.mean, estimate.half_width, seed_sd, rank, wins)
+    return BoardRow(
+        name=name,
+        what="; ".join(filter(None, (about.code, about.commit, about.licence, about.hardware))),
+        competes=competes,
+        scenes=len(here),
+        runs=sum(len(scene.runs[name]) for scene in here),
+        given=about.given,
+        prior=about.prior,
+        figures={key: figure for key, figure in figures.items() if figure is not None},
+    )
+
+
+def _plain(value: Callable, name: str, scenes: Sequence[ScoredScene]) -> Figure | None:
+    """Mean over runs and scenes of what has a value for every run; None where one has none."""
+    found = [[value(run) for run in scene.runs[name]] for scene in scenes]
+    if not found or any(number is None for runs in found for number in runs):
+        return None
+    return Figure(float(np.mean([np.mean(runs) for runs in found])))
+
+
+def _estimate(key: str, name: str, scenes: Sequence[ScoredScene]) -> tuple[Estimate | None, float | None]:
+    """Over scenes, and the spread that seeds make; None where a scene has no such figure."""
+    estimates, spreads = [], []
+    for scene in scenes:
+        runs = _common([frame_figures(run.scores, scene, key) for run in scene.runs[name]])
+        if not runs[0]:
+            return None, None
+        estimates.append(over_runs([list(run.values()) for run in runs], _eddy_frames(runs[0], scene)))
+        if len(runs) > 1:
+            spreads.append(float(np.std([np.mean(list(run.values())) for run in runs], ddof=1)))
+    if not estimates:
+        return None, None
+    return over_scenes(estimates), float(np.mean(spreads)) if spreads else None
+
+
+def frame_figures(scores: Scores, scene: ScoredScene, key: str) -> Series:
+    """A figure of every frame that has one; of pictures the mean over cameras."""
+    if key in ("l2", "cos_sim"):
+        frames = () if scores.dve is None else scores.dve.frames
+        return {round(f.time_s, 9): getattr(f, key) for f in frames if not f.undefined}
+    rows: dict[int, list[float]] = {}
+    for picture in scores.images.pictures if scores.images else ():
+        if (value := getattr(picture, key)) is not None:
+            rows.setdefault(picture.frame, []).append(value)
+    return {round(scene.times_s[frame], 9): float(np.mean(values)) for frame, values in sorted(rows.items())}
+
+
+def _common(series: Sequence[Series]) -> list[Series]:
+    """The series at the times that all of them have."""
+    times = sorted(set.intersection(*(set(one) for one in series)))
+    return [{time_s: one[time_s] for time_s in times} for one in series]
+
+
+def _eddy_frames(series: Series, scene: ScoredScene) -> float:
+    steps = np.diff(list(series))
+    return scene.eddy_time.seconds / float(np.median(steps)) if len(steps) else 0.0
+
+
+# ---------------------------------------------------------------- between methods
+
+
+def difference(key: str, first: str, second: str, scene: ScoredScene) -> Estimate | None:
+    """First less second, frame by frame, on the frames that both have; None where there are none."""
+    sides = [[frame_figures(run.scores, scene, key) for run in scene.runs[name]] for name in (first, second)]
+    shared = _common([*sides[0], *sides[1]])
+    if not shared[0]:
+        return None
+    ours, theirs = (
+        np.array([list(run.values()) for run in part]) for part in (shared[: len(sides[0])], shared[len(sides[0]) :])
+    )
+    frames = over_frames(ours.mean(0) - theirs.mean(0), _eddy_frames(shared[0], scene))
+    seeds = sum(runs.mean(1).var(ddof=1) / len(runs) for runs in (ours, theirs) if len(runs) > 1)
+    if frames.standard_error is None:
+        return frames
+    return Estimate(frames.mean, float(np.sqrt(frames.standard_error**2 + seeds)), frames.degrees)
+
+
+def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, Figure]:
+    """Mean, rank and wins of the methods that have the figure everywhere; empty with fewer than two."""
+    sign = COLUMNS[key].better
+    found = {name: _estimate(key, name, scenes)[0] for name in names}
+    names = [name for name in names if found[name] is not None]
+    if len(names) < 2 or not scenes:
+        return {}
+    means = [found[name].mean for name in names]
+    doubts = np.ones((len(names), len(names)))
+    for i, j in combinations(range(len(names)), 2):
+        apart = [difference(key, names[i], names[j], scene) for scene in scenes]
+        doubts[i, j] = doubts[j, i] = 1.0 if None in apart else over_scenes(apart).doubt
+    order = ranks(means, doubts, sign)
+    per_scene = np.array([[_estimate(key, name, [scene])[0].mean for name in names] for scene in scenes])
+    wins = (per_scene == (sign * per_scene).max(1, keepdims=True) * sign).sum(0)
+    return {
+        name: Figure(mean, rank=rank, wins=int(won))
+        for name, mean, rank, won in zip(names, means, order, wins, strict=True)
+    }
+
+
+def _alone(scene: ScoredScene) -> BoardScene:
+    """The figures of every method in one scene, with ranks of that scene alone."""
+    names = list(scene.runs)
+    figures: dict[str, dict[str, Figure]] = {name: {} for name in names}
+    for key in RANKED:
+        places = _places(key, names, [scene])
+        for name in names:
+            estimate, seed_sd = _estimate(key, name, [scene])
+            if estimate is not None:
+                place = places.get(name)
+                rank = place.rank if place else None
+                figures[name][key] = Figure(estimate.mean, estimate.half_width, seed_sd, rank)
+    clip_s = scene.times_s[-1] - scene.times_s[0]
+    eddy = scene.eddy_time
+    return BoardScene(scene.name, scene.split, eddy.seconds, eddy.at_least, clip_s / max(eddy.seconds, 1e-9), figures)
+
+
+# ---------------------------------------------------------------- controls
+
+
+def _control_rows(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
+    """The permanent rows, on the Gaussians of the first method that was in every scene."""
+    whose = next((name for name in methods if all(name in scene.runs for scene in scenes)), None)
+    if whose is None or not scenes:
+        return []
+    runs = [scene.runs[whose][0] for scene in scenes]
+    rows = [_control_row(name, [run.scores for run in runs]) for name in CONTROLS]
+    plate = {f"{key}": f"{key}_plate" for key in ("psnr_flame", "ssim_flame", "psnr", "ssim")}
+    rows.append(
+        ("fire-free plate", "the picture without fire", {key: _mean(runs, of) for key, of in plate.items()}),
+    )
+    return [
+        BoardRow(
+            name=f"control: {name}",
+            what=f"{meaning}, on the Gaussians of {whose}",
+            competes=False,
+            scenes=len(scenes),
+            runs=len(scenes),
+            given=(),
+            prior=None,
+            figures={key: Figure(value) for key, value in found.items() if value is not None},
+        )
+        for name, meaning, found in rows
+    ]
+
+
+def _control_row(name: str, scores: Sequence[Scores]) -> tuple[str, str, dict[str, float | None]]:
+    controls = [one.controls.get(name) for one in scores]
+    if any(control is None for control in controls):
+        return name, "", {}
+    found: dict[str, float | None] = {
+        "l2": _average([control.l2_frame_mean for control in controls]),
+        "cos_sim": _average([control.cos_sim_frame_mean for control in controls]),
+    }
+    if name in WITHOUT_STRUCTURE:
+        found |= {"fluctuation_l2": 1.0, "fluctuation_cos": 0.0}
+    gradients = [one.dve.gradients for one in scores if one.dve is not None]
+    if name in UNIFORM and all(gradients):
+        found["vorticity_l2"] = 1.0
+        found["divergence_l2"] = _average([errors.still_divergence_l2 for errors in gradients])
+    return name, controls[0].meaning, found
+
+
+def _mean(runs: Sequence[EvaluatedResult], figure: str) -> float | None:
+    return _average([getattr(run.scores, figure) for run in runs])
+
+
+def _average(values: Sequence[float | None]) -> float | None:
+    return None if None in values else float(np.mean(values))

@@ -1,0 +1,118 @@
+"""A suite's board for people: one self-contained HTML page, and a Markdown table."""
+
+from __future__ import annotations
+
+from gof.evaluate.cells import in_markdown
+from gof.evaluate.leaderboard import COLUMNS
+from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
+
+
+def used(rows: tuple[BoardRow, ...]) -> list[str]:
+    """The columns in which any row has a value: those with ranks first."""
+    there = [key for key in COLUMNS if any(key in row.figures for row in rows)]
+    return [key for key in RANKED if key in there] + [key for key in there if key not in RANKED]
+
+
+def best(rows: tuple[BoardRow, ...], key: str) -> set[int]:
+    """Numbers of the rows that are first in a column: all that share rank 1, else the one with the best mean."""
+    found = {i: row.figures[key] for i, row in enumerate(rows) if row.competes and key in row.figures}
+    first = {i for i, figure in found.items() if figure.rank == 1}
+    sign = COLUMNS[key].better
+    if first or not sign or len(found) < 2 or any(figure.rank for figure in found.values()):
+        return first
+    return {max(found, key=lambda i: sign * found[i].mean)}
+
+
+def value(key: str, figure: Figure | None) -> str:
+    """A mean, ± half of its interval."""
+    if figure is None:
+        return "-"
+    kind = COLUMNS[key].format
+    number = format(round(figure.mean) if kind == "d" else figure.mean, kind)
+    return number if figure.half_width is None else f"{number} ± {format(figure.half_width, kind)}"
+
+
+def remark(figure: Figure | None, scenes: int) -> str:
+    """Rank, wins and the spread of seeds, where there are any."""
+    if figure is None:
+        return ""
+    parts = [f"rank {figure.rank}"] if figure.rank else []
+    parts += [f"{figure.wins} of {scenes} wins"] if figure.wins is not None and scenes > 1 else []
+    parts += [f"seeds ± {figure.seed_sd:.2g}"] if figure.seed_sd is not None else []
+    return ", ".join(parts)
+
+
+def to_markdown(board: SuiteBoard) -> str:
+    """Those that share the first place of a column in bold; rows that do not compete in italics."""
+    keys = used(board.rows)
+    marked = {key: best(board.rows, key) for key in keys}
+    lines = [f"| method | {' | '.join(COLUMNS[key].heading for key in keys)} |", "|---|" + "---:|" * len(keys)]
+    for i, row in enumerate(board.rows):
+        name = in_markdown(row.name)
+        cells = []
+        for key in keys:
+            figure = row.figures.get(key)
+            text = " ".join(filter(None, (value(key, figure), _in_brackets(remark(figure, len(board.scenes))))))
+            cells.append(f"**{text}**" if i in marked[key] else text)
+        lines.append(f"| {name if row.competes else f'*{name}*'} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _in_brackets(text: str) -> str:
+    return f"({text})" if text else ""
+
+
+def to_html(board: SuiteBoard) -> str:
+    """The page; everything is inside it."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    keys = used(board.rows)
+    marked = {key: best(board.rows, key) for key in keys}
+    table = []
+    for i, row in enumerate(board.rows):
+        cells = [
+            {
+                "text": value(key, row.figures.get(key)),
+                "small": remark(row.figures.get(key), len(board.scenes)),
+                "value": row.figures[key].mean if key in row.figures else None,
+                "best": i in marked[key],
+            }
+            for key in keys
+        ]
+        table.append(({"name": row.name, "method": row.what, "competes": row.competes}, cells))
+    environment = Environment(loader=PackageLoader("gof.evaluate", "."), autoescape=True, undefined=StrictUndefined)
+    return environment.get_template("suite.html").render(
+        title=board.title,
+        board=board,
+        headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
+        table=table,
+        scenes=[_scene(scene) for scene in board.scenes],
+    )
+
+
+def _scene(scene: BoardScene) -> dict:
+    """What the page shows of a scene."""
+    keys = [key for key in RANKED if any(key in figures for figures in scene.figures.values())]
+    rows = [
+        (
+            name,
+            [
+                {
+                    "text": value(key, figures.get(key)),
+                    "small": remark(figures.get(key), 1),
+                    "best": key in figures and figures[key].rank == 1,
+                }
+                for key in keys
+            ],
+        )
+        for name, figures in scene.figures.items()
+    ]
+    return {
+        "name": scene.name,
+        "split": scene.split,
+        "eddy_time_s": scene.eddy_time_s,
+        "at_least": scene.at_least,
+        "eddies": scene.eddies,
+        "headings": [COLUMNS[key].heading for key in keys],
+        "rows": rows,
+    }
