@@ -47,6 +47,8 @@ COMMANDS = {
     "capture": Command(
         "gof.commands.capture", "the camera rig: LED board, frame times from footage, calibration, board masks", 120
     ),
+    "pack": Command("gof.commands.pack", "datasets -> archives for a data host: checksums, a card, a licence", 125),
+    "unpack": Command("gof.commands.unpack", "archives of gof pack -> datasets, every file compared", 126),
     "report": Command(
         "gof.commands.report", "pictures, animation, scores and costs on one self-contained HTML page", 130
     ),

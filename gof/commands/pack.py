@@ -1,0 +1,47 @@
+"""`gof pack`: datasets as archives for a data host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from gof.dataset import Dataset
+from gof.dataset.pack import pack
+from gof.files import write_json
+from gof.progress import progress_bar
+
+
+@dataclass
+class PackConfig:
+    """One archive per dataset, with checksums and a card that says what it is, who made it, and what others may do.
+
+    Others open it with: gof unpack NAME.tar, or with tar and sha256sum.
+    """
+
+    datasets: tyro.conf.Positional[tuple[Path, ...]]
+    """Dataset folders."""
+    licence: str
+    """What others may do with it, as data hosts name licences: CC-BY-4.0."""
+    authors: tuple[str, ...]
+    """Who made it."""
+    out: Path = Path("packed")
+    """Folder for NAME.tar and NAME.tar.sha256; older ones are replaced."""
+    json: Path | None = None
+    """Also write names and sizes to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof pack`."""
+    config = tyro.cli(PackConfig, prog="gof pack", args=argv)
+    made = {}
+    for folder in config.datasets:
+        dataset = Dataset.open(folder)
+        with progress_bar(f"pack {folder.name}") as update:
+            archive = pack(dataset, config.out, config.licence, config.authors, update)
+        made[folder.name] = archive.stat().st_size
+        print(f"{archive}: {archive.stat().st_size / 1e6:.1f} MB")
+    if config.json is not None:
+        write_json(config.json, {"archives": made})
+    return 0

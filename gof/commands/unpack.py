@@ -1,0 +1,37 @@
+"""`gof unpack`: an archive of `gof pack` opened again, every file compared with its checksum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from gof.dataset.pack import unpack, verify
+from gof.progress import progress_bar
+
+
+@dataclass
+class UnpackConfig:
+    """Open archives of `gof pack`; nothing is left of one whose files are not as its checksums say.
+
+    A folder that was unpacked before is compared with its checksums again.
+    """
+
+    archives: tyro.conf.Positional[tuple[Path, ...]]
+    """Archives, or folders that were unpacked."""
+    out: Path = Path("data")
+    """Folder for the datasets."""
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof unpack`."""
+    config = tyro.cli(UnpackConfig, prog="gof unpack", args=argv)
+    for archive in config.archives:
+        if archive.is_dir():
+            print(f"{archive}: {verify(archive)} files, all as their checksums say")
+            continue
+        with progress_bar(f"unpack {archive.name}") as update:
+            folder = unpack(archive, config.out, update)
+        print(f"{folder}: all files are as their checksums say")
+    return 0

@@ -1,0 +1,229 @@
+"""A dataset as one archive for a data host: its files, their checksums, and a card that says what it is.
+
+    NAME.tar               NAME/SHA256SUMS, NAME/README.md (the card), and the dataset's files
+    NAME.tar.sha256        of the archive, as `sha256sum` writes it
+
+A tar, not compressed, because pictures and grids are; its members are sorted and without times or owners, so that the
+same files make the same archive. Work files (.cache) stay out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import shutil
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from gof.dataset.card import card
+from gof.dataset.dataset import Dataset
+from gof.errors import DataFormatError, GofError
+from gof.files import atomic_path, is_name, is_relative_path, path_in
+
+SUMS, CARD = "SHA256SUMS", "README.md"
+BLOCK = 2**20
+MOST_SUMS = 2**26  # bytes of checksums that a reader believes
+
+Progress = Callable[[int, int], None]  # bytes done, bytes in all
+
+
+def files_of(folder: Path) -> list[str]:
+    """Names of a dataset's files, relative and sorted. Hidden files and folders are work files, and left out.
+
+    Raises:
+        DataFormatError: one is a link, or has a name that other systems refuse.
+    """
+    found = []
+    for place, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(names):
+            path = Path(place) / name
+            relative = path.relative_to(folder).as_posix()
+            if name.startswith(".") or relative in (SUMS, CARD):
+                continue
+            if path.is_symlink() or not path.is_file() or not is_relative_path(relative):
+                raise DataFormatError(
+                    f"{path}: not a plain file with a name that every system takes; it cannot be packed"
+                )
+            found.append(relative)
+    return sorted(found)
+
+
+def pack(dataset: Dataset, out: Path, licence: str, authors: tuple[str, ...], progress: Progress | None = None) -> Path:
+    """Write `out`/NAME.tar and its checksum, NAME being the dataset's folder; the archive.
+
+    Args:
+        licence: under which others may use it, as data hosts name it ("CC-BY-4.0").
+        authors: who made it.
+    Raises:
+        GofError: licence or authors are empty, or the archive would lie in the dataset.
+        DataFormatError: see `files_of`.
+    """
+    if not licence.strip() or not authors:
+        raise GofError("a packed dataset says who made it, and what others may do with it: give a licence and authors")
+    root = dataset.path.resolve()
+    if out.resolve().is_relative_to(root):
+        raise GofError(f"{out}: lies in the dataset that is packed; choose another --out")
+    names = files_of(root)
+    total = sum((root / name).stat().st_size for name in names)
+    done, sums = 0, {}
+    archive = out / f"{root.name}.tar"
+    with atomic_path(archive) as temporary, tarfile.open(temporary, "w", format=tarfile.PAX_FORMAT) as tar:
+        for name in names:
+            with (root / name).open("rb") as file:
+                counted = _Counted(file)
+                tar.addfile(_member(f"{root.name}/{name}", (root / name).stat().st_size), counted)
+            sums[name] = counted.digest
+            done += counted.size
+            if progress:
+                progress(done, total)
+        about = card(dataset, licence, authors, total).encode()
+        sums[CARD] = hashlib.sha256(about).hexdigest()
+        listed = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items())).encode()
+        for name, content in ((CARD, about), (SUMS, listed)):
+            tar.addfile(_member(f"{root.name}/{name}", len(content)), io.BytesIO(content))
+    with archive.open("rb") as file, atomic_path(out / f"{archive.name}.sha256") as temporary:
+        temporary.write_text(f"{_digest(file)}  {archive.name}\n", encoding="utf-8")
+    return archive
+
+
+def unpack(archive: Path, out: Path, progress: Progress | None = None) -> Path:
+    """Open an archive of `pack` into `out`/NAME, every file compared with its checksum; the dataset's folder.
+
+    Nothing is left there unless all of it is right.
+
+    Raises:
+        DataFormatError: not such an archive, damaged or cut off, a file is not as its checksum says, is missing, or is
+            not listed (named), or something in it is not a plain file inside NAME.
+        GofError: `out`/NAME exists.
+    """
+    beside = archive.with_name(f"{archive.name}.sha256")
+    if beside.is_file():
+        with archive.open("rb") as file:
+            if beside.read_text(encoding="utf-8").split()[:1] != [_digest(file)]:
+                raise DataFormatError(f"{archive}: is not as {beside.name} says; download it again")
+    try:
+        with tarfile.open(archive, "r:") as tar:
+            name = _root_of(archive, tar)
+            target = path_in(out, name)
+            if target.exists():
+                raise GofError(f"{target}: exists; move it away, or choose another --out")
+            draft = out / f".{name}.{os.getpid()}.partial"
+            shutil.rmtree(draft, ignore_errors=True)
+            draft.mkdir(parents=True)
+            try:
+                found = _extract(archive, tar, name, draft, progress)
+                _compare(archive, draft, found)
+                Dataset.open(draft)
+                os.replace(draft, target)
+            finally:
+                shutil.rmtree(draft, ignore_errors=True)
+    except FileNotFoundError as e:
+        raise DataFormatError(f"{archive}: no such file") from e
+    except (tarfile.TarError, EOFError) as e:
+        raise DataFormatError(f"{archive}: not a tar archive, or cut off ({e}); download it again") from e
+    return target
+
+
+def verify(folder: Path) -> int:
+    """Compare the files of an unpacked dataset with its checksums; how many there are.
+
+    Raises:
+        DataFormatError: no SHA256SUMS, or a file differs, is missing, or is not listed (named).
+    """
+    found = {}
+    for name in [*files_of(folder), CARD]:
+        if (folder / name).is_file():
+            with (folder / name).open("rb") as file:
+                found[name] = _digest(file)
+    _compare(folder, folder, found)
+    return len(found)
+
+
+# ---------------------------------------------------------------- reading
+
+
+def _root_of(archive: Path, tar: tarfile.TarFile) -> str:
+    """The one folder that everything lies in."""
+    first = tar.next()
+    name = "" if first is None else first.name.partition("/")[0]
+    if not is_name(name) or name.startswith("."):
+        raise DataFormatError(f"{archive}: not an archive of 'gof pack'")
+    return name
+
+
+def _extract(archive: Path, tar: tarfile.TarFile, root: str, draft: Path, progress: Progress | None) -> dict[str, str]:
+    """Write every member into the draft; its digests by name."""
+    found: dict[str, str] = {}
+    for member in tar.getmembers():
+        inside, _, name = member.name.partition("/")
+        plain = member.isreg() and not member.issparse() and inside == root and is_relative_path(name)
+        if not plain or name.startswith(".") or name in found:
+            raise DataFormatError(f"{archive}: {member.name[:200]!r} is not a plain file inside {root!r}, once")
+        path = path_in(draft, name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tar.extractfile(member) as source, path.open("wb") as out:
+            counted = _Counted(source)
+            shutil.copyfileobj(counted, out, BLOCK)
+        if counted.size != member.size:
+            raise DataFormatError(f"{archive}: {name} is cut off; download the archive again")
+        found[name] = counted.digest
+        if progress:
+            progress(member.offset_data + member.size, archive.stat().st_size)
+    return found
+
+
+def _compare(source: Path, folder: Path, found: dict[str, str]) -> None:
+    """Raises DataFormatError: the digests are not those of the folder's SHA256SUMS (names the first file)."""
+    path = folder / SUMS
+    if not path.is_file() or path.stat().st_size > MOST_SUMS:
+        raise DataFormatError(f"{source}: no {SUMS}; was it made by 'gof pack'?")
+    lines = [line.split("  ", 1) for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
+    listed = {line[1]: line[0] for line in lines if len(line) == 2}
+    ours = {name: digest for name, digest in found.items() if name != SUMS}
+    for name in sorted(listed.keys() | ours.keys()):
+        if listed.get(name) != ours.get(name):
+            why = (
+                "is missing"
+                if name not in ours
+                else "is not as its checksum says"
+                if name in listed
+                else "is not listed"
+            )
+            raise DataFormatError(f"{source}: {name} {why} ({SUMS}); it was damaged or changed, get it again")
+
+
+# ---------------------------------------------------------------- writing
+
+
+def _member(name: str, size: int) -> tarfile.TarInfo:
+    member = tarfile.TarInfo(name)
+    member.size, member.mode = size, 0o644
+    return member
+
+
+def _digest(file: IO[bytes]) -> str:
+    state = hashlib.sha256()
+    while block := file.read(BLOCK):
+        state.update(block)
+    return state.hexdigest()
+
+
+class _Counted:
+    """A file that is digested while it is read."""
+
+    def __init__(self, file: IO[bytes]):
+        self._file, self._state, self.size = file, hashlib.sha256(), 0
+
+    def read(self, size: int = -1) -> bytes:
+        block = self._file.read(size)
+        self._state.update(block)
+        self.size += len(block)
+        return block
+
+    @property
+    def digest(self) -> str:
+        return self._state.hexdigest()

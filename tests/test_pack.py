@@ -1,0 +1,156 @@
+"""Datasets as archives: what comes out is what went in, other people's programs open it, and damage is named."""
+
+import hashlib
+import io
+import shutil
+import subprocess
+import tarfile
+
+import numpy as np
+import pytest
+
+from gof.commands import pack as pack_command
+from gof.commands import unpack as unpack_command
+from gof.dataset import Dataset
+from gof.dataset.pack import files_of, pack, unpack, verify
+from gof.dataset.truth import Truth
+from gof.errors import DataFormatError, GofError
+from tests.evaluate.synthetic_flame import flame_dataset
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("packed") / "fire"
+    flame_dataset(folder)
+    (folder / ".cache").mkdir()
+    (folder / ".cache/large").write_bytes(b"work")
+    return Dataset.open(folder)
+
+
+@pytest.fixture(scope="module")
+def archive(dataset, tmp_path_factory):
+    return pack(dataset, tmp_path_factory.mktemp("archives"), "CC-BY-4.0", ("A. Author", "B. | <b>Bold</b>"))
+
+
+def test_what_comes_out_is_what_went_in(dataset, archive, tmp_path):
+    folder = unpack(archive, tmp_path)
+    assert folder == tmp_path / "fire"
+    for name in files_of(dataset.path):
+        assert (folder / name).read_bytes() == (dataset.path / name).read_bytes()
+    assert not (folder / ".cache").exists()
+    assert Truth.of(Dataset.open(folder)) == Truth.of(dataset)
+    assert verify(folder) == len(files_of(dataset.path)) + 1  # the card
+    card = (folder / "README.md").read_text()
+    assert card.startswith('---\nlicense: "cc-by-4.0"\n') and "A. Author" in card and "<b>" not in card
+    assert "held out: 4" in card and Truth.of(dataset).sha256 in card
+
+
+def test_tar_and_sha256sum_open_it(archive, tmp_path):
+    subprocess.run(["sha256sum", "--check", "--strict", f"{archive.name}.sha256"], cwd=archive.parent, check=True)
+    subprocess.run(["tar", "-xf", archive, "-C", tmp_path], check=True)
+    subprocess.run(["sha256sum", "--check", "--strict", "--quiet", "SHA256SUMS"], cwd=tmp_path / "fire", check=True)
+
+
+def test_the_same_files_make_the_same_archive(dataset, archive, tmp_path):
+    shutil.copytree(dataset.path, tmp_path / "fire")
+    again = pack(Dataset.open(tmp_path / "fire"), tmp_path / "out", "CC-BY-4.0", ("A. Author", "B. | <b>Bold</b>"))
+    assert again.read_bytes() == archive.read_bytes()
+
+
+@pytest.mark.parametrize("damage", ["a bit", "cut off", "no tar"])
+@pytest.mark.parametrize("checksum_beside", [True, False])
+def test_damage_is_named_and_nothing_is_left(archive, tmp_path, damage, checksum_beside):
+    broken = tmp_path / "fire.tar"
+    content = bytearray(archive.read_bytes())
+    if damage == "a bit":
+        content[content.index(b"PNG") + 40] ^= 1
+    broken.write_bytes({"a bit": content, "cut off": content[: len(content) // 2], "no tar": b"hello"}[damage])
+    if checksum_beside:
+        shutil.copy(f"{archive}.sha256", f"{broken}.sha256")
+    with pytest.raises(DataFormatError, match="fire.tar"):
+        unpack(broken, tmp_path / "out")
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def rewritten(archive, target, change):
+    """The archive with its members changed: change(list of (TarInfo, content)) in place."""
+    with tarfile.open(archive) as tar:
+        members = [(member, tar.extractfile(member).read()) for member in tar.getmembers()]
+    change(members)
+    with tarfile.open(target, "w") as tar:
+        for member, content in members:
+            tar.addfile(member, io.BytesIO(content))
+    return target
+
+
+def added(name, kind=tarfile.REGTYPE, link=""):
+    def change(members):
+        member = tarfile.TarInfo(name)
+        member.type, member.linkname = kind, link
+        members.append((member, b""))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (added("../evil"), "evil"),
+        (added("fire/../../evil"), "evil"),
+        (added("/etc/evil"), "evil"),
+        (added("fire/link", tarfile.SYMTYPE, "/etc/passwd"), "link"),
+        (added("fire/hard", tarfile.LNKTYPE, "/etc/passwd"), "hard"),
+        (added("fire/device", tarfile.CHRTYPE), "device"),
+        (added("fire/more"), "more is not listed"),
+        (added("fire/dataset.json"), "dataset.json"),
+        (lambda members: members.pop(3), "is missing"),
+        (lambda members: members.pop(), "no SHA256SUMS"),
+    ],
+)
+def test_strangers_archives_pass_one_gate(archive, tmp_path, change, named):
+    with pytest.raises(DataFormatError, match=named):
+        unpack(rewritten(archive, tmp_path / "evil.tar", change), tmp_path / "out")
+    assert not list((tmp_path / "out").iterdir()) and not (tmp_path / "evil").exists()
+
+
+def test_what_is_there_is_not_replaced(archive, tmp_path):
+    unpack(archive, tmp_path)
+    with pytest.raises(GofError, match="exists"):
+        unpack(archive, tmp_path)
+
+
+def test_a_changed_file_is_found_later(archive, tmp_path):
+    folder = unpack(archive, tmp_path)
+    (folder / "static/cam_0.png").write_bytes(b"")
+    with pytest.raises(DataFormatError, match=r"static/cam_0.png is not as its checksum says"):
+        verify(folder)
+
+
+def test_links_and_silence_are_refused(dataset, tmp_path):
+    with pytest.raises(GofError, match="licence"):
+        pack(dataset, tmp_path, " ", ("A",))
+    with pytest.raises(GofError, match="lies in the dataset"):
+        pack(dataset, dataset.path / "out", "CC0-1.0", ("A",))
+    shutil.copytree(dataset.path, tmp_path / "linked")
+    (tmp_path / "linked/more.png").symlink_to("/etc/passwd")
+    with pytest.raises(DataFormatError, match=r"more.png"):
+        pack(Dataset.open(tmp_path / "linked"), tmp_path / "out", "CC0-1.0", ("A",))
+
+
+def test_the_commands(dataset, tmp_path, capsys):
+    packed = ["--licence", "CC-BY-4.0", "--authors", "A. Author", "--out", str(tmp_path)]
+    assert pack_command.main([str(dataset.path), *packed]) == 0
+    assert unpack_command.main([str(tmp_path / "fire.tar"), "--out", str(tmp_path / "data")]) == 0
+    assert unpack_command.main([str(tmp_path / "data/fire")]) == 0
+    assert "all as their checksums say" in capsys.readouterr().out
+
+
+def test_a_truth_is_its_numbers(dataset, tmp_path):
+    found = Truth.of(dataset)
+    first = dataset.velocity.at(0.0).velocity.astype(np.float64)
+    assert found.rms_m_s[0] == pytest.approx(np.sqrt((first**2).sum(-1).mean()), rel=1e-5)
+    assert len(found.sha256) == len(hashlib.sha256().hexdigest())
+    assert found.differs(found) == ""
+    other = Truth("0" * 64, tuple(1.02 * speed for speed in found.rms_m_s))
+    assert "1.96%" in found.differs(other)
+    assert "frames" in found.differs(Truth("0" * 64, (1.0,)))
