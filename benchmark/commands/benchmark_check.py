@@ -20,8 +20,9 @@ STYLES = {"ok": "green", "hint": "yellow", "refused": "bold red"}
 class CheckConfig:
     """Look at every claim of a submission that can be looked at; one cross refuses it (exit status 1).
 
-    Files are there; the clock is the clip's; no held-out frame went in; the checkpoint draws the pictures that came with
-    it; held-out frames look as unseen ones do; scores come out again. Everything is computed anew: about a minute a run.
+    Files are there; the clock is the clip's; no held-out frame went in; the checkpoint draws the pictures that came
+    with it; held-out frames look as unseen ones do; scores come out again. Everything is computed anew, which takes as
+    long as `gof evaluate` for every run.
     """
 
     submission: tyro.conf.Positional[Path]

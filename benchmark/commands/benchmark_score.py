@@ -78,7 +78,8 @@ def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> 
         if folders:
             opened = [Run.open(folder, made.scene.name) for folder in folders]
             runs[submission.name] = tuple(evaluated(run, made, submission.method, kept) for run in opened)
-    return ScoredScene.of(made.dataset, made.scene.split, eddy_time(made.dataset), runs)
+    times_s = tuple(map(float, made.dataset.times_s))
+    return ScoredScene(made.scene.name, made.scene.split, eddy_time(made.dataset), times_s, runs)
 
 
 def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> EvaluatedResult:

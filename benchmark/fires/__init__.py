@@ -72,7 +72,7 @@ def _read(split: Split, path: Path) -> BenchmarkFire:
 
 
 def check_seal(folder: Path) -> None:
-    """Check that the specs of a folder are those of its `SHA256SUMS`.
+    """Check that the JSON files of a folder are those of its `SHA256SUMS`.
 
     Raises:
         DataFormatError: one was changed, added or taken away (names it).
@@ -83,6 +83,6 @@ def check_seal(folder: Path) -> None:
     wrong = sorted(name for name in sealed.keys() | found.keys() if sealed.get(name) != found.get(name))
     if wrong:
         raise DataFormatError(
-            f"{folder}: {', '.join(wrong)} is not as sealed in {SEAL}. Test fires do not change: what was scored "
-            "on them could not be compared any more. Take the file of the release; a new fire gets a new name"
+            f"{folder}: {', '.join(wrong)} is not as sealed in {SEAL}. What is scored on does not change: older scores "
+            "could not be compared any more. Take the file of the release; a new fire gets a new name"
         )

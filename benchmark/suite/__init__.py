@@ -1,7 +1,8 @@
 """GoF-Bench: a frozen list of scenes, in sizes, some to develop on and some to be scored on.
 
-A scene is a fire of `gof_benchmark.fires`, or a built-in scene, and how it is seen: `gof_bench_1.json` holds the list and
-nothing that a fire's own file says. A suite does not change once it is out: the next one has another number.
+A scene is a fire of `gof_benchmark.fires`, or a built-in scene, and how it is seen: `gof_bench_1.json` holds the list
+and nothing that a fire's own file says. A suite does not change once it is out: the next one has another number, and
+this one is sealed, as the test fires are.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any, ClassVar, Literal
 
 from gof.errors import GofError
 from gof.records import read_record
-from gof_benchmark.fires import SPLITS, Split, fires
+from gof_benchmark.fires import SPLITS, Split, check_seal, fires
 from gof_benchmark.scenes import FOLDER as BUILT_IN
 from gof_benchmark.solvers.openfoam.case import FoamFire
 from gof_blender.pure.spec import SceneSpec
@@ -97,8 +98,9 @@ def scenes_of(size: Size, split: Split | Literal["all"] = "all") -> list[SuiteSc
     """The scenes of a size, in the list's order.
 
     Raises:
-        DataFormatError: a test fire is not as it was sealed.
+        DataFormatError: the list, a truth or a test fire is not as it was sealed.
     """
+    check_seal(FOLDER)
     listed = read_record(SuiteList, FILE)
     chosen = listed.sizes[size]
     burning = _specs()
@@ -137,4 +139,7 @@ def _scene(
         background=line.background or spec.background,
         cameras=dataclasses.replace(spec.cameras, **line.cameras),
     )
-    return SuiteScene(line.name, line.split, line.fire, seen.with_preset(preset) if preset else seen, foam)
+    if preset:  # grids end when they end: a fire of grids keeps its clip
+        dearer = seen.with_preset(preset)
+        seen = dearer if foam is None else dataclasses.replace(dearer, clip=seen.clip)
+    return SuiteScene(line.name, line.split, line.fire, seen, foam)

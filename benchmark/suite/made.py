@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof_benchmark.suite import Size, SuiteScene, scenes_of
 from gof_blender.pure.layout import Layout
+from gof_blender.pure.spec import SceneSpec
 
 SIZES: tuple[Size, ...] = ("smoke", "standard", "paper")
 
@@ -52,14 +54,10 @@ def scene_of(dataset: Path) -> MadeScene:
 
 def _require_spec(scene: SuiteScene, layout: Layout) -> None:
     """Raises DataFormatError: the dataset is of another spec than the suite's."""
-    import json
-
-    from gof_blender.pure.spec import SceneSpec
-
     made = SceneSpec.from_dict(json.loads(layout.spec.read_text(encoding="utf-8")))
     different = [part for part in made.differences(scene.spec) if part != "fire" or scene.foam is None]
     if different:
         raise DataFormatError(
-            f"{layout.root}: was made from another spec ({', '.join(different)} differ): this is not the suite's scene. "
-            "Remove the folder and make it again"
+            f"{layout.root}: was made from another spec ({', '.join(different)} differ) and is not the suite's scene; "
+            "remove the folder and make it again"
         )

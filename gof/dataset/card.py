@@ -32,7 +32,7 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
         "|---|---|",
         *(f"| {what} | {_plain(found)} |" for what, found in said.items()),
         "",
-        "Frames of `splits.test` in dataset.json are held out: no method may use their pictures, nor flow from or to them.",
+        "Frames of `splits.test` in dataset.json are held out: no method may use their pictures, or flow from or to them.",
         "",
         "## What made it",
         "",
@@ -54,10 +54,11 @@ def description_lines(dataset: Dataset, total: int) -> dict[str, str]:
     about = dataset.description
     sizes = sorted({f"{entry.width}x{entry.height}" for entry in about.cameras})
     roles = [entry.role for entry in about.cameras]
+    held_out = ", ".join(map(str, about.splits.test))
     lines = {
         "kind": "simulated, with true velocities" if dataset.has_velocity else "a capture of a real fire",
-        "cameras": f"{roles.count('train')} for training, {roles.count('eval')} for evaluation; {', '.join(sizes)} pixels",
-        "frames": f"{len(about.time_s)} over {about.time_s[-1]:g} s; held out: {', '.join(map(str, about.splits.test))}",
+        "cameras": f"{roles.count('train')} to train on, {roles.count('eval')} to evaluate; {', '.join(sizes)} pixels",
+        "frames": f"{len(about.time_s)} over {about.time_s[-1]:g} s; held out: {held_out}",
         "effects": ", ".join(about.effects) or "none",
         "size": f"{total / 1e6:.1f} MB",
     }

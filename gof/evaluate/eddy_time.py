@@ -32,7 +32,7 @@ class EddyTime:
 
 
 def eddy_time(dataset: Dataset, seed: int = 0) -> EddyTime:
-    """Of a dataset with a true velocity. The places are drawn from the true light, or from the speed where none is known.
+    """Of a dataset with a true velocity. The places are drawn from the true light; where none is known, from the speed.
 
     Raises:
         GofError: fewer than 4 frames, or times that are not equally far apart.

@@ -84,7 +84,7 @@ def six_sides(places: np.ndarray, step: float) -> np.ndarray:
 
 
 def gradient(values: np.ndarray, step: float) -> np.ndarray:
-    """(M, 3, 3) of a vector's values (6 M, 3) at `six_sides`: component k changes along axis j by [:, j, k] per metre."""
+    """(M, 3, 3) of a vector's values (6 M, 3) at `six_sides`: [:, j, k] is the change of component k along axis j."""
     ahead, behind = values.reshape(2, 3, -1, 3)
     return np.moveaxis((ahead - behind) / (2 * step), 0, 1)
 

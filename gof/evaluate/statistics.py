@@ -5,7 +5,7 @@ one eddy time are drawn again and again in their place (the circular block boots
 mean, the limit of infinitely many drawings has a closed form, so nothing here is random.
 
 Blocks that short see too little of the scatter: on series of known correlation an interval made from them alone holds
-the true mean in 63 to 80 % of cases, not in 95 %. The factor that is missing is known for a series whose correlation
+the true mean in 54 to 81 % of cases, not in 95 %. The factor that is missing is known for a series whose correlation
 falls as exp(-t / eddy time): the standard error is multiplied by it, and the interval's width is that of Student's t
 with as many degrees of freedom as the clip has independent stretches (two eddy times each), less one.
 """

@@ -13,7 +13,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from gof.dataset import Dataset
 from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult
 from gof.evaluate.method import AboutMethod
@@ -38,12 +37,6 @@ class ScoredScene:
     eddy_time: EddyTime
     times_s: tuple[float, ...]  # of the frames, by number
     runs: dict[str, tuple[EvaluatedResult, ...]]
-
-    @classmethod
-    def of(
-        cls, dataset: Dataset, split: str, eddy: EddyTime, runs: dict[str, tuple[EvaluatedResult, ...]]
-    ) -> ScoredScene:
-        return cls(dataset.description.name, split, eddy, tuple(map(float, dataset.times_s)), runs)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from gof.evaluate.emission import FlameGrid
 from gof.evaluate.gradients import curl, gradient, score_gradients, six_sides
 from gof.fields import VelocityField, VelocitySequence
 from tests.evaluate.analytic import make_gaussians
-from tests.evaluate.test_emission import CELLS, SIDE, TIMES, TO_WORLD, cloud, write_grid
+from tests.evaluate.test_emission import CELLS, TIMES, TO_WORLD, cloud, write_grid
 
 SPIN = np.array([[0, -3.0, 0], [3.0, 0, 0], [0, 0, 0]])  # v = SPIN x: vorticity (0, 0, 6), no divergence
 SWELL = np.diag([2.0, 0, 0])  # divergence 2, no vorticity

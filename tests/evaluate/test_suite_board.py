@@ -1,0 +1,141 @@
+"""The board: means, intervals, shared ranks and wins of made-up scores whose order is known; and the page."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gof.evaluate.eddy_time import EddyTime
+from gof.evaluate.leaderboard import EvaluatedResult
+from gof.evaluate.method import AboutMethod
+from gof.evaluate.scores import FrameScore, PictureScore, Scores
+from gof.evaluate.suite_board import ScoredScene, SuiteBoard, board, difference
+from gof.evaluate.suite_page import to_html, to_markdown
+from gof.records import read_record, write_record
+
+GOLDEN = Scores.read(Path(__file__).parents[1] / "golden/gof-scores.json")
+FRAMES = 36
+CLIPS = {name: np.random.default_rng(k).normal(0, 0.05, FRAMES) for k, name in enumerate(("a", "b", "c", "d"))}
+
+
+def result(name: str, l2, train_s=100.0) -> EvaluatedResult:
+    """A result with these L2 per frame; the flame's PSNR falls with it."""
+    l2 = np.asarray(l2, float)
+    frames = tuple(FrameScore(0.01 * k, float(v), float(1 - v / 2), 100, "") for k, v in enumerate(l2))
+    pictures = tuple(
+        PictureScore(camera=f"cam_{c}", frame=k, flame_share=0.1, psnr_flame=30 - 10 * l2[k] + c, ssim_flame=0.9)
+        for k in (4, 12, 20, 28)
+        for c in (0, 1)
+    )
+    dve = replace(GOLDEN.dve, frames=frames, l2=float(l2.mean()))
+    images = replace(GOLDEN.images, pictures=pictures, count=8)
+    return EvaluatedResult(Path(), name, replace(GOLDEN, dve=dve, images=images), train_s)
+
+
+def scene(name: str, **methods) -> ScoredScene:
+    """Methods by name: an offset, or one per run, added to the scene's own frames."""
+    runs = {
+        method: tuple(result(method, 0.5 + CLIPS[name] + offset) for offset in np.atleast_1d(offsets))
+        for method, offsets in methods.items()
+    }
+    return ScoredScene(name, "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
+
+
+def methods(*names) -> dict[str, AboutMethod]:
+    return {name: AboutMethod(name=name, given=("poses",), prior=()) for name in names}
+
+
+def rows(found: SuiteBoard) -> dict:
+    return {row.name: row for row in found.rows}
+
+
+def test_a_better_method_is_ahead_and_equals_share():
+    """'good' is better than the others everywhere; 'one' and 'two' win here and there."""
+    scenes = [
+        scene("a", good=-0.1, one=0.010, two=0.000),
+        scene("b", good=-0.12, one=0.000, two=0.012),
+        scene("c", good=-0.11, one=0.011, two=0.000),
+        scene("d", good=-0.09, one=0.000, two=0.010),
+    ]
+    found = rows(board("t", methods("one", "two", "good"), scenes))
+    assert [found[name].figures["l2"].rank for name in ("good", "one", "two")] == [1, 2, 2]
+    assert [found[name].figures["l2"].wins for name in ("good", "one", "two")] == [4, 0, 0]
+    assert [found[name].figures["psnr_flame"].rank for name in ("good", "one", "two")] == [1, 2, 2]
+
+
+def test_the_mean_and_its_interval_are_those_of_the_scenes():
+    offsets = (0.1, 0.3, 0.2)
+    scenes = [scene(name, only=offset) for name, offset in zip("abc", offsets, strict=True)]
+    figure = rows(board("t", methods("only"), scenes))["only"].figures["l2"]
+    means = [0.5 + CLIPS[name].mean() + offset for name, offset in zip("abc", offsets, strict=True)]
+    known = stats.ttest_1samp(means, 0).confidence_interval(0.95)
+    assert figure.mean == pytest.approx(np.mean(means))
+    assert 2 * figure.half_width == pytest.approx(known.high - known.low)
+    assert figure.rank is None, "one method competes with nobody"
+
+
+def test_the_same_frames_are_compared():
+    """A small difference in every frame is seen, though both means scatter with the clip; an uneven one is not."""
+    here = scene("a", one=0.0, two=0.02)
+    wave = 0.02 + 0.2 * np.sin(np.arange(FRAMES))
+    uneven = replace(here, runs=here.runs | {"two": (result("two", 0.5 + CLIPS["a"] + wave),)})
+    assert difference("l2", "one", "two", here).doubt < 1e-9
+    assert difference("l2", "one", "two", uneven).doubt > 0.1
+    assert difference("l2", "one", "two", here).mean == pytest.approx(-0.02)
+
+
+def test_seeds_that_scatter_make_a_difference_doubtful():
+    sure = scene("a", one=[0.0, 0.001, -0.001], two=[0.03, 0.031, 0.029])
+    unsure = scene("a", one=[0.0, 0.05, -0.05], two=[0.03, 0.08, -0.02])
+    assert difference("l2", "one", "two", sure).doubt < 0.01 < difference("l2", "one", "two", unsure).doubt
+    figure = rows(board("t", methods("one", "two"), [unsure]))["one"].figures["l2"]
+    assert figure.seed_sd == pytest.approx(0.05)
+
+
+def test_who_is_not_everywhere_competes_with_nobody():
+    scenes = [scene("a", full=0.1, part=-0.3), scene("b", full=0.1)]
+    found = rows(board("t", methods("full", "part"), scenes))
+    assert not found["part"].competes and found["part"].scenes == 1
+    assert found["part"].figures["l2"].rank is None and found["part"].figures["l2"].mean < 0.3
+    stopped = {"full": AboutMethod(name="full", unfinished="stopped at 3 of 9 steps")}
+    assert not rows(board("t", stopped, scenes))["full"].competes
+
+
+def test_controls_are_always_there():
+    found = rows(board("t", methods("one"), [scene("a", one=0.0), scene("b", one=0.1)]))
+    assert [name for name in found if name.startswith("control")] == [
+        "control: zero",
+        "control: constant",
+        "control: height_mean",
+        "control: true_centre",
+        "control: fire-free plate",
+    ]
+    assert not any(found[name].competes for name in found if name.startswith("control"))
+    assert found["control: zero"].figures["l2"].mean == pytest.approx(1, abs=1e-6)
+    assert found["control: height_mean"].figures["fluctuation_l2"].mean == 1
+    assert found["control: zero"].figures["vorticity_l2"].mean == 1
+    assert found["control: constant"].figures["divergence_l2"].mean == pytest.approx(0.03)  # as in the golden file
+    assert found["control: fire-free plate"].figures["psnr_flame"].mean == pytest.approx(GOLDEN.psnr_flame_plate)
+
+
+def test_frames_that_one_has_not_are_left_out_of_the_pair():
+    here = scene("a", one=0.0, two=0.1)
+    short = here.runs["one"][0]
+    dve = replace(short.scores.dve, frames=short.scores.dve.frames[:20])
+    cut = replace(here, runs=here.runs | {"one": (replace(short, scores=replace(short.scores, dve=dve)),)})
+    assert difference("l2", "one", "two", cut).mean == pytest.approx(-0.1)
+
+
+def test_page_and_tables(tmp_path):
+    scenes = [scene(name, one=[0.0, 0.01, 0.02], two=0.1) for name in "abc"]
+    found = board("A <b>title</b>", methods("one", "two"), scenes)
+    write_record(tmp_path / "board.json", found)
+    assert read_record(SuiteBoard, tmp_path / "board.json") == found
+    page = to_html(found)
+    assert "A &lt;b&gt;title&lt;/b&gt;" in page and "3 of 3 wins" in page and "seeds ±" in page
+    assert "knew before: nothing" in page and page.count("<h3>") == 3
+    assert not re.search(r'(src|href)="(?!data:)', page), "nothing is fetched"
+    assert "| **0.5" in to_markdown(found) and "*control: zero*" in to_markdown(found)

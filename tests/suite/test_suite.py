@@ -1,0 +1,147 @@
+"""GoF-Bench: its list does not change, its test scenes differ in what they should, and its truths are compared."""
+
+import hashlib
+import json
+import shutil
+import subprocess
+
+import pytest
+
+from gof.dataset import Dataset
+from gof.dataset.truth import Truth
+from gof.errors import DataFormatError, GofError
+from gof.records import read_record
+from gof_benchmark import suite
+from gof_benchmark.commands import benchmark, benchmark_list
+from gof_benchmark.suite import pick, scenes_of
+from gof_benchmark.suite.made import SIZES, made_scenes, scene_of
+from gof_benchmark.suite.truths import FILE, SuiteTruths, compare
+from gof_blender.pure.layout import Layout
+from tests.evaluate.synthetic_flame import flame_dataset
+
+# Of every scene's spec in every size. If this test fails, GoF-Bench 1 is not GoF-Bench 1 any more: a change belongs
+# into the next one, under another number.
+FROZEN = "d795064bbc2dbd0173e76b52a7ace48d71fcdb4d4dad6e45eb1b27956fabccab"
+
+
+def test_the_list_is_as_it_was_sealed():
+    subprocess.run(["sha256sum", "--check", "--strict", "--quiet", "SHA256SUMS"], cwd=suite.FOLDER, check=True)
+
+
+def test_no_scene_changes():
+    digests = [f"{size} {scene.name} {scene.digest}" for size in SIZES for scene in scenes_of(size)]
+    assert hashlib.sha256("\n".join(digests).encode()).hexdigest() == FROZEN
+
+
+def test_a_changed_list_is_refused(tmp_path, monkeypatch):
+    shutil.copytree(suite.FOLDER, tmp_path / "suite")
+    path = tmp_path / "suite/gof_bench_1.json"
+    path.write_text(path.read_text().replace('"arc_deg": 20', '"arc_deg": 30'))
+    monkeypatch.setattr(suite, "FOLDER", tmp_path / "suite")
+    with pytest.raises(DataFormatError, match=r"gof_bench_1.json is not as sealed"):
+        scenes_of("standard")
+
+
+def test_a_scene_for_development_says_so():
+    for scene in scenes_of("standard"):
+        assert (scene.split == "test") == scene.fire.startswith("test/"), "a fire is of one split, whoever looks at it"
+    assert next(scene for scene in scenes_of("smoke") if scene.name == "demo").split == "dev"
+    assert {scene.split for scene in scenes_of("smoke")} == {"dev", "test"}
+    assert [scene.name for scene in scenes_of("paper")] == [scene.name for scene in scenes_of("standard")]
+
+
+def test_test_scenes_differ_in_all_that_a_method_may_depend_on():
+    scenes = scenes_of("standard", "test")
+    rigs = [scene.spec.cameras for scene in scenes]
+    assert {rig.count for rig in rigs} >= {2, 3, 5}
+    assert any(rig.arc_deg / (rig.count - 1) == 10 for rig in rigs), "10 degrees apart"
+    assert {rig.portrait for rig in rigs} == {True, False}
+    assert len({scene.spec.clip.fps for scene in scenes}) >= 3
+    assert {scene.solver for scene in scenes} == {"Mantaflow", "OpenFOAM"}
+    assert {scene.spec.background for scene in scenes} == {"workshop", "studio", "classroom", "cloister"}
+    ours = [scene.spec.fire for scene in scenes if scene.foam is None]
+    assert len({fire.fuel for fire in ours}) >= 4 and len({fire.shape for fire in ours}) >= 3
+
+
+def test_every_scene_has_held_out_frames_and_grids():
+    for size in SIZES:
+        for scene in scenes_of(size):
+            assert scene.spec.clip.frames > 4 and scene.spec.ground_truth == ("grids",)
+
+
+def test_clips_of_grids_end_before_the_grids_do():
+    for size in SIZES:
+        for scene in scenes_of(size):
+            if scene.foam is not None:
+                clip = scene.spec.timeline
+                seen = scene.spec.fire.start_s + clip.simulated_s(clip.steps_needed[-1])
+                assert seen <= (scene.foam.frames - 1) / scene.foam.frame_rate_hz + 1e-9, (size, scene.name)
+
+
+def test_names_that_are_not_there():
+    with pytest.raises(GofError, match="no scene 'nothing'"):
+        pick(scenes_of("smoke"), ("demo", "nothing"))
+    with pytest.raises(GofError, match="no part 'nothing'"):
+        benchmark.main(["nothing"])
+
+
+def test_the_list_is_printed(capsys, tmp_path):
+    assert benchmark.main(["--help"]) == 0
+    assert benchmark_list.main(["--size", "paper", "--split", "test", "--json", str(tmp_path / "list.json")]) == 0
+    lines = json.loads((tmp_path / "list.json").read_text())["scenes"]
+    assert len(lines) == 10 and lines[0]["picture"] == "720x1280"
+    assert "GoF-Bench 1" in capsys.readouterr().out
+
+
+# ---------------------------------------------------------------- what is made
+
+
+@pytest.fixture
+def made(tmp_path):
+    """A folder as `gof benchmark make` leaves it, with one scene whose dataset is made here."""
+    (scene,) = pick(scenes_of("smoke"), ("demo",))
+    folder = tmp_path / "smoke/demo"
+    flame_dataset(folder)
+    Layout(folder).spec.write_text(json.dumps(scene.spec.to_dict()))
+    return scene, folder
+
+
+def test_what_is_made_is_found(made):
+    scene, folder = made
+    assert list(made_scenes(folder.parent)) == ["demo"]
+    assert scene_of(folder).scene.digest == scene.digest
+
+
+def test_a_dataset_of_another_spec_is_refused(made):
+    scene, folder = made
+    other = scene.spec.to_dict()
+    other["cameras"]["arc_deg"] = 71.0
+    Layout(folder).spec.write_text(json.dumps(other))
+    with pytest.raises(DataFormatError, match=r"cameras differ"):
+        made_scenes(folder.parent)
+
+
+def test_what_is_no_suites_folder(made, tmp_path):
+    for folder, why in ((tmp_path, "not the folder of a size"), (tmp_path / "paper", "no finished scene")):
+        with pytest.raises(DataFormatError, match=why):
+            made_scenes(folder)
+    with pytest.raises(DataFormatError, match="not a finished scene"):
+        scene_of(tmp_path / "smoke/jet_two_cameras")
+
+
+def test_truths_are_compared_by_number(made):
+    """The dataset here is no demo fire: that is named, and not fatal."""
+    scene, folder = made
+    verdict, said = compare(scene, "smoke", Dataset.open(folder))
+    assert verdict == "not to the bit" and "Mantaflow is not bit-stable" in said
+    assert compare(scene, "paper", Dataset.open(folder))[0] == "unknown"
+
+
+def test_recorded_truths():
+    recorded = read_record(SuiteTruths, FILE)
+    assert set(recorded.made_with) == {"Mantaflow", "OpenFOAM"}
+    by_fire = {scene.fire: scene for scene in scenes_of("standard")}
+    assert set(recorded.fires) == set(by_fire), "every fire has been made in the standard size"
+    for fire, sizes in recorded.fires.items():
+        assert len(sizes["standard"].rms_m_s) == by_fire[fire].spec.clip.frames
+        assert isinstance(sizes["standard"], Truth) and min(sizes["standard"].rms_m_s) > 0
