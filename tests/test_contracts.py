@@ -21,7 +21,12 @@ from gof.records import from_json, to_json
 from tools.import_graph import FOLDERS, ROOT, modules
 
 GOLDEN = Path(__file__).parent / "golden"
-SHIPPED = {"gof-sensors": ROOT / "gof/capture/sensors.json", "gof-led-board": ROOT / "gof/capture/gof_board.json"}
+SHIPPED = {
+    "gof-sensors": ROOT / "gof/capture/sensors.json",
+    "gof-led-board": ROOT / "gof/capture/gof_board.json",
+    "gof-suite": ROOT / "benchmark/suite/gof_bench_1.json",
+    "gof-suite-truth": ROOT / "benchmark/suite/truth.json",
+}
 ANY = "*"  # in a tree of fields: whatever the name
 
 

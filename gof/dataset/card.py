@@ -32,7 +32,7 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
         "|---|---|",
         *(f"| {what} | {_plain(found)} |" for what, found in said.items()),
         "",
-        "Frames of `splits.test` in dataset.json are held out: no method may use their pictures, or flow from or to them.",
+        "Frames of `splits.test` in dataset.json are held out: no method may use them, nor flow from or to them.",
         "",
         "## What made it",
         "",

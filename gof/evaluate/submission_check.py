@@ -141,7 +141,8 @@ def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> It
         return
     found = leaks(made_from.files, dataset.test_frames)
     if found:
-        said = "; ".join(f"{file} was made from held-out frames {frames}" for file, frames in found.items())
+        frames = sorted({frame for frames in found.values() for frame in frames})
+        said = f"{', '.join(found)} made from held-out frames {frames}"
         yield Finding(name, "held-out frames", "refused", said)
     elif not made_from.files:
         yield Finding(name, "held-out frames", "refused", f"{MADE_FROM} names no file: from which frames was it made?")

@@ -89,7 +89,7 @@ def test_an_honest_submission_passes(mine, scene):
 def test_a_leaked_one_is_refused_with_its_frames(mine, scene):
     MadeFrom.of(["result.npz"], range(9)).write(mine / "plume")
     (said,) = refused(mine, scene)
-    assert "plume: held-out frames: result.npz was made from held-out frames [4]" in said
+    assert "plume: held-out frames: result.npz made from held-out frames [4]" in said
 
 
 def test_another_checkpoint_is_refused_twice(mine, scene):

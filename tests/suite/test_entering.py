@@ -1,0 +1,148 @@
+"""The whole way in: results into a submission, a check, a board; with small datasets in place of the suite's fires."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gof.dataset import Dataset
+from gof.dataset.leaks import MadeFrom
+from gof.errors import DataFormatError, GofError
+from gof.evaluate.scores import Scores
+from gof.evaluate.suite_board import SuiteBoard
+from gof.gaussians import TransientGaussians
+from gof.records import read_record
+from gof_benchmark.commands import benchmark
+from gof_benchmark.suite import pick, scenes_of
+from gof_blender.pure.layout import Layout
+from tests.evaluate.synthetic_flame import flame_dataset
+from tests.evaluate.test_submission import METHOD
+
+pytestmark = pytest.mark.long
+SCENES = ("jet_two_cameras", "logs_landscape")
+
+
+def disturbed(truth: TransientGaussians, by: float, seed: int) -> TransientGaussians:
+    fields = {n: getattr(truth, n) for n in truth.__dataclass_fields__}
+    noise = np.random.default_rng(seed).normal(0, by, truth.velocity.shape)
+    return TransientGaussians(**fields | {"velocity": truth.velocity + noise})
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    """A suite of two test scenes, and results of a good method (two seeds) and a bad one."""
+    work = tmp_path_factory.mktemp("bench")
+    for scene in pick(scenes_of("smoke"), SCENES):
+        folder = work / "smoke" / scene.name
+        truth = flame_dataset(folder)
+        Layout(folder).spec.write_text(json.dumps(scene.spec.to_dict()))
+        for name, by, seed in (("good_0", 0.1, 0), ("good_1", 0.1, 1), ("bad", 1.0, 2)):
+            result = work / "results" / name / scene.name
+            result.mkdir(parents=True)
+            disturbed(truth, by, seed).save(result / "result.npz")
+            MadeFrom.of(["result.npz"], Dataset.open(folder).train_frames).write(result)
+    for scene in SCENES:
+        place = str(work / "smoke" / scene)
+        for run in (0, 1):
+            result = str(work / f"results/good_{run}" / scene)
+            assert benchmark.main(["add", result, place, str(work / "good"), "--run", f"seed_{run}"]) == 0
+        result = str(work / "results/bad" / scene / "result.npz")
+        assert benchmark.main(["add", result, place, str(work / "bad")]) == 0
+    for name in ("good", "bad"):
+        (work / name / "method.json").write_text(json.dumps(METHOD | {"name": name}))
+    return work
+
+
+def test_what_was_added_passes_the_check(work, capsys, tmp_path):
+    found = tmp_path / "found.json"
+    assert benchmark.main(["check", str(work / "good"), str(work / "smoke"), "--json", str(found)]) == 0
+    lines = json.loads(found.read_text())["findings"]
+    assert {line["of"] for line in lines} >= {f"{scene}/seed_{run}" for scene in SCENES for run in (0, 1)}
+    assert not [line for line in lines if line["verdict"] == "refused"]
+    assert "passed" in capsys.readouterr().out
+
+
+def test_a_cross_is_an_exit_status(work, capsys, tmp_path):
+    made_from = work / "bad" / SCENES[0] / "made_from.json"
+    before = made_from.read_bytes()
+    MadeFrom.of(["result.npz"], range(9)).write(made_from.parent)
+    assert benchmark.main(["check", str(work / "bad"), str(work / "smoke")]) == 1
+    made_from.write_bytes(before)
+    out = " ".join(capsys.readouterr().out.split())
+    assert "refused: 1 of" in out and "held-out frames [4]" in out
+
+
+def test_one_page_comes_out(work, tmp_path, capsys):
+    arguments = ["score", str(work / "good"), str(work / "bad"), str(work / "smoke"), "--out", str(tmp_path)]
+    assert benchmark.main(arguments) == 0
+    found = read_record(SuiteBoard, tmp_path / "board.json")
+    rows = {row.name: row for row in found.rows}
+    assert found.title == "GoF-Bench 1, smoke, test scenes"
+    assert (rows["good"].runs, rows["bad"].runs) == (4, 2)
+    l2 = {name: rows[name].figures["l2"] for name in ("good", "bad")}
+    assert l2["good"].mean < l2["bad"].mean and l2["good"].wins == 2 and l2["good"].seed_sd > 0
+    assert "control: zero" in rows
+    assert "GoF-Bench 1" in (tmp_path / "board.html").read_text()
+
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "scores").iterdir()}
+    assert len(kept) == 6
+    assert benchmark.main(arguments) == 0, "again: nothing is scored twice"
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scores").iterdir()} == kept
+
+
+def test_scores_are_those_of_the_result_not_of_its_authors_words(work, tmp_path):
+    """A better number in scores.json changes nothing on the board."""
+    path = work / "bad" / SCENES[0] / "scores.json"
+    before = path.read_bytes()
+    data = json.loads(before)
+    for frame in data["dve"]["frames"]:
+        frame["l2"] = 0.001
+    path.write_text(json.dumps(data))
+    benchmark.main(["score", str(work / "bad"), str(work / "smoke"), "--out", str(tmp_path)])
+    path.write_bytes(before)
+    (row,) = [row for row in read_record(SuiteBoard, tmp_path / "board.json").rows if row.name == "bad"]
+    assert row.figures["l2"].mean > 0.1
+
+
+def test_another_result_is_scored_anew(work, tmp_path):
+    arguments = ["score", str(work / "bad"), str(work / "smoke"), "--out", str(tmp_path)]
+    benchmark.main(arguments)
+    before = read_record(SuiteBoard, tmp_path / "board.json").rows[0].figures["l2"].mean
+    path = work / "bad" / SCENES[0] / "result.npz"
+    content = path.read_bytes()
+    path.write_bytes((work / "results/good_0" / SCENES[0] / "result.npz").read_bytes())
+    benchmark.main(arguments)
+    path.write_bytes(content)
+    assert read_record(SuiteBoard, tmp_path / "board.json").rows[0].figures["l2"].mean < 0.8 * before
+
+
+def test_frames_must_be_said(work, tmp_path):
+    result = tmp_path / "result.npz"
+    result.write_bytes((work / "results/bad" / SCENES[0] / "result.npz").read_bytes())
+    place = str(work / "smoke" / SCENES[0])
+    with pytest.raises(GofError, match="give --trained-on"):
+        benchmark.main(["add", str(result), place, str(tmp_path / "new")])
+    with pytest.raises(GofError, match="leave out --trained-on"):
+        folder = str(work / "results/bad" / SCENES[0])
+        benchmark.main(["add", folder, place, str(tmp_path / "newer"), "--trained-on", "train"])
+    assert benchmark.main(["add", str(result), place, str(tmp_path / "newest"), "--trained-on", "all"]) == 0
+    assert MadeFrom.read(tmp_path / "newest" / SCENES[0]).files == {"result.npz": tuple(range(9))}
+
+
+def test_bad_input_is_named(work, tmp_path):
+    place, result = str(work / "smoke" / SCENES[0]), str(work / "results/bad" / SCENES[0])
+    for arguments, named in (
+        (["add", result, place, str(work / "bad")], "holds a run already"),
+        (["add", result, place, str(tmp_path / "x"), "--run", "../y"], "must be a plain name"),
+        (["add", str(tmp_path / "none"), place, str(tmp_path / "x")], "no such file"),
+        (["score", str(work / "good")], "give one submission or more"),
+        (["score", str(work / "good"), str(work / "good"), str(work / "smoke")], "have one name"),
+        (["score", str(work / "good"), str(work / "smoke"), "--split", "dev"], "no finished scene"),
+        (["check", str(tmp_path), str(work / "smoke")], "no method.json"),
+    ):
+        with pytest.raises((GofError, DataFormatError), match=named):
+            benchmark.main(arguments)
+
+
+def test_a_run_says_how_it_was_drawn(work):
+    assert Scores.read(work / "bad" / SCENES[0] / "scores.json").import_.over_plates
