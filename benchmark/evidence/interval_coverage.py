@@ -38,6 +38,7 @@ def series(count: int, eddy_frames: float, repeats: int, rng: np.random.Generato
 
 
 def main(argv: list[str] | None = None) -> None:
+    """Print the table."""
     config = tyro.cli(CoverageConfig, prog="python -m gof_benchmark.evidence.interval_coverage", args=argv)
     rng = np.random.default_rng(config.seed)
     print("| frames | eddy time, frames | found from the clip | blocks alone | here |")
