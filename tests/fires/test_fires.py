@@ -9,7 +9,7 @@ import pytest
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, MissingDependencyError
-from gof_benchmark.fires import FOLDER, SPLITS, __main__, check_seal, fires
+from gof_benchmark.fires import FOLDER, SPLITS, __main__, check_seal, fires, making
 from gof_benchmark.fires.twins import Traits, differences, near_twins, nearest, traits, traits_by_name
 from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY
@@ -150,8 +150,8 @@ def test_fires_of_openfoam_are_left_out_where_it_is_not_installed(tmp_path, monk
     def no_openfoam(*_):
         raise MissingDependencyError("fireFoam is not on PATH")
 
-    monkeypatch.setattr(__main__, "bake", no_openfoam)
-    monkeypatch.setattr(__main__, "claim", lambda layout, spec: made.append(layout.root) or layout.description.touch())
+    monkeypatch.setattr(making, "bake", no_openfoam)
+    monkeypatch.setattr(making, "claim", lambda layout, spec: made.append(layout.root) or layout.description.touch())
     monkeypatch.setattr(__main__, "fires", lambda split: toy_fires(tmp_path / "specs") if split == "dev" else [])
     (tmp_path / "work/dev/toy").mkdir(parents=True)
     assert __main__.main([str(tmp_path / "work")]) == 0
