@@ -32,13 +32,13 @@ class SuiteTruths:
 
 def compare(scene: SuiteScene, size: Size, dataset: Dataset) -> tuple[Verdict, str]:
     """A made scene's truth against the recorded one, and in words."""
-    recorded = read_record(SuiteTruths, FILE).fires.get(scene.fire, {}).get(size)
+    truths = read_record(SuiteTruths, FILE)
+    recorded = truths.fires.get(scene.fire, {}).get(size)
     if recorded is None:
         return "unknown", f"no truth of {scene.fire} is recorded in this size: nobody has made it yet"
     differs = Truth.of(dataset).differs(recorded)
     if not differs:
         return "same", "its truth is the recorded one, to the bit"
-    return (
-        "not to the bit",
-        f"{differs}. {scene.solver} is not bit-stable between processors: scores may differ a little",
-    )
+    made_with = truths.made_with[scene.solver]
+    said = f"{differs}. {scene.solver} is not bit-stable between processors ({made_with} made the recorded one)"
+    return "not to the bit", f"{said}: scores may differ a little"
