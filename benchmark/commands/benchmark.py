@@ -31,6 +31,8 @@ to enter it:
   (write mine/method.json)                                       gof benchmark check says what is missing
   gof benchmark check mine bench/smoke
   gof benchmark score mine others bench/smoke --out board        board/board.html
+
+Every part writes what it found with --json FILE.
 """
 
 

@@ -46,6 +46,8 @@ class AddConfig:
     """Folder CAMERA/000004.png of the held-out frames, by the method's own renderer; without it ours draws them."""
     flame_only: bool = False
     """The result of another method is a flame alone, drawn over the dataset's fire-free plates."""
+    json: Path | None = None
+    """Also write the scores to this file."""
 
 
 def main(argv: list[str]) -> int:
@@ -69,6 +71,8 @@ def main(argv: list[str]) -> int:
         shutil.copytree(config.pictures, folder / PICTURES)
     else:
         write_pictures(Run.open(folder, made.scene.name), made.dataset)
+    if config.json is not None:
+        scores.write(config.json)
     print(f"{folder}: added")
     return 0
 

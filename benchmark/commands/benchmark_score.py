@@ -41,6 +41,8 @@ class ScoreConfig:
     """Folder for board.html, .md and .json; older ones are replaced."""
     split: Literal["test", "dev"] = "test"
     """Which scenes."""
+    json: Path | None = None
+    """Another file to write the board to."""
 
 
 def main(argv: list[str]) -> int:
@@ -62,6 +64,8 @@ def main(argv: list[str]) -> int:
     title = f"{suite_name()}, {suite.resolve().name}, {config.split} scenes"
     found = board(title, {submission.name: submission.method for submission in submissions}, scenes)
     write_record(config.out / "board.json", found)
+    if config.json is not None:
+        write_record(config.json, found)
     for name, text in (("board.html", to_html(found)), ("board.md", to_markdown(found))):
         with atomic_path(config.out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 
 from gof.dataset.pack import unpack, verify
+from gof.files import write_json
 from gof.progress import progress_bar
 
 
@@ -22,16 +23,23 @@ class UnpackConfig:
     """Archives, or folders that were unpacked."""
     out: Path = Path("data")
     """Folder for the datasets."""
+    json: Path | None = None
+    """Also write where the datasets are to this file."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof unpack`."""
     config = tyro.cli(UnpackConfig, prog="gof unpack", args=argv)
+    folders = []
     for archive in config.archives:
         if archive.is_dir():
             print(f"{archive}: {verify(archive)} files, all as their checksums say")
+            folders.append(str(archive))
             continue
         with progress_bar(f"unpack {archive.name}") as update:
             folder = unpack(archive, config.out, update)
         print(f"{folder}: all files are as their checksums say")
+        folders.append(str(folder))
+    if config.json is not None:
+        write_json(config.json, {"datasets": folders})
     return 0
