@@ -28,7 +28,7 @@ Verdict = Literal["ok", "hint", "refused"]
 SIGNS: dict[Verdict, str] = {"ok": "✓", "hint": "?", "refused": "✗"}
 
 SEEDS = 3  # runs of a method whose training is random
-ALIKE_DB = 35.0  # PSNR of a submitted picture against ours of the same Gaussians: other rasterisers round otherwise
+ALIKE_DB = 40.0  # PSNR, whole and in the flame, of a submitted picture against ours of the same Gaussians
 SAME = 0.005  # relative: what another processor may change of a score
 FIGURES = ("l2", "cos_sim")  # of the velocities; and of the pictures:
 PICTURE_FIGURES = ("psnr", "psnr_flame", "ssim", "ssim_flame")
@@ -165,7 +165,9 @@ def _pictures(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str)
 def _like_the_submitted(run: Run, dataset: Dataset, shown: Shown) -> float:
     camera = dataset.cameras[shown.camera]
     theirs = read_picture(picture_file(run.folder, camera.name, shown.frame), size=(camera.width, camera.height))
-    return min(psnr(shown.image, theirs[..., ::-1] / 255), 99.0)
+    pair = shown.image, theirs[..., ::-1] / 255
+    flame = psnr(*pair, dataset.mask(shown.camera, shown.frame))  # the surroundings are easy; None without flame
+    return min(psnr(*pair), 99.0 if flame is None else flame, 99.0)
 
 
 def _unseen(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> Finding:
