@@ -1,7 +1,7 @@
 """What burns in a scene, and in which box: a fire that we simulate, or the grids of any other solver.
 
 `SceneSpec` asks both kinds the same: ``check(spec)``, ``box(spec)``, ``bake_steps(spec)``, ``burner``,
-``title``.
+``dims``, ``title``.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from .checked_json import SpecError, require
 from .fuels import FUELS
 from .io import FileFormatError
 from .io.fire_store import FireStore
+from .soot import Sheet, sheet
 from .timeline import Timeline
 
 if TYPE_CHECKING:
@@ -61,6 +62,11 @@ class Burner:
     half_height: float
     """From the centre to where the flame begins, metres."""
 
+    @property
+    def top(self) -> float:
+        """Where the flame begins, world metres."""
+        return self.position[2] + self.half_height
+
 
 @dataclass(frozen=True)
 class Fire:
@@ -76,11 +82,20 @@ class Fire:
     """Metres."""
     jet_speed: float = 0.0
     """Upward speed at which the fuel leaves the burner, m/s."""
+    light: Literal["soot", "reaction"] = "soot"
+    """soot: the flame glows and absorbs by its soot, well exposed at every size (`pure.soot`); reaction: every metre of
+    it shines the same and nothing is absorbed, as in specs of version 1."""
+    speeds: Literal["physical", "solver"] = "physical"
+    """physical: lift and burning follow the fire's size, so that gas is as fast as in real fires (`pure.similarity`);
+    solver: the same constants at every size, as in specs of version 1: much too fast below a metre."""
+    intensity: float = 1.0
+    """Factor on the flame's light."""
 
     def __post_init__(self):
         require(0 <= self.jet_speed <= MOST_JET, "fire.jet_speed", f"in [0, {MOST_JET:g}] m/s", self.jet_speed)
         require(self.fuel in FUELS, "fire.fuel", f"one of {sorted(FUELS)}", self.fuel)
         require(self.radius > 0, "fire.radius", "positive", self.radius)
+        require(0 < self.intensity <= 1e4, "fire.intensity", "in (0, 10000]", self.intensity)
 
     @property
     def half_size(self) -> Vector:
@@ -99,6 +114,16 @@ class Fire:
     def box(self, spec: SceneSpec) -> Domain:
         """The box that the flame's cells fill."""
         return spec.domain
+
+    @cached_property
+    def sheet(self) -> Sheet:
+        """What the flame's light looks up, for the light "soot"."""
+        return sheet(FUELS[self.fuel], 2 * self.radius, self.intensity)
+
+    @property
+    def dims(self) -> bool:
+        """Whether the flame dims what is behind it."""
+        return self.light == "soot"
 
     @property
     def burner(self) -> Burner:
@@ -134,6 +159,11 @@ class GridFire:
 
     def __post_init__(self):
         require(self.radiance > 0, "fire.radiance", "positive", self.radiance)
+
+    @property
+    def dims(self) -> bool:
+        """Whether the flame dims what is behind it."""
+        return False
 
     @cached_property
     def store(self) -> FireStore:

@@ -23,10 +23,12 @@ from .fuels import FUELS, Fuel
 from .io import FileFormatError
 from .io.files import is_name, path_in, read_json, write_json
 from .presets import PRESETS
+from .similarity import Constants, scaled, unscaled
 from .timeline import Timeline
 
 SCHEMA = "gof-scene"
-VERSION = 1
+VERSION = 2
+VERSION_1_FIRE = {"light": "reaction", "speeds": "solver"}
 MOST_PICTURES = 100_000
 MOST_PIXELS = 65_536  # along a side; Blender renders no larger
 BACKGROUND = "background.blend"  # of a dataset: the surroundings that a spec's .blend gave it
@@ -211,6 +213,13 @@ class SceneSpec:
         return FUELS[self.fire.fuel]
 
     @cached_property
+    def solver(self) -> Constants:
+        """What the solver is told of a fire that we simulate."""
+        if self.fire.speeds == "solver":
+            return unscaled(self.fuel)
+        return scaled(self.fuel, 2 * self.fire.radius, max(self.domain.size))
+
+    @cached_property
     def box(self) -> Domain:
         """The box of the flame's cells, and how many. Raises SpecError: files of a fire of grids are wrong."""
         return self.fire.box(self)
@@ -289,8 +298,10 @@ class SceneSpec:
             raise SpecError(f"a scene spec is a JSON object, got {type(data).__name__}")
         data = dict(data)
         schema, version = data.pop("schema", None), data.pop("version", None)
-        if schema != SCHEMA or version != VERSION:
+        if schema != SCHEMA or version not in (1, VERSION):
             raise SpecError(f'expected "schema": "{SCHEMA}", "version": {VERSION}, got {schema!r}, version {version!r}')
+        if version == 1:
+            data = _from_version_1(data)
         effects = data.pop("effects", [])
         require(isinstance(effects, list), "effects", "a list", effects)
         data["effects"] = tuple(_effect_from_dict(item) for item in effects)
@@ -338,6 +349,14 @@ def load(path: str | os.PathLike) -> SceneSpec:
 def save(spec: SceneSpec, path: str | os.PathLike) -> None:
     """Write a spec as JSON, atomically; paths of files beside it become relative."""
     write_json(Path(path), spec.relative_to(Path(path).parent).to_dict(), indent=2)
+
+
+def _from_version_1(data: dict) -> dict:
+    """Of a spec of version 1 the same fire in the words of today: its defaults were those of our first fires."""
+    fire = data.get("fire", {})
+    if isinstance(fire, dict) and "grids" not in fire:
+        data = data | {"fire": VERSION_1_FIRE | fire}
+    return data
 
 
 def _effect_from_dict(item: Any) -> Any:

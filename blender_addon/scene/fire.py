@@ -16,12 +16,19 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> FireObjects:
     """Add domain and emitter to a collection and apply the effects of the spec; nothing is simulated yet."""
     domain = _domain(spec, collection)
     emitter = _emitter(spec, collection)
-    look = material.flame(spec.fuel)
+    look = _look(spec)
     domain.data.materials.append(look)
     fire = FireObjects(domain, emitter, look)
     for settings in spec.effects:
         effects.apply(fire, settings, spec)
     return fire
+
+
+def _look(spec: SceneSpec) -> bpy.types.Material:
+    if spec.fire.light == "reaction":
+        return material.flame(spec.fuel, spec.fire.intensity)
+    middle = spec.domain.min[2] + spec.domain.size[2] / 2  # where the domain's own axes begin
+    return material.soot_flame(spec.fire.sheet, spec.fire.burner.top - middle)
 
 
 def keep_for_dataset(settings: bpy.types.FluidDomainSettings) -> None:
@@ -71,9 +78,10 @@ def _domain(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obje
     settings.cache_data_format = "UNI"
     settings.cache_frame_start = 1
     settings.cache_frame_end = spec.timeline.last_frame
-    settings.burning_rate = spec.fuel.burning_rate
+    settings.burning_rate = spec.solver.burning_rate
     settings.flame_max_temp = spec.fuel.max_temperature
     settings.beta = spec.fuel.buoyancy
+    settings.effector_weights.gravity = spec.solver.gravity
     settings.alpha = 0.0
     # Effects switch these on.
     settings.flame_smoke = 0.0
@@ -93,7 +101,7 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     flow = modifier.flow_settings
     flow.flow_type = "FIRE"
     flow.flow_behavior = "INFLOW"
-    flow.fuel_amount = spec.fuel.amount
+    flow.fuel_amount = spec.solver.amount
     flow.surface_distance = 1.0
     if spec.fire.jet_speed:
         flow.use_initial_velocity = True
@@ -108,7 +116,7 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     flow.texture_size = 1.0
     offset = np.random.default_rng(spec.seed).uniform(0.0, 100.0)
     for frame in (1, spec.timeline.last_frame):
-        flow.texture_offset = offset + 4.0 * spec.timeline.solver_step_s * (frame - 1)
+        flow.texture_offset = offset + 4.0 * spec.solver.drift * spec.timeline.solver_step_s * (frame - 1)
         emitter.keyframe_insert(f'modifiers["{modifier.name}"].flow_settings.texture_offset', frame=frame)
     for curve in _curves(emitter.animation_data.action):
         for key in curve.keyframe_points:

@@ -19,18 +19,21 @@ from .fire_objects import FireObjects, find_flame
 
 QUANTITIES = {"flame": "flame_grid", "heat": "heat_grid", "density": "density_grid"}
 """Names of scalar grids and their attributes in Blender. flame is the reaction, 0 to 1; heat and density are in the
-solver's units."""
+solver's units. With the light "soot" flame is what a metre emits, mean over the colours."""
 
 
 class MantaflowSource:
     """See `flame_source.FlameSource`; scalars are on the coarse grid also where fine noise adds detail."""
 
-    contents = {name: scalar(name) for name in QUANTITIES}
-    contents["flame"]["light_exponent"] = material.FLAME_EXPONENT
     dtype = "float16"
 
     def __init__(self, spec: SceneSpec):
         self._spec = spec
+        self.contents = {name: scalar(name) for name in QUANTITIES}
+        # Of soot the flame grid is the light itself, as in a fire of grids: no power of the reaction is its light.
+        glows = spec.fire.light == "soot"
+        self.contents["flame"] = scalar("flame", "linear scene radiance per metre") if glows else scalar("flame")
+        self.contents["flame"]["light_exponent"] = 1.0 if glows else material.FLAME_EXPONENT
 
     def build(self, collection: bpy.types.Collection) -> FireObjects:
         objects = fire.build(self._spec, collection)
@@ -65,10 +68,16 @@ class MantaflowSource:
 
     def scalars(self, blender_frame: int) -> dict[str, np.ndarray]:
         bpy.context.scene.frame_set(blender_frame)
-        return dict(self._read_scalars())
+        found = dict(self._read_scalars())
+        if self._spec.fire.light == "soot":
+            matrix = self.index_to_world
+            height = matrix[2, 3] + matrix[2, 2] * (np.arange(found["flame"].shape[2]) + 0.5)
+            light = self._spec.fire.sheet.light(found["flame"], height - self._spec.fire.burner.top)
+            found["flame"] = light.astype(np.float32)
+        return found
 
     def light(self, blender_frame: int) -> np.ndarray:
-        return self.scalars(blender_frame)["flame"] ** material.FLAME_EXPONENT
+        return self.scalars(blender_frame)["flame"] ** self.contents["flame"]["light_exponent"]
 
     def provenance(self) -> dict[str, Any]:
         return {}

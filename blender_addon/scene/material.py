@@ -6,15 +6,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import bpy
+import numpy as np
 
 from ..pure.fuels import Fuel
+from ..pure.soot import Sheet
 
 Colour = tuple[float, float, float]
 FLAME_EXPONENT = 1.3  # dense flame radiates more than in proportion, which leaves the fringe translucent
 
+SHEET_STEP = 0.25
+"""Ray-march step through a sheet of soot, over that of the spec: by default half a cell."""
 
-def flame(fuel: Fuel) -> bpy.types.Material:
-    """Volume emission of a flame.
+
+def flame(fuel: Fuel, intensity: float) -> bpy.types.Material:
+    """Volume emission of a flame, the same per metre at every size.
 
     Black-body colour and brightness follow the solver's reaction grid ``flame`` (0..1).
     """
@@ -33,7 +38,7 @@ def flame(fuel: Fuel) -> bpy.types.Material:
     density.inputs[1].default_value = FLAME_EXPONENT
     strength = add("ShaderNodeMath")
     strength.operation = "MULTIPLY"
-    strength.inputs[1].default_value = fuel.radiance
+    strength.inputs[1].default_value = fuel.radiance * intensity
     emission = add("ShaderNodeEmission")
     link(reaction.outputs["Fac"], temperature.inputs["Value"])
     link(temperature.outputs["Result"], colour.inputs["Temperature"])
@@ -44,6 +49,75 @@ def flame(fuel: Fuel) -> bpy.types.Material:
     link(strength.outputs[0], emission.inputs["Strength"])
     link(emission.outputs[0], output.inputs["Volume"])
     return material
+
+
+def soot_flame(sheet: Sheet, burner_z: float) -> bpy.types.Material:
+    """A flame that glows, and dims what is behind it, by its soot.
+
+    Args:
+        burner_z: z of the burner's top in the coordinates of the object that the material is for.
+    """
+    material, add, link, output = _new("Flame")
+    material.cycles.volume_interpolation = "CUBIC"  # linear shows the grid as a pattern of dots
+    material.cycles.volume_step_rate = SHEET_STEP
+    reaction = add("ShaderNodeAttribute")
+    reaction.attribute_name = "flame"
+    place = add("ShaderNodeTexCoord")
+    height = add("ShaderNodeSeparateXYZ")
+    link(place.outputs["Object"], height.inputs[0])
+    sooty = add("ShaderNodeMapRange")
+    sooty.interpolation_type = "SMOOTHSTEP"
+    sooty.inputs["From Min"].default_value = burner_z
+    sooty.inputs["From Max"].default_value = burner_z + (sheet.onset_m or 1e9)
+    link(height.outputs["Z"], sooty.inputs["Value"])
+    soot, soot_scale = _table(add, link, reaction, sheet.emission, sheet.absorption)
+    blue, blue_scale = _table(add, link, reaction, sheet.blue)
+    glow, cover, base = add("ShaderNodeEmission"), add("ShaderNodeVolumeAbsorption"), add("ShaderNodeEmission")
+    cover.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    link(soot.outputs["Color"], glow.inputs["Color"])
+    link(_product(add, link, sooty.outputs["Result"], soot_scale), glow.inputs["Strength"])
+    dims = _product(add, link, sooty.outputs["Result"], float(sheet.absorption.max()))
+    link(_product(add, link, soot.outputs["Alpha"], dims), cover.inputs["Density"])
+    link(blue.outputs["Color"], base.inputs["Color"])
+    fresh = add("ShaderNodeMath")
+    fresh.operation = "SUBTRACT"
+    fresh.inputs[0].default_value = 1.0
+    link(sooty.outputs["Result"], fresh.inputs[1])
+    link(_product(add, link, fresh.outputs[0], blue_scale), base.inputs["Strength"])
+    total = base
+    for shader in (cover, glow):
+        both = add("ShaderNodeAddShader")
+        link(total.outputs[0], both.inputs[0])
+        link(shader.outputs[0], both.inputs[1])
+        total = both
+    link(total.outputs[0], output.inputs["Volume"])
+    return material
+
+
+def _table(add, link, by, colours: np.ndarray, values: np.ndarray | None = None):
+    """A ramp of (N, 3) colours and (N,) values, each over its largest, by an attribute; and the largest colour."""
+    ramp = add("ShaderNodeValToRGB")
+    elements, count, scale = ramp.color_ramp.elements, len(colours), float(colours.max()) or 1.0
+    values = np.ones(count) if values is None else values / (values.max() or 1.0)
+    while len(elements) < count:
+        elements.new(1.0)
+    for index, (colour, value) in enumerate(zip(colours / scale, values, strict=True)):
+        elements[index].position = index / (count - 1)
+        elements[index].color = (*colour, value)
+    link(by.outputs["Fac"], ramp.inputs["Fac"])
+    return ramp, scale
+
+
+def _product(add, link, socket, factor):
+    """A socket times a number or another socket."""
+    node = add("ShaderNodeMath")
+    node.operation = "MULTIPLY"
+    link(socket, node.inputs[0])
+    if isinstance(factor, float):
+        node.inputs[1].default_value = factor
+    else:
+        link(factor, node.inputs[1])
+    return node.outputs[0]
 
 
 def emission_grid(attribute: str, radiance: float) -> bpy.types.Material:

@@ -1,15 +1,17 @@
 """Cycles frames of the rig: all cameras at one instant before the next instant, resumable frame by frame.
 
-Light adds up. Where nothing absorbs light in front of the surroundings (no smoke), a frame is the fire-free plate plus
-what the fire alone adds: its own light and its light on the surroundings. The plate is rendered once, with many
-samples; a frame then renders only the fire's part, with the scene's lamps off, which needs far fewer samples for the
-same noise. Where a picture sees more than one solver step (motion blur, rolling shutter, camera clocks), each step is
+Light adds up. Without smoke a frame is the fire-free plate, as far as it is seen through the flame, plus what the fire
+alone adds: its own light and its light on the surroundings. The plate is rendered once, with many samples; a frame then
+renders only the fire's part, with the scene's lamps off, which needs far fewer samples for the same noise, and how much
+of the plate a flame of soot covers. (That the flame dims the lamps, too, on their way to the surroundings, is left
+out.) With smoke, which scatters the lamps' light, frames are rendered whole. Where a picture sees more than one solver step (motion blur, rolling shutter, camera clocks), each step is
 rendered for the lines that see it, and the picture is their weighted sum in linear light.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -25,6 +27,8 @@ from .fire_objects import find_flame
 
 FLAME_VISIBLE = 0.02
 """Linear radiance from which a flame counts as visible: just above black on a display."""
+
+COVER_SAMPLES = 2
 
 Progress = Callable[[int, int], None]
 
@@ -138,9 +142,9 @@ class FrameRenderer:
             return
         name = self._cameras[camera].name
         files, plate = self._layout.frame(name, frame), self._plate[name]
-        beauty, flame = self._light(frame, camera)
+        beauty, flame, cover = self._light(frame, camera)
         if self._adds_light:
-            beauty[..., :3] += np.stack([plate[channel] for channel in "RGB"], axis=-1)
+            beauty[..., :3] += (1 - cover) * np.stack([plate[channel] for channel in "RGB"], axis=-1)
         shown = seen(beauty[..., :3], self._spec, camera, frame)
         _write_png(self._display_picture(frame, camera), shown)
         images.write_mask_png(files.mask, flame.max(axis=-1) > FLAME_VISIBLE)
@@ -151,22 +155,32 @@ class FrameRenderer:
         encoded = any(map(encodes, self._spec.effects))
         return self._layout.uncompressed(name, frame) if encoded else self._layout.frame(name, frame).rgb
 
-    def _light(self, frame: int, camera: int) -> tuple[np.ndarray, np.ndarray]:
-        """Beauty (H, W, 4) and flame (H, W, 3): each line the weighted sum of the solver steps that it sees."""
+    def _light(self, frame: int, camera: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Beauty (H, W, 4), flame (H, W, 3) and its cover (H, W, 1): each line the weighted sum of the solver steps
+        that it sees."""
         first, weights = self._spec.timeline.weights(camera, frame)
         beside = self._layout.frame(self._cameras[camera].name, frame).exr
-        total_beauty = total_flame = 0.0
+        total_beauty = total_flame = total_cover = 0.0
         for step, weight in enumerate(weights):
             _go_to(self._spec.timeline.blender_frame(frame) + first + step)
             if len(weights) == 1:
-                passes = _render(self._cameras[camera], beside)
-                return _beauty(passes), _flame(passes)
+                return self._seen_now(camera, beside)
             _render_only(np.nonzero(weight)[0], len(weight), self._spec)
-            passes = _render(self._cameras[camera], beside)
+            beauty, flame, cover = self._seen_now(camera, beside)
             share = rig.as_picture(weight, self._spec).astype(np.float32)
-            total_beauty = total_beauty + share * _beauty(passes)
-            total_flame = total_flame + share * _flame(passes)
-        return total_beauty, total_flame
+            total_beauty = total_beauty + share * beauty
+            total_flame = total_flame + share * flame
+            total_cover = total_cover + share * cover
+        return total_beauty, total_flame, total_cover
+
+    def _seen_now(self, camera: int, beside: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Beauty, flame and cover of the current step."""
+        passes = _render(self._cameras[camera], beside)
+        cover = np.zeros((*passes["Depth.Z"].shape, 1), np.float32)
+        if self._adds_light and self._spec.fire.dims:
+            with _only_the_cover():
+                cover = _beauty(_render(self._cameras[camera], beside))[..., 3:]
+        return _beauty(passes), _flame(passes), cover
 
 
 def frames(spec: SceneSpec, layout: Layout, progress: Progress) -> None:
@@ -220,6 +234,28 @@ def _leave_only_the_fire() -> None:
             _switch_emission_off(item.node_tree)
     for group in bpy.data.node_groups:
         _switch_emission_off(group)
+
+
+@contextmanager
+def _only_the_cover() -> Iterator[None]:
+    """Within it, a picture's alpha is the share of what is behind the flame that the flame covers.
+
+    A volume that only absorbs is the same along all of a pixel's paths, so that two do, and nothing has to be denoised.
+    """
+    scene = bpy.context.scene
+    cycles, before = scene.cycles, (scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces)
+    others = [thing for thing in scene.objects if thing != find_flame() and not thing.is_holdout]
+    cycles.samples, cycles.use_denoising, cycles.max_bounces = COVER_SAMPLES, False, 0
+    scene.render.film_transparent = True
+    for thing in others:
+        thing.is_holdout = True
+    try:
+        yield
+    finally:
+        for thing in others:
+            thing.is_holdout = False
+        scene.render.film_transparent = False
+        cycles.samples, cycles.use_denoising, cycles.max_bounces = before
 
 
 def _switch_emission_off(tree: bpy.types.NodeTree) -> None:

@@ -1,0 +1,65 @@
+"""How the solver's constants follow the size of a fire, so that its gas is as fast as that of real ones.
+
+Mantaflow counts lengths in domains: with constants that stay the same, hot gas is lifted with an acceleration of
+beta x heat x 5.4 m2/s2 over the domain's longest side, 24 / L m/s2 for beta 1.5 and heat 3 (measured: 403, 40.3 and 4.02 m/s2
+in domains of 0.06, 0.6 and 6 m). A fire of a candle's size then rises at 5 m/s. In reality the acceleration is that of gravity
+times the gas' excess temperature over that of the air, at every size.
+
+Its time, too, has to follow: fuel that needs as long to burn over a candle as over a pool leaves the picture before it has
+burnt. Fuel given per area of the burner makes a flame whose height goes as D^0.8 (Heskestad 1983: as Q^0.4, and Q as
+D^2), and it is passed at a speed that goes as the root of the height (McCaffrey 1979), so in a time of D^0.4.
+
+What has been a good fire in the first scenes, a burner of REFERENCE_D_M in a domain of REFERENCE_L_M, is where all this
+is 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .fuels import Fuel
+
+REFERENCE_D_M, REFERENCE_L_M = 0.26, 1.6
+LIFT = 1.0
+"""Factor on the lift: with it the speed on the axis is that of McCaffrey's law (`gof_benchmark.evidence.fire_sizes`)."""
+MOST_RATE = 4.0  # Blender takes no higher burning rate
+HOT_M2_S, LAMINAR_RE = 2e-4, 500.0
+"""Viscosity of burning gas, and the Reynolds number of the burner around which flames become turbulent."""
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What the solver is told.
+
+    Attributes:
+        gravity: factor on gravity, hence on the lift.
+        burning_rate, amount: Mantaflow's, as in `Fuel`.
+        confinement: factor on the strength of the effect `vorticity`.
+        drift: factor on the speed at which the fuel's unevenness changes.
+    """
+
+    gravity: float
+    burning_rate: float
+    amount: float
+    confinement: float = 1.0
+    drift: float = 1.0
+
+
+def unscaled(fuel: Fuel) -> Constants:
+    """The same at every size."""
+    return Constants(1.0, fuel.burning_rate, fuel.amount)
+
+
+def scaled(fuel: Fuel, diameter_m: float, longest_m: float) -> Constants:
+    """Those of a burner of a width in a domain of a longest side, both > 0."""
+    rate = fuel.burning_rate * (REFERENCE_D_M / diameter_m) ** 0.4
+    speed = 6.8 * diameter_m**0.5  # McCaffrey's, at the height of a diameter
+    reynolds = speed * diameter_m / HOT_M2_S
+    per_second = (REFERENCE_D_M / diameter_m) ** 0.5  # vortices turn as fast as the gas passes a diameter
+    return Constants(
+        LIFT * longest_m / REFERENCE_L_M,
+        min(rate, MOST_RATE),
+        fuel.amount * min(1.0, MOST_RATE / rate),  # less fuel is burnt sooner, too
+        per_second * reynolds / (reynolds + LAMINAR_RE),
+        per_second,
+    )
