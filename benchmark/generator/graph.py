@@ -22,6 +22,7 @@ from gof.errors import GofError
 from gof.progress import progress_bar
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, StageRefused, run_stage
 from gof_blender.pure import effects
+from gof_blender.pure.brightness import Brightness
 from gof_blender.pure.cost_model import stage_settings
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
@@ -111,6 +112,7 @@ class Generation:
         self._rendered = 0  # pictures, in this run
         self._plates = 0
         self._steps = 0  # of the solver
+        self._said: set[str] = set()
         self._wall_before = {cost.name: cost.settings.get("wall_s", 0.0) for cost in log.stages()}
         self._begun: dict[str, float] = {}  # stage -> clock when its first task began
 
@@ -182,7 +184,16 @@ class Generation:
                 raise cost
             self._rendered += stage == "render"
             settings = stage_settings(stage, self._spec) | {"wall_s": self._wall_s(stage, cost.seconds)}
+            if stage == "render" and (seen := Brightness.read(self._layout.brightness)):
+                settings["brightness"] = vars(seen)
+                self._say_once(str(seen))
             self._log.record(stage, cost.seconds, cost.peak_mb, settings, resumed=True)
+
+    def _say_once(self, text: str) -> None:
+        """Print a line above the progress, unless it has been printed."""
+        if text not in self._said:
+            self._said.add(text)
+            print(f"\n{text}", file=sys.stderr)
 
     def _wall_s(self, stage: str, seconds: float) -> float:
         """Wall seconds of a stage until now, in all runs; its tasks overlap, so their seconds add up to more."""

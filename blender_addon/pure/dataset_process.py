@@ -16,6 +16,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from . import cost_model, effects, report
+from .brightness import Brightness
 from .costs import Costs, StageCost
 from .layout import Layout
 from .spec import SceneSpec
@@ -167,9 +168,11 @@ class Job:
             message = f"{self.stage} failed with status {status}:\n{_last_lines(self._errors())}"
             self._note(message)
             raise JobError(message)
-        run = StageCost(
-            self.stage, now - self._start, self._said.peak_mb, cost_model.stage_settings(self.stage, self.spec)
-        )
+        settings = cost_model.stage_settings(self.stage, self.spec)
+        if self.stage == "render" and (seen := Brightness.read(self.layout.brightness)):
+            settings["brightness"] = vars(seen)
+            self._note(str(seen))
+        run = StageCost(self.stage, now - self._start, self._said.peak_mb, settings)
         Costs.read(self.layout.costs).adding(run, now - self._counted).write(self.layout.costs)
         self._counted = now
         self._note(f"{self.stage}: {run.seconds:.0f} s, {run.peak_mb:.0f} MB")

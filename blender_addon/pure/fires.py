@@ -63,9 +63,9 @@ class Burner:
     """From the centre to where the flame begins, metres."""
 
     @property
-    def top(self) -> float:
-        """Where the flame begins, world metres."""
-        return self.position[2] + self.half_height
+    def bottom(self) -> float:
+        """Z of the lowest place that gives fuel, world metres."""
+        return self.position[2] - self.half_height
 
 
 @dataclass(frozen=True)

@@ -45,13 +45,17 @@ class Fuel:
 FUELS = {
     "propane_high": Fuel(0.75, 1.5, 3.0, 1.0, 1200.0, 2250.0, 15.0, 0.2, soot_k=1950.0, blue=0.3),
     "propane_low": Fuel(1.1, 1.0, 2.5, 0.8, 1200.0, 2200.0, 14.0, 0.15, soot_k=1950.0, blue=0.3),
-    "wood": Fuel(0.6, 1.0, 2.2, 0.9, 1150.0, 2000.0, 12.0, 1.0, absorption_per_m=0.8, soot_k=1850.0, onset=0.1, blue=0.05),
+    "wood": Fuel(
+        0.6, 1.0, 2.2, 0.9, 1150.0, 2000.0, 12.0, 1.0, absorption_per_m=0.8, soot_k=1850.0, onset=0.1, blue=0.05
+    ),
     "gasoline": Fuel(
         0.85, 1.4, 2.8, 1.0, 1100.0, 1950.0, 14.0, 3.0, absorption_per_m=2.1, soot_k=1850.0, onset=0.06, blue=0.0
     ),
     "ethanol": Fuel(
         1.0, 1.2, 2.4, 0.8, 1500.0, 2400.0, 1.6, 0.02, (0.16, 0.34, 1.0), absorption_per_m=0.0, onset=0.0, blue=0.5
     ),
-    "paper": Fuel(0.9, 0.9, 2.0, 0.9, 1200.0, 2050.0, 12.0, 0.6, absorption_per_m=0.8, soot_k=1850.0, onset=0.1, blue=0.05),
+    "paper": Fuel(
+        0.9, 0.9, 2.0, 0.9, 1200.0, 2050.0, 12.0, 0.6, absorption_per_m=0.8, soot_k=1850.0, onset=0.1, blue=0.05
+    ),
 }
 """Presets. Turbulence comes from the effect ``vorticity``, smoke in the picture from ``smoke``."""

@@ -82,6 +82,11 @@ class Layout:
         return self.root / ".cache"
 
     @property
+    def brightness(self) -> Path:
+        """How the flame in the first picture is exposed."""
+        return self.hidden / "brightness.json"
+
+    @property
     def bake(self) -> Path:
         return self.hidden / "bake"
 

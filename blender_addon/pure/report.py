@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from html import escape
 
-from .costs import Costs
+from .brightness import Brightness
+from .costs import Costs, StageCost
 from .description import CameraEntry, DatasetDescription
 from .io.files import read_json, write_text
 from .layout import Layout
@@ -47,7 +48,7 @@ def write(layout: Layout) -> None:
     shown = sorted({round(k * (len(times) - 1) / max(SHOWN - 1, 1)) for k in range(SHOWN)})
     page = PAGE.format(
         name=escape(dataset.name),
-        summary=_summary(dataset, layout),
+        summary=_summary(dataset, layout, stages),
         pictures="\n".join(_row(camera, shown, times) for camera in dataset.cameras),
         costs="".join(f"<tr><td>{escape(s.name)}<td>{s.seconds:.1f}<td>{s.peak_mb:.0f}</tr>" for s in stages),
         files="".join(f"<tr><td><code>{name}</code><td>{text}</tr>" for name, text in FILES.items()),
@@ -55,18 +56,20 @@ def write(layout: Layout) -> None:
     write_text(layout.report, page)
 
 
-def _summary(dataset: DatasetDescription, layout: Layout) -> str:
+def _summary(dataset: DatasetDescription, layout: Layout, stages: tuple[StageCost, ...]) -> str:
     spec, first = SceneSpec.from_dict(dataset.spec), dataset.cameras[0]
     store = read_json(layout.velocity / "zarr.json")
     cells = " x ".join(map(str, store["shape"][1:4]))
     effects = ", ".join(dataset.effects) or "none"
     fire = dataset.provenance.get("fire")  # of another solver
     burns = f"{fire['name']} ({fire['solver']})" if fire else spec.fire.title
+    exposed = next((cost.settings["brightness"] for cost in stages if "brightness" in cost.settings), None)
+    flame = f" {str(Brightness(**exposed)).capitalize()}." if exposed else ""
     return (
         f"{escape(burns)} in {escape(spec.background.replace('_', ' '))}; "
         f"effects: {escape(effects)}. {len(dataset.time_s)} frames at {spec.clip.fps:g} per second, "
         f"{len(dataset.cameras)} cameras of {first.width} x {first.height} pixels, "
-        f"velocity on {cells} cells of {1000 * store['attributes']['voxel_size']:.1f} mm."
+        f"velocity on {cells} cells of {1000 * store['attributes']['voxel_size']:.1f} mm.{flame}"
     )
 
 

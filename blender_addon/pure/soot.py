@@ -30,15 +30,17 @@ from .fuels import Fuel
 WAVELENGTHS_UM = (0.60, 0.54, 0.46)
 """Of a camera's red, green and blue: Planck's law is taken at these."""
 C2_UM_K = 14388.0
-WHITE_K = 5500.0
-"""A black body of this temperature is white to the camera: daylight."""
+WHITE_K = 7000.0
+"""A black body of this temperature is white to the camera: daylight under a blue sky."""
 VISIBLE_OVER_TOTAL = 4.2
 LEAST_THICKNESS = 0.5
 """Optical thickness of a burner's width of full soot, at least."""
 REFERENCE_K = 1900.0
-REFERENCE_RADIANCE = 7.0
-"""Linear scene radiance of red of a black body of REFERENCE_K: Filmic shows it a little below white. In truth a flame is
+REFERENCE_RADIANCE = 14.0
+"""Linear scene radiance of red of a black body of REFERENCE_K: Filmic shows it nearly white. In truth a flame is
 thousands of times brighter than a room, which no picture shows."""
+COOLEST = 0.72
+"""Temperature of the last soot, at the tips and edges, over that of the hottest: it cools by its own radiation."""
 BLUE = (0.10, 0.32, 1.0)
 """Colour of burning fuel before there is soot: bands of CH at 431 nm and C2 at 516 nm."""
 STOPS = 32  # of the tables: as many as a colour ramp in Blender holds
@@ -85,8 +87,8 @@ def sheet(fuel: Fuel, diameter_m: float, intensity: float = 1.0) -> Sheet:
         intensity: factor on all light.
     """
     flame = np.linspace(0, 1, STOPS)
-    share = smoothstep(flame, 0.04, 0.30) * (1 - 0.85 * smoothstep(flame, 0.45, 0.95))
-    cold = 1 - 0.22 * (1 - smoothstep(flame, 0.0, 0.30)) - 0.24 * smoothstep(flame, 0.40, 1.0)
+    share = smoothstep(flame, 0.03, 0.35) * (1 - 0.7 * smoothstep(flame, 0.55, 0.95))
+    cold = COOLEST + (1 - COOLEST) * smoothstep(flame, 0.0, 0.75) - 0.05 * smoothstep(flame, 0.8, 1.0)
     absorption = share * max(VISIBLE_OVER_TOTAL * fuel.absorption_per_m, fuel.sooty * LEAST_THICKNESS / diameter_m)
     by_colour = WAVELENGTHS_UM[0] / np.array(WAVELENGTHS_UM)  # soot absorbs as 1 / wavelength
     emission = absorption[:, None] * by_colour * black_body(fuel.soot_k * cold)

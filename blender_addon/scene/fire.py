@@ -28,7 +28,7 @@ def _look(spec: SceneSpec) -> bpy.types.Material:
     if spec.fire.light == "reaction":
         return material.flame(spec.fuel, spec.fire.intensity)
     middle = spec.domain.min[2] + spec.domain.size[2] / 2  # where the domain's own axes begin
-    return material.soot_flame(spec.fire.sheet, spec.fire.burner.top - middle)
+    return material.soot_flame(spec.fire.sheet, spec.fire.burner.bottom - middle)
 
 
 def keep_for_dataset(settings: bpy.types.FluidDomainSettings) -> None:

@@ -72,7 +72,7 @@ class MantaflowSource:
         if self._spec.fire.light == "soot":
             matrix = self.index_to_world
             height = matrix[2, 3] + matrix[2, 2] * (np.arange(found["flame"].shape[2]) + 0.5)
-            light = self._spec.fire.sheet.light(found["flame"], height - self._spec.fire.burner.top)
+            light = self._spec.fire.sheet.light(found["flame"], height - self._spec.fire.burner.bottom)
             found["flame"] = light.astype(np.float32)
         return found
 

@@ -55,7 +55,7 @@ def soot_flame(sheet: Sheet, burner_z: float) -> bpy.types.Material:
     """A flame that glows, and dims what is behind it, by its soot.
 
     Args:
-        burner_z: z of the burner's top in the coordinates of the object that the material is for.
+        burner_z: z of the burner's lowest place in the coordinates of the object that the material is for.
     """
     material, add, link, output = _new("Flame")
     material.cycles.volume_interpolation = "CUBIC"  # linear shows the grid as a pattern of dots

@@ -17,6 +17,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..pure.brightness import Brightness
 from ..pure.checked_json import SpecError
 from ..pure.effects import absorbs_light, encodes, expose, shows_board
 from ..pure.io.files import atomic_path, temporary
@@ -147,7 +148,10 @@ class FrameRenderer:
             beauty[..., :3] += (1 - cover) * np.stack([plate[channel] for channel in "RGB"], axis=-1)
         shown = seen(beauty[..., :3], self._spec, camera, frame)
         _write_png(self._display_picture(frame, camera), shown)
-        images.write_mask_png(files.mask, flame.max(axis=-1) > FLAME_VISIBLE)
+        mask = flame.max(axis=-1) > FLAME_VISIBLE
+        images.write_mask_png(files.mask, mask)
+        if not self._layout.brightness.is_file():
+            Brightness.of(images.read_png(self._display_picture(frame, camera)), mask).write(self._layout.brightness)
         images.write_exr(files.exr, beauty, plate["Z"], flame)
 
     def _display_picture(self, frame: int, camera: int) -> Path:
