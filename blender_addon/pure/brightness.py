@@ -32,7 +32,7 @@ class Brightness:
     def __str__(self) -> str:
         if not self.flame:
             return (
-                "the first picture shows no flame; look whether it burns in the cameras' view, or raise fire.intensity"
+                "the first picture shows no flame; see whether it burns in view of the cameras, or raise fire.intensity"
             )
         text = f"flame in the first picture: {self.clipped:.0%} of its pixels clipped, {self.black:.0%} black"
         if self.clipped > MANY:

@@ -87,6 +87,11 @@ class Layout:
         return self.hidden / "brightness.json"
 
     @property
+    def gain(self) -> Path:
+        """By what an effect has set the exposure of all cameras, from the first picture."""
+        return self.hidden / "gain.json"
+
+    @property
     def bake(self) -> Path:
         return self.hidden / "bake"
 

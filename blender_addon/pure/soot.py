@@ -1,22 +1,23 @@
 """Light of a flame, from its soot: hot particles that glow as black bodies and absorb as much as they emit.
 
-By Kirchhoff's law a metre of gas with the absorption coefficient k emits k B(T), B being Planck's radiance. A thin flame
-then shines in proportion to its soot, and one that cannot be seen through shines as a black body, however large it is:
-a candle, a campfire and a pool of burning gasoline differ by a few times, not by their sizes.
+By Kirchhoff's law a metre of gas with the absorption coefficient k emits k B(T), B being Planck's radiance. A thin
+flame then shines in proportion to its soot, and one that cannot be seen through shines as a black body, however large
+it is: a candle, a campfire and a pool of burning gasoline differ by a few times, not by their sizes.
 
 Where in the flame the soot is, and how hot, follows from the solver's reaction grid ``flame`` (1: fresh fuel, 0: burnt
-or air). Fuel has to break up before there is soot, so there is none right above the burner and little in the core; it
-is hottest where fuel meets air, and burns up there: a sheet around the fuel. Before there is soot, that sheet is blue.
+or air). Fuel has to break up before there is soot, so there is none right above the burner and less in the core; it is
+coolest at the tips and edges, where it has radiated longest. Before there is soot, burning fuel is blue.
 
 Sources of the figures:
 
-- Absorption. Total (infrared) coefficients of flames, 1/m: LPG 1.4, gasoline 2.1 (Babrauskas, Fire Technology 19, 1983,
-  from burning rates of pools: k times a mean beam length's factor beta), wood cribs 0.8 (Hagglund and Persson, 1976). Soot
-  absorbs as 1 / wavelength; at 1500 K and 0.6 um that is 4.2 times the mean over its own radiation,
-  C2 / (3.83 T wavelength).
+- Absorption. Total (infrared) coefficients of flames, 1/m: LPG 1.4, gasoline 2.1 (Babrauskas, Estimating large pool
+  fire burning rates, Fire Technology 19, 1983), wood cribs 0.8 (Drysdale, An Introduction to Fire Dynamics). Soot
+  absorbs as 1 / wavelength; at 1500 K and 0.6 um that is C2 / (3.83 T wavelength) = 4.2 times the mean over its own
+  radiation.
 - A small laminar flame holds its soot in a thin sheet of several ppm (Santoro et al., Combustion and Flame 51, 1983),
   which a mean over a large turbulent flame is not: its optical thickness is taken as at least `LEAST_THICKNESS`.
-- Temperatures of soot, 1500 to 1950 K: from the same sources' flames.
+- Soot of 1400 to 1950 K, and its distribution over ``flame``: chosen by eye and by the colours of the paper's filmed
+  fires (`gof_benchmark.evidence.flame_looks`).
 """
 
 from __future__ import annotations

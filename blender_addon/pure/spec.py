@@ -165,7 +165,7 @@ class SceneSpec:
     """What burns; in JSON an object with "grids" is a `GridFire`."""
     cameras: Rig = field(default_factory=Rig)
     render: Render = field(default_factory=Render)
-    background: Literal["studio", "workshop", "classroom", "cloister", "blend_file"] = "workshop"
+    background: Literal["studio", "workshop", "classroom", "cloister", "ground", "blend_file"] = "workshop"
     blend_file: BlendFile | None = None
     """The user's scene, for the background "blend_file"."""
     effects: tuple[Any, ...] = ()

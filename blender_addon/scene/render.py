@@ -4,8 +4,9 @@ Light adds up. Without smoke a frame is the fire-free plate, as far as it is see
 alone adds: its own light and its light on the surroundings. The plate is rendered once, with many samples; a frame then
 renders only the fire's part, with the scene's lamps off, which needs far fewer samples for the same noise, and how much
 of the plate a flame of soot covers. (That the flame dims the lamps, too, on their way to the surroundings, is left
-out.) With smoke, which scatters the lamps' light, frames are rendered whole. Where a picture sees more than one solver step (motion blur, rolling shutter, camera clocks), each step is
-rendered for the lines that see it, and the picture is their weighted sum in linear light.
+out.) With smoke, which scatters the lamps' light, frames are rendered whole. Where a picture sees more than one solver
+step (motion blur, rolling shutter, camera clocks), each step is rendered for the lines that see it, and the picture is
+their weighted sum in linear light.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ import numpy as np
 
 from ..pure.brightness import Brightness
 from ..pure.checked_json import SpecError
-from ..pure.effects import absorbs_light, encodes, expose, shows_board
-from ..pure.io.files import atomic_path, temporary
+from ..pure.effects import absorbs_light, encodes, expose, gain, meters, shows_board
+from ..pure.io.files import atomic_path, read_json, temporary, write_json
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from . import effects, images, rig, view
@@ -94,6 +95,7 @@ def plates(spec: SceneSpec, layout: Layout, progress: Progress = lambda done, to
     ]
     if not missing:
         return
+    factor = metered(spec, layout)
     flame.hide_render = True
     # With persistent data Cycles would keep the plate's number of samples for the frames that follow.
     scene.render.use_persistent_data = False
@@ -101,7 +103,7 @@ def plates(spec: SceneSpec, layout: Layout, progress: Progress = lambda done, to
     for index, camera in missing:
         passes = _render(camera, layout.static_exr(camera.name))
         beauty = _beauty(passes)
-        _write_png(layout.static(camera.name), seen(beauty[..., :3], spec, index, -1))
+        _write_png(layout.static(camera.name), seen(beauty[..., :3], spec, index, -1, factor))
         # The fire is alone in the flame pass: lamps and screens of a user's scene are not part of it.
         images.write_exr(layout.static_exr(camera.name), beauty, passes["Depth.Z"], np.zeros_like(beauty[..., :3]))
         progress(len(spec.cameras.names) - len(missing) + missing.index((index, camera)) + 1, len(spec.cameras.names))
@@ -129,6 +131,7 @@ class FrameRenderer:
         self._adds_light = not any(map(absorbs_light, spec.effects))
         if self._adds_light:
             _leave_only_the_fire()
+        self._gain = metered(spec, layout)
         # A picture of many instants needs fewer paths for each.
         _, weights = spec.timeline.weights(0, 0)
         bpy.context.scene.cycles.samples = max(1, round(spec.render.samples * float(weights.max())))
@@ -146,7 +149,7 @@ class FrameRenderer:
         beauty, flame, cover = self._light(frame, camera)
         if self._adds_light:
             beauty[..., :3] += (1 - cover) * np.stack([plate[channel] for channel in "RGB"], axis=-1)
-        shown = seen(beauty[..., :3], self._spec, camera, frame)
+        shown = seen(beauty[..., :3], self._spec, camera, frame, self._gain)
         _write_png(self._display_picture(frame, camera), shown)
         mask = flame.max(axis=-1) > FLAME_VISIBLE
         images.write_mask_png(files.mask, mask)
@@ -197,10 +200,22 @@ def frames(spec: SceneSpec, layout: Layout, progress: Progress) -> None:
             progress(frame * cameras + camera + 1, spec.clip.frames * cameras)
 
 
-def seen(light: np.ndarray, spec: SceneSpec, camera: int, frame: int) -> np.ndarray:
-    """Rendered light to what the sensor reports: what is drawn over it first, then the sensor."""
+def seen(light: np.ndarray, spec: SceneSpec, camera: int, frame: int, factor: float) -> np.ndarray:
+    """Rendered light to what the sensor reports: what is drawn over it first, then the exposure, then the sensor."""
     light = effects.overlay(light, spec, camera, frame)
+    light = light if factor == 1.0 else factor * light
     return expose(light, spec.effects, spec.timeline.picture(camera, frame))
+
+
+def metered(spec: SceneSpec, layout: Layout) -> float:
+    """Factor on the light of all pictures that an effect asks for by the flame in the first one; 1 without such."""
+    if not any(map(meters, spec.effects)):
+        return 1.0
+    if not layout.gain.is_file():
+        _go_to(spec.timeline.first_frame)
+        flame = _flame(_render(rig.find(spec)[0], layout.gain))
+        write_json(layout.gain, {"gain": gain(spec.effects, flame[flame.max(axis=-1) > 0.01 * FLAME_VISIBLE])})
+    return read_json(layout.gain)["gain"]
 
 
 def _go_to(blender_frame: int) -> None:

@@ -29,7 +29,7 @@ PURPOSE = {
     "standard": "Motion worth scoring",
     "paper": "A job for a cluster",
 }
-BACKGROUNDS = ("studio", "workshop", "classroom", "cloister")
+BACKGROUNDS = ("studio", "workshop", "classroom", "cloister", "ground")
 
 
 class GOF_PG_benchmark(bpy.types.PropertyGroup):

@@ -15,6 +15,8 @@ from gof_benchmark.commands import generate
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.effects import (
+    auto_exposure,
+    bloom,
     clock,
     exposure,
     fine_noise,
@@ -46,6 +48,8 @@ def camera_run(tmp_path_factory) -> Layout:
         motion_blur.Settings(0.5),
         rolling_shutter.Settings(0.01),
         clock.Settings(0.003),
+        auto_exposure.Settings(bright=4.0),
+        bloom.Settings(),
         exposure.Settings(0.5),
         sensor_noise.Settings(),
         video_compression.Settings("lossless"),
@@ -206,6 +210,28 @@ def test_exposure_and_noise_follow_their_laws():
     assert (seen != effects.expose(light, noisy.effects, second)).any()
     dark = effects.expose(np.array([[[-1.0, 0.0, 0.0]]]), noisy.effects, first)
     assert np.isfinite(dark).all() and (dark >= 0).all()
+
+
+def test_bloom_keeps_the_light_and_spreads_it_evenly():
+    point = np.zeros((60, 80, 3))
+    point[30, 40] = 1000.0
+    settings = bloom.Settings(amount=0.2, core=0.02)
+    picture = TOY.timeline.picture(0, 0)
+    seen = bloom.expose(point, settings, picture)
+    assert seen[30, 40, 0] > 800 and 900 < seen[..., 0].sum() <= 1000 + 1e-6, "the rest leaves the picture"
+    ring = seen[30, 40 + 3, 0] / seen[30, 40 + 9, 0]
+    core = 0.02 * 80
+    assert ring == pytest.approx(((9**2 / core**2 + 1) / (3**2 / core**2 + 1)) ** 1.5, rel=1e-6)
+    assert seen[30, 40 + 5, 0] == pytest.approx(seen[30 - 5, 40, 0])
+    assert bloom.expose(point, bloom.Settings(amount=0.0), picture) == pytest.approx(point, abs=1e-9)
+    assert seen[0, 0, 0] < seen[59, 40, 0], "nothing comes round from the other side"
+
+
+def test_auto_exposure_brings_the_bright_parts_where_they_shall_be():
+    settings = auto_exposure.Settings(bright=8.0, share=0.1)
+    flame = np.linspace(0, 100, 1001)[:, None] * [1.0, 0.5, 0.1]
+    assert effects.gain((settings,), flame) == pytest.approx(8 / 90)
+    assert effects.gain((settings,), 1e-12 * flame) == 2.0**6 and effects.gain((settings,), flame[:0]) == 1.0
 
 
 @pytest.mark.blender

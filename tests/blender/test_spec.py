@@ -44,7 +44,20 @@ def test_json_round_trip(tmp_path):
 
 
 def test_left_out_fields_take_their_defaults():
-    assert SceneSpec.from_dict({"schema": "gof-scene", "version": 1, "name": "x"}) == SceneSpec("x")
+    assert SceneSpec.from_dict({"schema": "gof-scene", "version": 2, "name": "x"}) == SceneSpec("x")
+
+
+def test_a_spec_of_version_1_is_the_fire_that_it_was():
+    """Its light and its solver's constants are those of before there were others, whatever is the default today."""
+    for fire in ({}, {"fuel": "wood", "radius": 0.01}):
+        old = SceneSpec.from_dict({"schema": "gof-scene", "version": 1, "name": "x", "fire": fire})
+        assert (old.fire.light, old.fire.speeds, old.fire.intensity) == ("reaction", "solver", 1.0)
+        constants = old.solver
+        assert (constants.gravity, constants.confinement, constants.drift) == (1.0, 1.0, 1.0)
+        assert (constants.burning_rate, constants.amount) == (old.fuel.burning_rate, old.fuel.amount)
+        assert SceneSpec.from_dict(old.to_dict()) == old, "kept when it is written as version 2"
+    grids = {"schema": "gof-scene", "version": 1, "name": "x", "fire": {"grids": "somewhere"}}
+    assert SceneSpec.from_dict(grids).fire.grids == "somewhere"
 
 
 def test_frames_of_the_clip():
@@ -101,7 +114,7 @@ def test_effects_ask_for_steps_between_frames_and_for_what_the_shutter_sees():
         (("effects",), [{"name": "wind"}, {"name": "wind"}], "effects must be listed once each"),
         (("effects",), ["wind"], "effects must be objects"),
         (("name",), "../up", "name must be a plain file name"),
-        (("version",), 2, "version 2"),
+        (("version",), 3, "version 3"),
         (("clip",), 3, "clip must be an object"),
     ],
 )
@@ -143,7 +156,7 @@ def test_presets_change_cost_not_content():
         spec.with_preset("huge")
 
 
-PURE_HOOKS = {"ABSORBS_LIGHT", "CHANGES_BAKE", "steps_per_frame", "timing", "expose", "SHOWS_BOARD", "ENCODES"}
+PURE_HOOKS = {"ABSORBS_LIGHT", "CHANGES_BAKE", "steps_per_frame", "timing", "expose", "gain", "SHOWS_BOARD", "ENCODES"}
 SCENE_HOOKS = {"apply", "overlay", "board_mask"}
 
 

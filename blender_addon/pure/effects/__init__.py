@@ -15,6 +15,8 @@ specs, and may have some of these:
     what it adds to the time at which a picture is taken (``pure.timing``).
 ``expose(light, settings, picture) -> light``
     turns the light that reaches the sensor, (H, W, 3) linear, into what the sensor reports.
+``gain(settings, flame) -> factor``
+    sets the exposure of all cameras by the flame's pixels (N, 3) in the first picture of the first one.
 ``SHOWS_BOARD = True``
     says that pictures have a sync board in them, which scores leave out: ``board_mask`` says where.
 ``ENCODES = True``
@@ -33,6 +35,7 @@ A module in ``scene/effects`` works on the open Blender scene and may have some 
 from __future__ import annotations
 
 import importlib
+import math
 import pkgutil
 from types import ModuleType
 from typing import Any
@@ -100,6 +103,16 @@ def expose(light: np.ndarray, listed: tuple[Any, ...], picture: Picture) -> np.n
         if hook := _hook(settings, "expose"):
             light = hook(light, settings, picture)
     return light
+
+
+def meters(settings: Any) -> bool:
+    """Whether the effect sets the exposure by what the first picture shows."""
+    return _hook(settings, "gain") is not None
+
+
+def gain(listed: tuple[Any, ...], flame: np.ndarray) -> float:
+    """Factor on the light of all pictures, from the flame's pixels (N, 3) in the first."""
+    return math.prod(_hook(settings, "gain")(settings, flame) for settings in listed if meters(settings))
 
 
 def _hook(settings: Any, name: str) -> Any:

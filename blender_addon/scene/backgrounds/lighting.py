@@ -7,14 +7,14 @@ import math
 import bpy
 
 
-def light(collection, location, watts: float, size: float, colour) -> None:
-    """A square area light that shines at the origin's neighbourhood."""
+def light(collection, location, watts: float, size: float, colour, aim=(0.0, 0.6, 0.6)) -> None:
+    """A square area light that shines at a place."""
     data = bpy.data.lights.new("Light", "AREA")
     data.energy, data.size, data.color = watts, size, colour
     lamp = bpy.data.objects.new("Light", data)
     lamp.location = location
-    x, y, z = location
-    lamp.rotation_euler = (math.atan2(math.hypot(x, y - 0.6), z - 0.6), 0.0, math.atan2(y - 0.6, x) + math.pi / 2)
+    x, y, z = (there - here for there, here in zip(location, aim, strict=True))
+    lamp.rotation_euler = (math.atan2(math.hypot(x, y), z), 0.0, math.atan2(y, x) + math.pi / 2)
     collection.objects.link(lamp)
 
 
