@@ -62,3 +62,12 @@ def scaled(fuel: Fuel, diameter_m: float, longest_m: float) -> Constants:
         per_second * reynolds / (reynolds + LAMINAR_RE),
         per_second,
     )
+
+
+def wind_push(wind_m_s: float, diameter_m: float) -> float:
+    """Sideways acceleration (m/s2) with which burning gas has taken on the wind's speed when it leaves the flame.
+
+    A flame of 2.5 widths, which gas that is lifted evenly to McCaffrey's speed passes in twice its height over that.
+    """
+    height = 2.5 * diameter_m
+    return wind_m_s * 6.8 * height**0.5 / (2 * height)

@@ -356,7 +356,16 @@ def _from_version_1(data: dict) -> dict:
     fire = data.get("fire", {})
     if isinstance(fire, dict) and "grids" not in fire:
         data = data | {"fire": VERSION_1_FIRE | fire}
+    listed = data.get("effects", [])
+    if isinstance(listed, list):
+        data = data | {"effects": [_effect_from_version_1(item) for item in listed]}
     return data
+
+
+def _effect_from_version_1(item: Any) -> Any:
+    if isinstance(item, dict) and item.get("name") == "wind":
+        return {"strength": 0.3, "unit": "field"} | item
+    return item
 
 
 def _effect_from_dict(item: Any) -> Any:

@@ -53,13 +53,20 @@ def test_only_what_is_chosen_is_in_the_scene():
         settings = place.find(scene, "domain").modifiers["Fluid"].domain_settings
         result["calm"] = [settings.vorticity, settings.flame_vorticity, settings.flame_smoke, settings.use_noise]
         result["wind"] = place.find(scene, "effect").field.strength
+        result["pushed"] = [scene.render.fps, fire.resolution, fire.radius]
         spec = scene_spec.of_scene(scene)
         result["spec"], result["board"] = spec.effect_names, spec.effects[1].position
     """)
     assert found["default"] == ["domain", "emitter", "place"] and found["vorticity"] > 0
     assert found["windy"] == ["domain", "effect", "emitter", "place"] and found["more"] == 1
     assert found["calm"] == [0.0, 0.0, 0.0, False]
-    assert found["wind"] == pytest.approx(0.7) and found["spec"] == ["motion_blur", "sync_board", "wind"]
+    fps, cells, radius = found["pushed"]
+    push = 0.7 * 6.8 / (2 * (2.5 * 2 * radius) ** 0.5)  # the wind's speed within the time that gas is in the flame
+    assert found["wind"] == pytest.approx(push / fps * cells / 0.15, rel=1e-5) and found["spec"] == [
+        "motion_blur",
+        "sync_board",
+        "wind",
+    ]
     assert found["board"] == [0.1, -0.4, 0.13], "as typed, not in single precision"
 
 

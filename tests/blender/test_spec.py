@@ -56,6 +56,8 @@ def test_a_spec_of_version_1_is_the_fire_that_it_was():
         assert (constants.gravity, constants.confinement, constants.drift) == (1.0, 1.0, 1.0)
         assert (constants.burning_rate, constants.amount) == (old.fuel.burning_rate, old.fuel.amount)
         assert SceneSpec.from_dict(old.to_dict()) == old, "kept when it is written as version 2"
+    windy = {"schema": "gof-scene", "version": 1, "name": "x", "effects": [{"name": "wind"}]}
+    assert SceneSpec.from_dict(windy).effects == (wind.Settings(0.3, unit="field"),)
     grids = {"schema": "gof-scene", "version": 1, "name": "x", "fire": {"grids": "somewhere"}}
     assert SceneSpec.from_dict(grids).fire.grids == "somewhere"
 

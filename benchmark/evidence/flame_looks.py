@@ -1,0 +1,189 @@
+"""How much pictures of our flames look like filmed ones: their colours, their texture, and their flicker.
+
+Of each fire, in the pixels where its flame is: a histogram of display colours; the power of the picture's changes over
+cycles per flame height; the power of the whole flame's light over frequency. Printed are the distances to the filmed
+fires' mean, and what one filmed fire has to the mean of the others.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+
+from gof.colour import srgb_to_linear
+from gof.errors import DataFormatError
+from gof.footage import stored_frames
+from gof_benchmark.fires import measures
+
+EVERY = 4  # frame whose colours and texture are taken
+BINS = 8  # of the histogram, a colour
+RISE = 40  # of red above the darkest that it ever is, 8 bits, from which a filmed pixel is flame
+HEIGHT_PX = 128  # that every flame is scaled to
+CYCLES = np.arange(4, 33)  # per flame height
+FLICKER_HZ = np.arange(10.0, 41.0, 2.5)
+
+
+@dataclass(frozen=True)
+class FlameLooks:
+    """Compare the looks of generated flames with those of filmed ones."""
+
+    pictures: tyro.conf.Positional[tuple[Path, ...]]
+    """Datasets: folders with cameras/*/rgb and cameras/*/mask."""
+    clips: Path
+    """Folder under which the videos of filmed fires lie."""
+    clip_rate_hz: float = 400.0
+    """At which they were filmed."""
+    chart: Path | None = None
+    """Draw the curves to this file."""
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Of one fire: (BINS^3,) shares of colours, (C,) log10 power at CYCLES, (F,) log10 power at FLICKER_HZ or NaN."""
+
+    name: str
+    colours: np.ndarray
+    texture: np.ndarray
+    flicker: np.ndarray
+
+
+def looks(name: str, views: list[tuple[list[np.ndarray], list[np.ndarray]]], rate_hz: float) -> Looks:
+    """Of views (pictures (H, W, 3) uint8 RGB, masks (H, W) bool).
+
+    Raises:
+        DataFormatError: no view shows any flame.
+    """
+    shown = [(picture, mask) for pictures, masks in views for picture, mask in zip(pictures, masks, strict=True)]
+    shown = [(picture, mask) for picture, mask in shown[::EVERY] or shown if mask.any()]
+    if not shown:
+        raise DataFormatError(f"{name}: no flame is seen in its pictures")
+    pixels = np.concatenate([picture[mask] for picture, mask in shown])
+    histogram, _ = np.histogramdd(pixels, BINS, [(0, 256)] * 3)
+    flicker = [_flicker(pictures, masks, rate_hz) for pictures, masks in views]
+    return Looks(
+        name,
+        histogram.ravel() / histogram.sum(),
+        np.nanmean([_texture(picture, mask) for picture, mask in shown], axis=0),
+        np.mean(flicker, axis=0),
+    )
+
+
+def _texture(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(C,) log10 of the power of the picture's gamma-coded luminance at CYCLES per flame height, over their sum."""
+    rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32) * mask
+    crop = grey[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    scale = HEIGHT_PX / crop.shape[0]
+    size = (max(round(crop.shape[1] * scale), 8), HEIGHT_PX)
+    crop = cv2.resize(crop, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    window = np.hanning(size[1])[:, None] * np.hanning(size[0])
+    square = np.zeros((256, max(256, size[0])))
+    square[: size[1], : size[0]] = (crop - crop.mean()) * window
+    power = np.abs(np.fft.fft2(square)) ** 2
+    cycles = np.hypot(np.fft.fftfreq(square.shape[0])[:, None] * HEIGHT_PX, np.fft.fftfreq(square.shape[1]) * HEIGHT_PX)
+    ring = np.array([power[np.abs(cycles - c) <= 0.75].sum() for c in CYCLES])
+    return np.log10(np.maximum(ring / ring.sum(), 1e-12))
+
+
+def _flicker(pictures: list[np.ndarray], masks: list[np.ndarray], rate_hz: float) -> np.ndarray:
+    """(F,) log10 of the relative power of the flame's light, 1/Hz; NaN if the clip cannot tell."""
+    if len(pictures) < 12 or rate_hz < 80 or len(pictures) / rate_hz < 0.15:
+        return np.full(len(FLICKER_HZ), np.nan)
+    light = np.array(
+        [(srgb_to_linear(picture[mask] / 255.0)).sum() for picture, mask in zip(pictures, masks, strict=True)]
+    )
+    frequency, power = measures.spectrum(np.arange(len(light)) / rate_hz, light / light.mean())
+    return np.log10(np.maximum(np.interp(FLICKER_HZ, frequency, power), 1e-12))
+
+
+def of_clip(folder: Path, rate_hz: float) -> Looks:
+    """Of a folder with a video a camera."""
+    views = []
+    for video in sorted(folder.glob("*.mp4")):
+        pictures = [np.asarray(frame) for frame in stored_frames(video)]
+        darkest = np.min(pictures, axis=0).astype(int)
+        masks = [(p[..., 0] - darkest[..., 0] > RISE) & (p[..., 0] > p[..., 2]) for p in pictures]
+        views.append((pictures, masks))
+    return looks(f"{folder.parent.name}/{folder.name}", views, rate_hz)
+
+
+def of_dataset(folder: Path) -> Looks:
+    """Of a dataset, also an unfinished one, whose rate is then not known."""
+    description = folder / "dataset.json"
+    times = json.loads(description.read_text())["time_s"] if description.is_file() else []
+    views = []
+    for camera in sorted((folder / "cameras").iterdir()):
+        names = [path.name for path in sorted((camera / "rgb").glob("*.png"))]
+        pictures = [cv2.imread(str(camera / "rgb" / name))[..., ::-1] for name in names]
+        masks = [cv2.imread(str(camera / "mask" / name), cv2.IMREAD_GRAYSCALE) > 0 for name in names]
+        views.append(([np.ascontiguousarray(picture) for picture in pictures], masks))
+    return looks(folder.name, views, 1 / (times[1] - times[0]) if len(times) > 1 else 0.0)
+
+
+def distances(one: Looks, others: list[Looks]) -> tuple[float, float, float]:
+    """(share of pixels of other colours, rms of log10 power of texture, and of flicker) to the mean of others."""
+    colours = np.abs(one.colours - np.mean([other.colours for other in others], axis=0)).sum() / 2
+    texture = one.texture - np.mean([other.texture for other in others], axis=0)
+    flicker = one.flicker - np.nanmean([other.flicker for other in others], axis=0)
+    return float(colours), float(np.sqrt((texture**2).mean())), float(np.sqrt((flicker**2).mean()))
+
+
+def draw(generated: list[Looks], filmed: list[Looks], path: Path) -> None:
+    """The three curves: red against green of the colours, texture, flicker; filmed ones grey."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, (colours, texture, flicker) = pyplot.subplots(1, 3, figsize=(12, 3.6))
+    centres = (np.arange(BINS) + 0.5) * 256 / BINS
+    for item in filmed + generated:
+        style = {"color": "0.75", "lw": 1} if item in filmed else {"lw": 2, "label": item.name}
+        cube = item.colours.reshape(BINS, BINS, BINS)
+        by_red = cube.sum((1, 2))
+        green = np.divide((cube.sum(2) * centres).sum(1), by_red, out=np.full(BINS, np.nan), where=by_red > 0.01)
+        colours.plot(centres, green, **style)
+        texture.plot(CYCLES, item.texture, **style)
+        flicker.plot(FLICKER_HZ, item.flicker, **style)
+    for axes, x, y in (
+        (colours, "red of a pixel, 8 bits", "mean green of such pixels"),
+        (texture, "cycles per flame height", "log10 share of power"),
+        (flicker, "Hz", "log10 power of light, 1/Hz"),
+    ):
+        axes.set_xlabel(x)
+        axes.set_ylabel(y)
+    texture.set_xscale("log")
+    colours.legend(fontsize=8)
+    figure.tight_layout()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the table, and draw."""
+    config = tyro.cli(FlameLooks, prog="python -m gof_benchmark.evidence.flame_looks", args=argv)
+    folders = sorted({video.parent for video in config.clips.glob("**/*.mp4")})
+    if len(folders) < 2:
+        raise SystemExit(f"{config.clips}: two or more folders with videos are needed")
+    filmed = [of_clip(folder, config.clip_rate_hz) for folder in folders]
+    generated = [of_dataset(folder) for folder in config.pictures]
+    print("| fire | pixels of other colours | texture, log10 rms | flicker, log10 rms |", "|---|---|---|---|", sep="\n")
+    for item in filmed:
+        print(f"| {item.name} (to the other filmed ones) |", *_cells(item, [o for o in filmed if o is not item]))
+    for item in generated:
+        print(f"| {item.name} |", *_cells(item, filmed))
+    if config.chart:
+        draw(generated, filmed, config.chart)
+
+
+def _cells(item: Looks, others: list[Looks]) -> list[str]:
+    return [f"{value:.2f} |" if np.isfinite(value) else "- |" for value in distances(item, others)]
+
+
+if __name__ == "__main__":
+    main()
