@@ -91,6 +91,29 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
         ],
     )
     radius: FloatProperty(name="Radius (m)", description="Of the burner", default=0.13, min=0.001, soft_max=2)
+    intensity: FloatProperty(
+        name="Intensity", description="Factor on the flame's light", default=1, min=1e-4, max=1e4, soft_max=10
+    )
+    light: EnumProperty(
+        name="Light",
+        description="How the flame's light follows from the simulation",
+        items=[
+            ("soot", "Soot", "Glows and absorbs by its soot: well exposed at every size"),
+            (
+                "reaction",
+                "Reaction",
+                "Every metre shines the same, nothing is absorbed: as before version 2 of the spec",
+            ),
+        ],
+    )
+    speeds: EnumProperty(
+        name="Speeds",
+        description="How fast the gas is",
+        items=[
+            ("physical", "Physical", "Lift and burning follow the fire's size, as in real fires"),
+            ("solver", "Solver", "The solver's constants as they are: much too fast below a metre"),
+        ],
+    )
     clearance: FloatProperty(
         name="Lift (m)", description="From the place of the fire up to the burner", default=0.03, min=0
     )
@@ -202,9 +225,9 @@ class GOF_PT_fire(SidebarPanel, bpy.types.Panel):
         fire, layout = context.scene.gof.fire, self.layout
         layout.use_property_split, layout.use_property_decorate = True, False
         column = layout.column(align=True)
-        for name in ("fuel", "shape"):
+        for name in ("fuel", "light", "shape", "speeds"):
             column.prop(fire, name)
-        for name in ("radius", "clearance"):
+        for name in ("intensity", "radius", "clearance"):
             number(column, fire, name)
         vector(layout.column(align=True), fire, "domain_size")
         column = layout.column(align=True)

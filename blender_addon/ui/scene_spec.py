@@ -26,7 +26,15 @@ def of_settings(scene: bpy.types.Scene) -> SceneSpec:
     """The spec that the Fire panel describes. Raises SpecError that names what is out of range."""
     fire, cameras = scene.gof.fire, scene.gof.fire.cameras
     width, depth, height = map(exact, fire.domain_size)
-    burner = Fire(fire.fuel, fire.shape, (0.0, 0.0, 0.0), exact(fire.radius))
+    burner = Fire(
+        fire.fuel,
+        fire.shape,
+        (0.0, 0.0, 0.0),
+        exact(fire.radius),
+        light=fire.light,
+        speeds=fire.speeds,
+        intensity=exact(fire.intensity),
+    )
     return SceneSpec(
         "fire",
         seed=fire.seed,
