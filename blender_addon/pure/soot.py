@@ -15,7 +15,9 @@ Sources of the figures:
   absorbs as 1 / wavelength; at 1500 K and 0.6 um that is C2 / (3.83 T wavelength) = 4.2 times the mean over its own
   radiation.
 - A small laminar flame holds its soot in a thin sheet of several ppm (Santoro et al., Combustion and Flame 51, 1983),
-  which a mean over a large turbulent flame is not: its optical thickness is taken as at least `LEAST_THICKNESS`.
+  which a mean over a large turbulent flame is not: its optical thickness is taken as at least `LEAST_THICKNESS`. In
+  large ones soot lies in folds, between which one sees deeper than through the mean: at most `MOST_THICKNESS`. Both are
+  our choice.
 - Soot of 1400 to 1950 K, and its distribution over ``flame``: chosen by eye and by the colours of the paper's filmed
   fires (`gof_benchmark.evidence.flame_looks`).
 """
@@ -34,8 +36,8 @@ C2_UM_K = 14388.0
 WHITE_K = 7000.0
 """A black body of this temperature is white to the camera: daylight under a blue sky."""
 VISIBLE_OVER_TOTAL = 4.2
-LEAST_THICKNESS = 0.5
-"""Optical thickness of a burner's width of full soot, at least."""
+LEAST_THICKNESS, MOST_THICKNESS = 0.5, 5.0
+"""Optical thickness of a burner's width of full soot, at least and at most."""
 REFERENCE_K = 1900.0
 REFERENCE_RADIANCE = 14.0
 """Linear scene radiance of red of a black body of REFERENCE_K: Filmic shows it nearly white. In truth a flame is
@@ -88,9 +90,10 @@ def sheet(fuel: Fuel, diameter_m: float, intensity: float = 1.0) -> Sheet:
         intensity: factor on all light.
     """
     flame = np.linspace(0, 1, STOPS)
-    share = smoothstep(flame, 0.03, 0.35) * (1 - 0.7 * smoothstep(flame, 0.55, 0.95))
-    cold = COOLEST + (1 - COOLEST) * smoothstep(flame, 0.0, 0.75) - 0.05 * smoothstep(flame, 0.8, 1.0)
-    absorption = share * max(VISIBLE_OVER_TOTAL * fuel.absorption_per_m, fuel.sooty * LEAST_THICKNESS / diameter_m)
+    share = smoothstep(flame, 0.05, 0.45) * (1 - 0.7 * smoothstep(flame, 0.55, 0.95))
+    cold = COOLEST + (1 - COOLEST) * smoothstep(flame, 0.0, 0.65) - 0.05 * smoothstep(flame, 0.8, 1.0)
+    thickness = np.clip(VISIBLE_OVER_TOTAL * fuel.absorption_per_m * diameter_m, LEAST_THICKNESS, MOST_THICKNESS)
+    absorption = share * fuel.sooty * float(thickness) / diameter_m
     by_colour = WAVELENGTHS_UM[0] / np.array(WAVELENGTHS_UM)  # soot absorbs as 1 / wavelength
     emission = absorption[:, None] * by_colour * black_body(fuel.soot_k * cold)
     thin = smoothstep(flame, 0.02, 0.25) * (1 - smoothstep(flame, 0.35, 0.8))
