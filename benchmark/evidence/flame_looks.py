@@ -17,6 +17,7 @@ import tyro
 
 from gof.colour import srgb_to_linear
 from gof.errors import DataFormatError
+from gof.evaluate import line_chart
 from gof.footage import stored_frames
 from gof_benchmark.fires import measures
 
@@ -38,8 +39,8 @@ class FlameLooks:
     """Folder under which the videos of filmed fires lie."""
     clip_rate_hz: float = 400.0
     """At which they were filmed."""
-    chart: Path | None = None
-    """Draw the curves to this file."""
+    charts: Path | None = None
+    """Draw the curves into this folder."""
 
 
 @dataclass(frozen=True)
@@ -133,35 +134,31 @@ def distances(one: Looks, others: list[Looks]) -> tuple[float, float, float]:
     return float(colours), float(np.sqrt((texture**2).mean())), float(np.sqrt((flicker**2).mean()))
 
 
-def draw(generated: list[Looks], filmed: list[Looks], path: Path) -> None:
-    """The three curves: red against green of the colours, texture, flicker; filmed ones grey."""
-    import matplotlib
+def draw(generated: list[Looks], filmed: list[Looks], folder: Path) -> None:
+    """The three curves, each with the filmed fires' mean: colours as mean green by red, texture, flicker."""
+    folder.mkdir(parents=True, exist_ok=True)
+    kinds = ("colours", "texture", "flicker")
+    mean = Looks("filmed fires, mean", *(np.nanmean([getattr(f, k) for f in filmed], axis=0) for k in kinds))
+    charts = (
+        ("colours", "colours of the flame's pixels", "red, 8 bits", "mean green", _green_by_red),
+        ("texture", "texture", "cycles per flame height", "share of power", lambda one: (CYCLES, 10**one.texture)),
+        ("flicker", "flicker", "frequency, Hz", "power of the light, 1/Hz", lambda one: (FLICKER_HZ, 10**one.flicker)),
+    )
+    for name, title, x_label, y_label, curve in charts:
+        lines = {
+            one.name: [(float(x), float(y), "") for x, y in zip(*curve(one), strict=True) if y > 0]
+            for one in [mean, *generated]
+        }
+        lines = {name: points for name, points in lines.items() if points}
+        line_chart.write(folder / f"flame_looks_{name}.svg", title, x_label, y_label, lines)
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
 
-    figure, (colours, texture, flicker) = pyplot.subplots(1, 3, figsize=(12, 3.6))
+def _green_by_red(one: Looks) -> tuple[np.ndarray, np.ndarray]:
+    """(BINS,) red of pixels and the mean green of those; 0 where there are next to none."""
     centres = (np.arange(BINS) + 0.5) * 256 / BINS
-    for item in filmed + generated:
-        style = {"color": "0.75", "lw": 1} if item in filmed else {"lw": 2, "label": item.name}
-        cube = item.colours.reshape(BINS, BINS, BINS)
-        by_red = cube.sum((1, 2))
-        green = np.divide((cube.sum(2) * centres).sum(1), by_red, out=np.full(BINS, np.nan), where=by_red > 0.01)
-        colours.plot(centres, green, **style)
-        texture.plot(CYCLES, item.texture, **style)
-        flicker.plot(FLICKER_HZ, item.flicker, **style)
-    for axes, x, y in (
-        (colours, "red of a pixel, 8 bits", "mean green of such pixels"),
-        (texture, "cycles per flame height", "log10 share of power"),
-        (flicker, "Hz", "log10 power of light, 1/Hz"),
-    ):
-        axes.set_xlabel(x)
-        axes.set_ylabel(y)
-    texture.set_xscale("log")
-    colours.legend(fontsize=8)
-    figure.tight_layout()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    by_red_and_green = one.colours.reshape(BINS, BINS, BINS).sum(2)
+    count = by_red_and_green.sum(1)
+    return centres, np.divide(by_red_and_green @ centres, count, out=np.zeros(BINS), where=count > 0.01)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -177,8 +174,8 @@ def main(argv: list[str] | None = None) -> None:
         print(f"| {item.name} (to the other filmed ones) |", *_cells(item, [o for o in filmed if o is not item]))
     for item in generated:
         print(f"| {item.name} |", *_cells(item, filmed))
-    if config.chart:
-        draw(generated, filmed, config.chart)
+    if config.charts:
+        draw(generated, filmed, config.charts)
 
 
 def _cells(item: Looks, others: list[Looks]) -> list[str]:

@@ -60,12 +60,16 @@ def camera_run(tmp_path_factory) -> Layout:
 
 @pytest.fixture(scope="module")
 def gas_run(tmp_path_factory) -> Layout:
-    """Everything that happens in the gas: noise, an obstacle, a swinging burner, a floor."""
+    """Everything that happens in the gas: noise, an obstacle, a swinging burner, a floor; a fire as of version 1."""
     ball = obstacles.Obstacle("box", (0.0, 0.0, 0.7), (0.48, 0.48, 0.3))
     listed = (fine_noise.Settings(), obstacles.Settings((ball,)), moving_emitter.Settings(0.1, 0.4), floor.Settings())
-    domain = replace(TOY.domain, resolution=24)
     spec = replace(
-        TOY, clip=replace(CLIP, warm_up_frames=22), domain=domain, effects=listed, ground_truth=("grids", "flow", "vdb")
+        TOY,
+        clip=replace(CLIP, warm_up_frames=22),
+        domain=replace(TOY.domain, resolution=24),
+        fire=replace(TOY.fire, light="reaction", speeds="solver"),
+        effects=listed,
+        ground_truth=("grids", "flow", "vdb"),
     )
     return run(spec, tmp_path_factory.mktemp("gas"))
 
@@ -153,7 +157,7 @@ def test_lines_are_the_weighted_sum_of_the_steps_they_see(camera_run):
         bpy.ops.wm.open_mainfile(filepath=str(layout.blend))
         renderer = render.FrameRenderer(spec, layout)
         frame, camera = 1, 0
-        beauty, flame = renderer._light(frame, camera)
+        beauty, flame, cover = renderer._light(frame, camera)
         first, weights = spec.timeline.weights(camera, frame)
         bpy.context.scene.render.use_border = False
         total = 0.0
