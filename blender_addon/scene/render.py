@@ -30,8 +30,6 @@ from .fire_objects import find_flame
 FLAME_VISIBLE = 0.02
 """Linear radiance from which a flame counts as visible: just above black on a display."""
 
-COVER_SAMPLES = 2
-
 Progress = Callable[[int, int], None]
 
 
@@ -259,12 +257,13 @@ def _leave_only_the_fire() -> None:
 def _only_the_cover() -> Iterator[None]:
     """Within it, a picture's alpha is the share of what is behind the flame that the flame covers.
 
-    A volume that only absorbs is the same along all of a pixel's paths, so that two do, and nothing has to be denoised.
+    A volume that only absorbs is the same along all of a pixel's paths, so nothing has to be denoised. Samples and
+    bounces stay: with persistent data Cycles would sometimes keep those of this pass for the next picture.
     """
     scene = bpy.context.scene
-    cycles, before = scene.cycles, (scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces)
+    denoised = scene.cycles.use_denoising
     others = [thing for thing in scene.objects if thing != find_flame() and not thing.is_holdout]
-    cycles.samples, cycles.use_denoising, cycles.max_bounces = COVER_SAMPLES, False, 0
+    scene.cycles.use_denoising = False
     scene.render.film_transparent = True
     for thing in others:
         thing.is_holdout = True
@@ -274,7 +273,7 @@ def _only_the_cover() -> Iterator[None]:
         for thing in others:
             thing.is_holdout = False
         scene.render.film_transparent = False
-        cycles.samples, cycles.use_denoising, cycles.max_bounces = before
+        scene.cycles.use_denoising = denoised
 
 
 def _switch_emission_off(tree: bpy.types.NodeTree) -> None:
