@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -10,14 +10,17 @@ import tyro
 
 from gof.capture.template import BoardTemplate
 from gof.costs import StageLog
+from gof.dataset.poses import UpReport
 from gof.errors import GofError
 from gof.files import write_json
+from gof.ingest.evidence import PoseOptions, Rig, Solver
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
 from gof.ingest.pipeline import Ingested, PlateKind, make_dataset
-from gof.ingest.place import PoseOptions, Solver
+from gof.ingest.plates import MOST_FIRE_LEFT
 from gof.ingest.published import PublishedFootage, is_published
+from gof.ingest.up import UpChoice
 from gof.lens import Turn
 from gof.options import require_all_positive, require_number, require_positive
 
@@ -69,6 +72,15 @@ class IngestConfig:
     poses: Solver = "auto"
     """"features": structure from motion; "points": board or --points, refined with features; "auto": the first that
     holds."""
+    rig: Path | None = None
+    """Dataset made from another clip of the same rig: its poses are taken if no camera moved since (the still pictures
+    are compared) and nothing else speaks against them."""
+    with_clip: list[Path] = field(default_factory=list)
+    """Folders of more clips of the same rig, with videos of the same names: features and boards of all clips solve the
+    poses together."""
+    up: UpChoice = "auto"
+    """What Z follows: "edges" of upright things (posts, walls), the sync "board" standing upright, the "cameras" held
+    level on average; "auto": edges if they agree on a vertical, else cameras."""
     width: int | None = None
     """Width of the dataset's pictures in pixels; poses are always solved at full size."""
     frames: int | None = None
@@ -101,6 +113,8 @@ def ingest(config: IngestConfig) -> Ingested:
         board=None if config.board == "none" else BoardTemplate.load(config.board),
         marker_m=config.marker_m,
         baseline_m=config.baseline_m,
+        rig=Rig.read(config.rig, footage.upright_lenses) if config.rig else None,
+        up=config.up,
     )
     return make_dataset(
         config.out,
@@ -112,7 +126,19 @@ def ingest(config: IngestConfig) -> Ingested:
         width=config.width,
         depth=config.depth,
         depth_weights=config.depth_weights,
+        others=tuple(other_clip(footage, folder) for folder in config.with_clip),
     )
+
+
+def other_clip(footage: Footage, folder: Path) -> Footage:
+    """Another clip by the same cameras. Raises GofError: a video is missing."""
+    videos = tuple(folder / video.name for video in footage.videos)
+    if len(set(videos)) < len(videos):
+        raise GofError("--with-clip: this clip's videos share a name; put each clip's videos into a folder of its own")
+    for video in videos:
+        if not video.exists():
+            raise GofError(f"--with-clip {folder}: no {video.name} there; give its videos the names of this clip's")
+    return footage.other(list(videos))
 
 
 def open_footage(config: IngestConfig) -> Footage:
@@ -125,6 +151,26 @@ def open_footage(config: IngestConfig) -> Footage:
     return PublishedFootage.read(config.videos[0], turn, config.baseline_m)
 
 
+def up_in_words(up: UpReport) -> str:
+    """How Z is known, for people."""
+    if up.source == "cameras":
+        return "up: the cameras' mean up, as true as they are level; no other sign of the vertical (see --up)"
+    spread = "" if up.spread_deg is None else f", spread {up.spread_deg:.1f} degrees"
+    edges = f"{up.edges} edges" if up.edges else "the board, taken to stand upright"
+    return f"up: from {edges}{spread}; {up.lean_deg:.1f} degrees from the cameras' mean up"
+
+
+def fire_left_in_words(left: dict[str, float]) -> str:
+    """How clean the plates are, for people."""
+    words = "fire left in the plates: " + ", ".join(f"{name} {share:.1%}" for name, share in left.items())
+    if max(left.values()) <= MOST_FIRE_LEFT:
+        return words
+    return (
+        f"{words}; more than {MOST_FIRE_LEFT:.0%} of the picture never shows what is behind the fire: give plates "
+        "filmed without fire (--plates), or more clips of the same rig (--with-clip)"
+    )
+
+
 def main(argv: list[str]) -> int:
     """`gof ingest VIDEO... --out DATASET`; see --help."""
     config = tyro.cli(IngestConfig, prog="gof ingest", args=argv)
@@ -134,6 +180,11 @@ def main(argv: list[str]) -> int:
     for stage in stages:
         print(f"{stage.name:<8} {stage.seconds:7.1f} s {stage.peak_mb:6.0f} MB")
     print(f"poses from {report.method}; scale: {report.scale}")
+    for other, shifts in (report.moved or {}).items():
+        print(f"same rig as {other}: its pictures lie within {max(shifts.values()):.2f} px of these")
+    if report.up is not None:
+        print(up_in_words(report.up))
+    print(fire_left_in_words(result.fire_left))
     for note in (*result.notes, *report.notes):
         print(f"note: {note}")
     print(f"dataset -> {result.folder}; next: gof reconstruct {result.folder} --out out/{result.folder.name}")

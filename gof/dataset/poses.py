@@ -46,25 +46,46 @@ class PointCheck:
 
 
 @dataclass(frozen=True)
+class UpReport:
+    """How the world's Z is known.
+
+    Attributes:
+        source: "edges" of upright things, the "board" standing upright, or the "cameras" held level on average.
+        lean_deg: between this Z and the cameras' mean up.
+        spread_deg: standard deviation, from drawing the edges again; None where there is no telling.
+        edges: how many.
+    """
+
+    source: Literal["edges", "board", "cameras"]
+    lean_deg: float = 0.0
+    spread_deg: float | None = None
+    edges: int = 0
+
+
+@dataclass(frozen=True)
 class PoseReport:
     """Where the poses are from, and the figures they were judged by.
 
     Attributes:
-        method: "features": structure from motion; "points": the board or points by hand; "--cameras": given;
-            "published": they came with the footage.
+        method: "features": structure from motion; "points": the board or points by hand; "rig": those of another clip;
+            "--cameras": given; "published": they came with the footage.
         scale: how the unit of length is known.
         notes: what could not be used, for people.
         sfm: None when no features were looked for.
         consistent: share of a pair's raw matches near their epipolar lines, per pair that has matches.
         check: None when no marked point is in two views.
+        moved: per other clip of the rig, how far each camera's still picture lies from where it was, px; None without.
+        up: how Z is known; None where it came with the poses.
     """
 
-    method: Literal["--cameras", "features", "points", "published"]
+    method: Literal["--cameras", "features", "points", "published", "rig"]
     scale: str
     notes: tuple[str, ...] = ()
     sfm: FeatureFigures | None = None
     consistent: dict[str, float] | None = None
     check: PointCheck | None = None
+    moved: dict[str, dict[str, float]] | None = None
+    up: UpReport | None = None
 
 
 @dataclass(frozen=True)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
 from gof.dataset.poses import PointCheck
+from gof.ingest.bundle import Sightings, State, adjust
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.sfm import Features, Model, PoseError, epipolar_distance
 from gof.lens import Lens
 
-GATES_PX = (25.0, 8.0, 4.0, 2.5)  # epipolar gates, each followed by a bundle adjustment
-MAX_TRACKS = 300
-KNOWN_WEIGHT = 3.0  # points with known coordinates against one feature
+GATES_PX = (25.0, 8.0, 4.0, 2.5, 2.5)  # epipolar gates, each followed by a bundle adjustment
+SHAPES_PX = 5.0  # gate from which on all boards are held to
+MOST_STARTS = 4
+MAX_TRACKS = 1000
+KNOWN_WEIGHT = 1.0  # a corner is found as well as a feature
 AGREEMENT_PX = 10.0  # a match this far from its epipolar line counts 1/e
 
 Track = dict[int, np.ndarray]  # camera -> (2,) px
@@ -41,23 +42,44 @@ def triangulate(matrices: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 def from_known_points(points: list[MarkedPoint], features: Features, lenses: list[Lens], names: list[str]) -> Model:
     """Perspective-n-point in every camera, then feature tracks near the epipolar lines join a robust bundle adjustment.
 
-    A plane seen by one camera has two poses that fit almost equally; all combinations are tried and the one that most
-    feature matches agree with starts.
+    A plane seen by one camera has two poses that fit almost equally. The combinations that most feature matches agree
+    with, of every board, are adjusted; the one that they agree with best afterwards is kept.
 
     Args:
         points: xyz in metres; those of rough points start the poses, but the adjustment does not hold to them.
     Raises:
-        PoseError: a camera sees fewer than four points with xyz, or no pose fits them.
+        PoseError: a camera sees fewer than four points of one board with xyz, or no pose fits them.
     """
-    options = [_pnp(c, points, lens, name) for c, (lens, name) in enumerate(zip(lenses, names, strict=True))]
-    poses = max(
-        (np.stack(combination) for combination in product(*options)),
-        key=lambda candidate: _agreement(features, lenses, candidate),
-    )
+    starts = _starts(points, lenses, names)
+    starts = sorted(starts, key=lambda start: _agreement(features, lenses, start[1]), reverse=True)[:MOST_STARTS]
+    models = [_refined(board, poses, points, features, lenses) for board, poses in starts]
+    return max(models, key=lambda model: _agreement(features, lenses, model.world_to_camera))
+
+
+def _refined(board: int, poses: np.ndarray, points: list[MarkedPoint], features: Features, lenses: list[Lens]) -> Model:
+    """Poses in a board's axes, adjusted to what lies within narrower and narrower gates."""
+    # Far from the truth another clip's board would be triangulated to nowhere: each joins when the poses are near.
+    own = [p if p.board == board else p.without_xyz() for p in points]
     for gate in GATES_PX:
-        model = bundle(poses, lenses, points, tracks(features, lenses, poses, gate))
+        model = bundle(poses, lenses, own if gate > SHAPES_PX else points, tracks(features, lenses, poses, gate))
         poses = model.world_to_camera
     return model
+
+
+def _starts(points: list[MarkedPoint], lenses: list[Lens], names: list[str]) -> list[tuple[int, np.ndarray]]:
+    """Each board's number, and the combinations (C, 4, 4) of poses in its axes that fit its points."""
+    starts, problem = [], None
+    for board in sorted({p.board for p in points}):
+        own = [p for p in points if p.board == board]
+        try:
+            options = [_pnp(c, own, lens, name) for c, (lens, name) in enumerate(zip(lenses, names, strict=True))]
+        except PoseError as e:
+            problem = problem or e
+            continue
+        starts += [(board, np.stack(combination)) for combination in product(*options)]
+    if not starts:
+        raise problem or PoseError("no points with known coordinates")
+    return starts
 
 
 def _pnp(camera: int, points: list[MarkedPoint], lens: Lens, name: str) -> list[np.ndarray]:
@@ -121,7 +143,8 @@ def tracks(features: Features, lenses: list[Lens], poses: np.ndarray, gate: floa
                 if track_of.get(end, track) == track and camera not in chains[track]:
                     track_of[end] = track
                     chains[track][camera] = features.keypoints[camera][keypoint]
-    chains = [t for t in chains if len(t) >= 2]
+    matrices = _projection_matrices(lenses, poses)
+    chains = [t for t in chains if len(t) >= 2 and _misses(matrices, t) < gate]
     # Poses of a few cameras are settled by some hundred points; those in most views say most.
     order = np.random.default_rng(0).permutation(len(chains))
     return sorted((chains[k] for k in order), key=len, reverse=True)[:MAX_TRACKS]
@@ -130,73 +153,65 @@ def tracks(features: Features, lenses: list[Lens], poses: np.ndarray, gate: floa
 # ---- bundle adjustment -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Observations:
-    """Who sees what, O of them.
-
-    Attributes:
-        camera, point: (O,) numbers; points that move count from 0, known ones are -1, -2, ...
-        pixel: (O, 2).   weight: (O,).
-    """
-
-    camera: np.ndarray
-    point: np.ndarray
-    pixel: np.ndarray
-    weight: np.ndarray
-
-    @classmethod
-    def of(cls, known: list[MarkedPoint], free: list[Track]) -> _Observations:
-        rows = [(c, -1 - k, pixel, KNOWN_WEIGHT) for k, p in enumerate(known) for c, pixel in p.pixels.items()]
-        rows += [(c, k, pixel, 1.0) for k, track in enumerate(free) for c, pixel in track.items()]
-        if not rows:
-            raise PoseError("no feature and no marked point is in two pictures, and no marked point has believed xyz")
-        camera, point, pixel, weight = zip(*rows, strict=True)
-        return cls(np.array(camera), np.array(point), np.array(pixel), np.array(weight))
-
-
 def bundle(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], chains: list[Track]) -> Model:
-    """Robust bundle adjustment (soft L1 at 1 px) with fixed intrinsics; points whose xyz are known stay where they are.
+    """Robust bundle adjustment of tracks and marked points: `gof.ingest.bundle.adjust` with this room's things.
+
+    Points with known xyz move as their boards do, each board as one body; the first stays where it is. A board that
+    does not yet have a place gets it from the poses.
 
     Args:
-        poses: (C, 4, 4) world to camera to start from.
+        poses: (C, 4, 4) world to camera to start from, metres where a point is known.
     Returns:
         the refined poses, and the triangulated points (N, 3) that lay in front of their cameras.
     Raises:
         PoseError: nothing to adjust to.
     """
-    known = [p for p in points if p.is_known]
-    free = chains + [p.pixels for p in points if not p.is_known and len(p.pixels) >= 2]
-    free, start = _triangulated(poses, lenses, free)
-    seen = _Observations.of(known, free)
-    fixed = np.array([p.xyz for p in known]).reshape(-1, 3)
-    K = np.stack([lens.K for lens in lenses])
-    count = len(poses)
-    unit = _typical_distance(poses, np.concatenate([start, fixed]))
+    boards, bodies = _bodies(poses, lenses, points)
+    held = [p for p in points if p.is_known and p.board in boards]
+    loose = [p for p in points if not (p.is_known and p.board in boards)]
+    free, start = _triangulated(poses, lenses, chains + [p.pixels for p in loose if len(p.pixels) >= 2])
+    nowhere = np.zeros(3)
+    rows = [(c, px, KNOWN_WEIGHT, -1, boards.index(p.board), p.xyz) for p in held for c, px in p.pixels.items()]
+    rows += [(c, px, 1.0, k, 0, nowhere) for k, track in enumerate(free) for c, px in track.items()]
+    if not rows:
+        raise PoseError("no feature and no marked point is in two pictures, and no marked point has believed xyz")
+    seen = Sightings(*(np.array(column) for column in zip(*rows, strict=True)))
+    found = adjust(State(poses, bodies, start), seen, np.stack([lens.K for lens in lenses]))
+    first = found.bodies[0] if len(boards) else np.eye(4)  # the world stays that of the first board
+    return Model(found.cameras @ first, (found.points - first[:3, 3]) @ first[:3, :3])
 
-    def unpack(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rotations (C, 3, 3), shifts (C, 3) and free points (N, 3) of the parameters."""
-        R = Rotation.from_rotvec(x[: 3 * count].reshape(count, 3)).as_matrix()
-        return R, x[3 * count : 6 * count].reshape(count, 3), x[6 * count :].reshape(-1, 3)
 
-    def residuals(x: np.ndarray) -> np.ndarray:
-        R, t, moving = unpack(x)
-        world = np.concatenate([moving, fixed[::-1]])[seen.point]  # -1 is the last: the first known point
-        local = np.einsum("oij,oj->oi", R[seen.camera], world) + t[seen.camera]
-        uv = local[:, :2] / np.maximum(local[:, 2:], 1e-6 * unit)
-        projected = np.einsum("oij,oj->oi", K[seen.camera][:, :2, :2], uv) + K[seen.camera][:, :2, 2]
-        return ((projected - seen.pixel) * seen.weight[:, None]).ravel()
+def _bodies(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint]) -> tuple[list[int], np.ndarray]:
+    """Numbers of the boards that can be held to, and where they are: (B, 4, 4) board to world.
 
-    rotations = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
-    x0 = np.concatenate([rotations.ravel(), poses[:, :3, 3].ravel(), start.ravel()])
-    # Steps of a hundredth of a radian, and of the typical distance, so that they do not depend on the unit.
-    x_scale = np.concatenate([np.full(3 * count, 0.01), np.full(len(x0) - 3 * count, 0.01 * unit)])
-    sparsity = _sparsity(seen, count, len(x0))
-    found = least_squares(residuals, x0, jac_sparsity=sparsity, loss="soft_l1", x_scale=x_scale, max_nfev=30)
-    R, t, cloud = unpack(found.x)
-    refined = np.tile(np.eye(4), (count, 1, 1))
-    refined[:, :3, :3] = R
-    refined[:, :3, 3] = t
-    return Model(refined, cloud)
+    One board alone is the world itself; of several each must be triangulated from three of its known points.
+    """
+    boards = sorted({p.board for p in points if p.is_known and p.pixels})
+    if len(boards) == 1:
+        return boards, np.eye(4)[None]
+    matrices = _projection_matrices(lenses, poses)
+    found, places = [], []
+    for board in boards:
+        known = [p for p in points if p.is_known and p.board == board and len(p.pixels) >= 2]
+        seen = np.array([_meeting(matrices, p.pixels) for p in known]).reshape(-1, 3)
+        if len(known) >= 3 and np.isfinite(seen).all():
+            found.append(board)
+            places.append(_rigid(np.array([p.xyz for p in known]), seen))
+    return found, np.array(places).reshape(-1, 4, 4)
+
+
+def _meeting(matrices: np.ndarray, pixels: dict[int, np.ndarray]) -> np.ndarray:
+    """(3,) where the rays through a point's pixels meet; NaN where they do not."""
+    return triangulate(matrices[list(pixels)], np.array(list(pixels.values())))
+
+
+def _rigid(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """(4, 4) rotation and shift that bring points (N, 3) nearest to others (Kabsch)."""
+    middle, to = source.mean(0), target.mean(0)
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.align_vectors(target - to, source - middle)[0].as_matrix()
+    motion[:3, 3] = to - motion[:3, :3] @ middle
+    return motion
 
 
 def _triangulated(poses: np.ndarray, lenses: list[Lens], free: list[Track]) -> tuple[list[Track], np.ndarray]:
@@ -205,35 +220,27 @@ def _triangulated(poses: np.ndarray, lenses: list[Lens], free: list[Track]) -> t
     kept, points = [], []
     for track in free:
         views = list(track)
-        x = triangulate(matrices[views], np.array([track[v] for v in views]))
+        x = _meeting(matrices, track)
         if np.isfinite(x).all() and all((poses[v, 2, :3] @ x + poses[v, 2, 3]) > 0 for v in views):
             kept.append(track)
             points.append(x)
     return kept, np.array(points).reshape(-1, 3)
 
 
+def triangulated(poses: np.ndarray, lenses: list[Lens], chains: list[Track]) -> np.ndarray:
+    """(N, 3) points of tracks, those that lie in front of their cameras."""
+    return _triangulated(poses, lenses, chains)[1]
+
+
+def meetings(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint]) -> np.ndarray:
+    """(N, 3) where marked points, each seen twice, are; NaN where their rays do not meet."""
+    matrices = _projection_matrices(lenses, poses)
+    return np.array([_meeting(matrices, p.pixels) for p in points]).reshape(-1, 3)
+
+
 def _projection_matrices(lenses: list[Lens], poses: np.ndarray) -> np.ndarray:
     """(C, 3, 4) world to homogeneous pixels."""
     return np.stack([lens.K @ pose[:3] for lens, pose in zip(lenses, poses, strict=True)])
-
-
-def _typical_distance(poses: np.ndarray, points: np.ndarray) -> float:
-    """Median distance of points (N, 3) from the cameras."""
-    centers = np.stack([-p[:3, :3].T @ p[:3, 3] for p in poses])
-    return float(np.median(np.linalg.norm(points[:, None] - centers, axis=-1)))
-
-
-def _sparsity(seen: _Observations, cameras: int, parameters: int) -> lil_matrix:
-    """Which parameters (rotations, shifts, free points) each residual depends on, (2 O, parameters)."""
-    sparsity = lil_matrix((2 * len(seen.camera), parameters), dtype=np.int8)
-    rows = np.arange(len(seen.camera))
-    moving = seen.point >= 0
-    for d in range(2):
-        for k in range(3):
-            sparsity[2 * rows + d, 3 * seen.camera + k] = 1
-            sparsity[2 * rows + d, 3 * cameras + 3 * seen.camera + k] = 1
-            sparsity[2 * rows[moving] + d, 6 * cameras + 3 * seen.point[moving] + k] = 1
-    return sparsity
 
 
 # ---- what marked points say of poses ---------------------------------------------------------------------------------
@@ -246,37 +253,48 @@ def check_points(points: list[MarkedPoint], lenses: list[Lens], poses: np.ndarra
         poses: (C, 4, 4) world to camera.
     """
     matrices = _projection_matrices(lenses, poses)
-    errors, known, found = [], [], []
-    for p in points:
-        views = list(p.pixels)
-        if len(views) < 2:
-            continue
-        pixels = np.array([p.pixels[v] for v in views])
-        x = triangulate(matrices[views], pixels)
-        if not np.isfinite(x).all():
-            errors.append(np.inf)
-            continue
-        projected = matrices[views] @ np.append(x, 1)
-        errors.append(float(np.linalg.norm(projected[:, :2] / projected[:, 2:] - pixels, axis=1).mean()))
-        if p.is_known:
-            known.append(p.xyz)
-            found.append(x)
+    errors, ratios = [], []
+    for board in sorted({p.board for p in points}):
+        known, found = [], []
+        for p in points:
+            if p.board != board or len(p.pixels) < 2:
+                continue
+            errors.append(_misses(matrices, p.pixels, np.mean))
+            if p.is_known and np.isfinite(errors[-1]):
+                known.append(p.xyz)
+                found.append(_meeting(matrices, p.pixels))
+        ratios.append(_ratios(np.array(known), np.array(found)))
     if not errors:
         return None
     error = float(np.mean(errors))
-    return PointCheck(round(error, 6) if np.isfinite(error) else None, *_unit(np.array(known), np.array(found)))
+    return PointCheck(round(error, 6) if np.isfinite(error) else None, *_unit(np.concatenate(ratios)))
 
 
-def _unit(known: np.ndarray, found: np.ndarray) -> tuple[float | None, float | None]:
-    """Metres per unit of the found points (N, 3), and its relative spread, from the distances between all pairs."""
+def _misses(matrices: np.ndarray, pixels: dict[int, np.ndarray], summary: Callable = np.max) -> float:
+    """Largest (or mean) distance in px of a point's pixels from where its rays meet; inf where they do not."""
+    x = _meeting(matrices, pixels)
+    if not np.isfinite(x).all():
+        return np.inf
+    projected = matrices[list(pixels)] @ np.append(x, 1)
+    if (projected[:, 2] <= 0).any():
+        return np.inf
+    return float(summary(np.linalg.norm(projected[:, :2] / projected[:, 2:] - np.array(list(pixels.values())), axis=1)))
+
+
+def _ratios(known: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """True distances over found ones, of all pairs of points (N, 3) that are apart."""
     if len(known) < 2:
-        return None, None
+        return np.zeros(0)
     pairs = np.triu_indices(len(known), 1)
     truth = np.linalg.norm(known[:, None] - known, axis=-1)[pairs]
     solved = np.linalg.norm(found[:, None] - found, axis=-1)[pairs]
     apart = (truth > 0) & (solved > 0)
-    if not apart.any():
+    return truth[apart] / solved[apart]
+
+
+def _unit(ratios: np.ndarray) -> tuple[float | None, float | None]:
+    """Metres per unit of the poses, and its relative spread; None when no distance is known."""
+    if not len(ratios):
         return None, None
-    ratios = truth[apart] / solved[apart]
     ratio = float(np.median(ratios))
     return round(ratio, 6), round(float(np.median(np.abs(ratios - ratio)) / ratio), 6)

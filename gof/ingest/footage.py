@@ -13,8 +13,9 @@ from gof.dataset import Splits, held_out
 from gof.errors import DataFormatError, GofError
 from gof.footage import VideoInfo, chosen_frames, read_info
 from gof.ingest.agreement import other_notes, turn_by_tags
+from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
-from gof.ingest.place import Placed, PoseOptions, place_cameras
+from gof.ingest.place import Placed, place_cameras
 from gof.lens import CalibratedCamera, Lens, Turn, preparation, read_cameras
 from gof.progress import progress_bar
 
@@ -113,6 +114,18 @@ class Footage:
         lenses = tuple(camera.lens for camera in known)
         return cls(tuple(videos), lenses, turn, _poses(known), tuple(infos), tuple(notes))
 
+    def other(self, videos: list[Path]) -> Footage:
+        """Another clip by the same cameras. Raises DataFormatError: a video cannot be read, or has another size."""
+        infos = [_read(video) for video in videos]
+        for info, mine in zip(infos, self.infos, strict=True):
+            if (info.width, info.height) != (mine.width, mine.height):
+                raise DataFormatError(f"{info.path}: has another size than {mine.path}; is it by the same camera?")
+        return replace(self, videos=tuple(videos), infos=tuple(infos))
+
+    def all_clips(self) -> list[Clip]:
+        """Every frame, whatever its time: enough for what stands still."""
+        return self.clips([np.arange(info.frames) for info in self.infos])
+
     @property
     def names(self) -> list[str]:
         """What the dataset calls the cameras."""
@@ -127,9 +140,9 @@ class Footage:
         """Which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
         return read_frame_times(timing, list(self.infos)).turned(self.turn)
 
-    def place(self, clips: list[Clip], lowest: list[np.ndarray], options: PoseOptions) -> Placed:
-        """The cameras' poses, from the prepared pictures; see `place_cameras`."""
-        return place_cameras(clips, lowest, self.upright_lenses, self.names, self.world_to_camera, options)
+    def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
+        """The cameras' poses, from this clip and others of the same rig; see `place_cameras`."""
+        return place_cameras(clips, self.upright_lenses, self.names, self.world_to_camera, options)
 
     def splits(self, count: int) -> Splits:
         """Which of `count` frames are held out."""

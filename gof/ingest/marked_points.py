@@ -18,13 +18,15 @@ class MarkedPoint:
 
     Attributes:
         pixels: by camera number, (2,) px in the upright, undistorted picture at footage size, centres at integer + 0.5.
-        xyz: (3,) metres in a frame that all points share, or None.
+        xyz: (3,) metres in a frame that all points of one `board` share, or None.
         rough: xyz is good enough to start from, not to hold a solution to.
+        board: number of the rigid thing that it is on; each clip's sync board is one.
     """
 
     pixels: dict[int, np.ndarray]
     xyz: np.ndarray | None = None
     rough: bool = False
+    board: int = 0
 
     @property
     def is_known(self) -> bool:

@@ -20,10 +20,11 @@ from gof.files import atomic_path, path_in
 from gof.flame_mask import flame_mask
 from gof.ingest import plates
 from gof.ingest.depth import back_project, whole_depth, write_points
+from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.footage import Clip, Footage
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import MEDIAN_PASSES, darkest
-from gof.ingest.place import Placed, PoseOptions
+from gof.ingest.place import Placed
 from gof.ingest.stereo import stereo_depth
 from gof.lens import ROLL_DEG
 from gof.pictures import write_picture as save_picture
@@ -34,10 +35,12 @@ PlateKind = Literal["steady", "minimum"]
 
 @dataclass(frozen=True)
 class Ingested:
-    """The finished dataset's folder, what its poses.json says, and what else a user should know, in words."""
+    """The finished dataset's folder, what its poses.json says, the share of each plate that is still fire, and what
+    else a user should know, in words."""
 
     folder: Path
     poses: Poses
+    fire_left: dict[str, float]
     notes: tuple[str, ...] = ()
 
 
@@ -51,6 +54,7 @@ def make_dataset(
     width: int | None = None,
     depth: bool = False,
     depth_weights: Path | None = None,
+    others: tuple[Footage, ...] = (),
 ) -> Ingested:
     """Write a dataset. Plates, poses and depth are made from training frames only, and the dataset says so.
 
@@ -62,6 +66,8 @@ def make_dataset(
         width: of the dataset's pictures in px, None for the footage's; poses are always solved at full size.
         depth: also write depth maps of the plates and their point cloud.
         depth_weights: folder of the checkpoint for `gof.ingest.depth.monocular`; None: see `complete` there.
+        others: more clips of the same rig; their features and boards help to find the poses, and they may show what
+            burns all the time in this one.
     Raises:
         GofError: `out` holds a dataset already, the width is not one of the footage; see the stages for what can be
             wrong with footage, times and poses.
@@ -86,15 +92,23 @@ def make_dataset(
     with log.measure("plates") as figures:
         plate_source = "given" if plates_folder else plate
         figures["plate"] = plate_source
-        passes = 1 if plates_folder or plate == "minimum" else 2 + MEDIAN_PASSES
+        passes = 2 if plates_folder or plate == "minimum" else 2 + MEDIAN_PASSES
+        more = [evidence_of(other, pose_options) for other in others]
         with watched("plates", known, passes) as seen:
             lowest = [darkest(clip) for clip in seen]
-            without_fire = read_plates(plates_folder, footage) if plates_folder else make_plates(seen, lowest, plate)
+            fire = [plates.fire_reached(clip, low) for clip, low in zip(seen, lowest, strict=True)]
+            if plates_folder:
+                without_fire = read_plates(plates_folder, footage)
+            else:
+                elsewhere = [[other.plates[c] for other in more] for c in range(len(seen))]
+                without_fire = make_plates(seen, lowest, fire, elsewhere, plate)
+        left = [round(plates.fire_left(*each), 4) for each in zip(without_fire, fire, strict=True)]
+        figures["fire_left"] = left
 
     # ---- poses -------------------------------------------------------------------------------------------------------
     with log.measure("poses") as figures:
         with watched("poses: read", known, 1 + (pose_options.board is not None)) as seen:
-            placed = footage.place(seen, lowest, pose_options)
+            placed = footage.place([Evidence.of(out.name, seen, lowest, pose_options), *more], pose_options)
         figures.update(method=placed.report.method, points=len(placed.points))
     cameras = placed_cameras(footage, times, placed)
     stored = [stored_view(camera, picture, width) for camera, picture in zip(cameras, without_fire, strict=True)]
@@ -111,10 +125,12 @@ def make_dataset(
     made_by = {
         "footage": [video.name for video in footage.videos],
         "plate": plate_source,
+        "fire_left": dict(zip(footage.names, left, strict=True)),
         "clock": times.source,
         "notes": [*footage.notes, *times.notes],
         "mask": "estimated from the plates",
         "scale": placed.report.scale,
+        **({"rig_clips": [other.videos[0].parent.name for other in others]} if others else {}),
         **footage.provenance,
     }
     boards = [footage.board_mask(c) for c in range(len(clips))]
@@ -137,7 +153,7 @@ def make_dataset(
             provenance=made_by,
             made_from=dict.fromkeys(made_from, splits.train),
         ).write(out)  # last: it says that the rest is there
-    return Ingested(out, poses, (*footage.notes, *times.notes))
+    return Ingested(out, poses, made_by["fire_left"], (*footage.notes, *times.notes))
 
 
 @contextmanager
@@ -165,11 +181,21 @@ def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool
 # ---- plates ----------------------------------------------------------------------------------------------------------
 
 
-def make_plates(clips: list[Clip], lowest: list[np.ndarray], kind: PlateKind) -> list[np.ndarray]:
-    """(H, W, 3) uint8 per camera from clips and their minimum plates."""
-    if kind == "minimum":
-        return lowest
-    return [plates.steady(clip, plate) for clip, plate in zip(clips, lowest, strict=True)]
+def make_plates(
+    clips: list[Clip],
+    lowest: list[np.ndarray],
+    fire: list[np.ndarray],
+    elsewhere: list[list[np.ndarray]],
+    kind: PlateKind,
+) -> list[np.ndarray]:
+    """(H, W, 3) uint8 per camera.
+
+    Args:
+        lowest: the clips' minimum plates.   fire: (H, W) bool, where fire was.
+        elsewhere: minimum plates of the camera's other clips.
+    """
+    dark = [plates.uncovered(*each) for each in zip(lowest, fire, elsewhere, strict=True)]
+    return dark if kind == "minimum" else [plates.steady(*each) for each in zip(clips, dark, fire, strict=True)]
 
 
 def read_plates(folder: Path, footage: Footage) -> list[np.ndarray]:
@@ -178,6 +204,13 @@ def read_plates(folder: Path, footage: Footage) -> list[np.ndarray]:
         footage.preparation(c)(plates.read_plate(folder, name, lens))
         for c, (name, lens) in enumerate(zip(footage.names, footage.lenses, strict=True))
     ]
+
+
+def evidence_of(footage: Footage, options: PoseOptions) -> Evidence:
+    """What another clip of the rig says of the poses. What stands still needs no times: all frames are used."""
+    name = footage.videos[0].parent.name
+    with watched(f"read {name}", footage.all_clips(), 2 + (options.board is not None)) as clips:
+        return Evidence.of(name, clips, [darkest(clip) for clip in clips], options)
 
 
 # ---- cameras ---------------------------------------------------------------------------------------------------------

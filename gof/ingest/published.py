@@ -27,10 +27,12 @@ from gof.dataset.description import METRES
 from gof.dataset.poses import PoseReport
 from gof.errors import DataFormatError, GofError
 from gof.files import write_json
+from gof.ingest.axes import upright_world
+from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.pairing import pair
-from gof.ingest.place import Placed, PoseOptions, upright_world
+from gof.ingest.place import Placed
 from gof.lens import Lens, Turn, straightening
 from gof.npz import read_npz
 
@@ -178,7 +180,7 @@ class PublishedFootage(Footage):
         meta = self.meta
         return straightening(meta.camera_matrix[camera], meta.dist_coeffs[camera], self.lenses[camera], self.turn)
 
-    def place(self, clips: list[np.ndarray], lowest: list[np.ndarray], options: PoseOptions) -> Placed:
+    def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
         """As published."""
         points = self.meta.points3D @ self.transform[:3, :3].T + self.transform[:3, 3]
         return Placed(self.world_to_camera, points, PoseReport("published", self.scale))

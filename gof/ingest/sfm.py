@@ -55,12 +55,15 @@ class Solution:
     figures: FeatureFigures
 
 
-def solve(plates: list[np.ndarray], masks: list[np.ndarray], lenses: list[Lens], names: list[str]) -> Solution:
-    """SIFT, exhaustive matching, incremental mapping with fixed intrinsics.
+def solve(
+    clips: list[tuple[list[np.ndarray], list[np.ndarray]]], lenses: list[Lens], names: list[str], mapped: bool = True
+) -> Solution:
+    """SIFT and exhaustive matching within every clip, then incremental mapping of all clips' features together.
 
     Args:
-        plates: (H, W, 3) uint8 RGB per camera.
-        masks: (H, W) bool, True where features may be.
+        clips: of one rig, each with its plates (H, W, 3) uint8 RGB and its masks (H, W) bool, True where features may
+            be, per camera.
+        mapped: False only matches features.
     Raises:
         MissingDependencyError: no pycolmap.
     """
@@ -72,12 +75,18 @@ def solve(plates: list[np.ndarray], masks: list[np.ndarray], lenses: list[Lens],
         ) from e
 
     pycolmap.logging.minloglevel = 2
+    found = []
     with tempfile.TemporaryDirectory() as folder:
-        work = Path(folder)
-        files = _write_pictures(work, plates, masks)
-        database = _match_features(pycolmap, work, files, lenses)
-        features = _read_features(pycolmap, database, files)
-        best = _largest_model(pycolmap, work, database)
+        for number, (plates, masks) in enumerate(clips):
+            work = Path(folder) / str(number)
+            work.mkdir()
+            files = _write_pictures(work, plates, masks)
+            database = _match_features(pycolmap, work, files, lenses)
+            found.append(_read_features(pycolmap, database, files))
+        features = pooled(found)
+        if len(clips) > 1:
+            _write_features(pycolmap, work, database, files, features)
+        best = _largest_model(pycolmap, work, database) if mapped else None
     poses = _registered_poses(best, files)
     figures = FeatureFigures(
         keypoints={n: len(k) for n, k in zip(names, features.keypoints, strict=True)},
@@ -90,6 +99,49 @@ def solve(plates: list[np.ndarray], masks: list[np.ndarray], lenses: list[Lens],
         return Solution(None, features, figures)
     points = np.array([p.xyz for p in best.points3D.values()]).reshape(-1, 3)
     return Solution(Model(np.array([poses[file] for file in files]), points), features, figures)
+
+
+def pooled(clips: list[Features]) -> Features:
+    """The features of several clips as if each camera had seen all in one picture: the cameras did not move."""
+    counts = np.array([[len(k) for k in clip.keypoints] for clip in clips])
+    before = np.cumsum(counts, 0) - counts  # numbers of a clip's keypoints begin here, (clips, C)
+    keypoints = [np.concatenate([clip.keypoints[c] for clip in clips]) for c in range(counts.shape[1])]
+    matches = {
+        pair: np.concatenate(
+            [clip.matches[pair] + first[list(pair)] for clip, first in zip(clips, before, strict=True)]
+        )
+        for pair in clips[0].matches
+    }
+    return Features(keypoints, matches)
+
+
+def shift_between(
+    first: np.ndarray, first_mask: np.ndarray, second: np.ndarray, second_mask: np.ndarray | None
+) -> tuple[float, int]:
+    """How far what stands still lies apart in two pictures by one camera: median in px of the first, and of how many.
+
+    Args:
+        first, second: (H, W, 3) uint8 RGB, sizes may differ.   first_mask, second_mask: (H, W) bool, where to look.
+    """
+    import cv2
+
+    sift = cv2.SIFT_create(MAX_FEATURES // 4, contrastThreshold=0.01)
+    width, height = first.shape[1::-1]
+    scale = np.array([width / second.shape[1], height / second.shape[0]])
+    sides = []
+    for picture, mask in ((first, first_mask), (second, second_mask)):
+        where = None if mask is None else mask.astype(np.uint8) * 255
+        points, kinds = sift.detectAndCompute(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), where)
+        sides.append((np.array([p.pt for p in points]).reshape(-1, 2) + 0.5, kinds))
+    (here, these), (there, those) = sides
+    if len(here) < 2 or len(there) < 2:
+        return float("nan"), 0
+    pairs = cv2.BFMatcher().knnMatch(these, those, k=2)
+    pairs = np.array([(a.queryIdx, a.trainIdx) for a, b in pairs if a.distance < 0.75 * b.distance]).reshape(-1, 2)
+    if not len(pairs):
+        return float("nan"), 0
+    apart = np.linalg.norm(there[pairs[:, 1]] * scale - here[pairs[:, 0]], axis=1)
+    return float(np.median(apart)), len(pairs)
 
 
 def _write_pictures(work: Path, plates: list[np.ndarray], masks: list[np.ndarray]) -> list[str]:
@@ -120,10 +172,7 @@ def _match_features(pycolmap: ModuleType, work: Path, files: list[str], lenses: 
         pycolmap.extract_features(
             database, work / "images", [file], pycolmap.CameraMode.PER_IMAGE, reader, options, cpu
         )
-    # Three views 15 degrees apart share few features; COLMAP's defaults are made for hundreds of views.
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.min_num_inliers = MIN_MATCHES
-    pycolmap.match_exhaustive(database, verification_options=verification, device=cpu)
+    pycolmap.match_exhaustive(database, verification_options=_verification(pycolmap), device=cpu)
     return database
 
 
@@ -139,6 +188,31 @@ def _read_features(pycolmap: ModuleType, database: Path, files: list[str]) -> Fe
         return Features(keypoints, matches)
     finally:
         db.close()
+
+
+def _write_features(pycolmap: ModuleType, work: Path, database: Path, files: list[str], features: Features) -> None:
+    """Put these features in the place of the database's, and verify their matches."""
+    db = pycolmap.Database.open(database)
+    try:
+        ids = [db.read_image_with_name(f).image_id for f in files]
+        for clear in (db.clear_two_view_geometries, db.clear_matches, db.clear_keypoints):
+            clear()
+        for number, keypoints in zip(ids, features.keypoints, strict=True):
+            db.write_keypoints(number, keypoints.astype(np.float32))
+        for (i, j), m in features.matches.items():
+            db.write_matches(ids[i], ids[j], m.astype(np.uint32))
+    finally:
+        db.close()
+    pairs = work / "pairs.txt"
+    pairs.write_text("\n".join(f"{files[i]} {files[j]}" for i, j in features.matches))
+    pycolmap.verify_matches(database, pairs, _verification(pycolmap))
+
+
+def _verification(pycolmap: ModuleType) -> Any:
+    """Three views 15 degrees apart share few features; COLMAP's defaults are made for hundreds of views."""
+    options = pycolmap.TwoViewGeometryOptions()
+    options.min_num_inliers = MIN_MATCHES
+    return options
 
 
 def _largest_model(pycolmap: ModuleType, work: Path, database: Path) -> Any | None:

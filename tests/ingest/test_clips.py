@@ -14,7 +14,7 @@ from gof.errors import DataFormatError, GofError
 from gof.footage import stated_info
 from gof.ingest import plates
 from gof.ingest.footage import Clip, Footage
-from gof.ingest.over_time import darkest, largest_change, median
+from gof.ingest.over_time import LUMA, darkest, largest_change, median
 from gof.ingest.sfm import PoseError
 from gof.lens import Lens, prepare
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
@@ -42,13 +42,42 @@ def test_plates_remove_fire_and_steady_has_no_noise_bias():
     truth = draw(cameras()[0])[0]
     clip = burning(truth, 40, (110, 170), noise=3)
     low = darkest(clip)
-    steady = plates.steady(clip, low)
+    steady = plates.steady(clip, low, plates.fire_reached(clip, low))
     burnt = plates.fire_reached(clip, low)
     assert burnt[170, 110] and burnt.mean() < 0.2
     assert psnr(np.median(clip, 0)[burnt], truth[burnt]) < psnr(low[burnt], truth[burnt])
     np.testing.assert_array_equal(low[160:180, 105:115], steady[160:180, 105:115])
     assert (low.astype(float) - truth)[~burnt].mean() < -2 and abs((steady.astype(float) - truth)[~burnt].mean()) < 0.8
     assert psnr(steady, truth) > psnr(low, truth) + 3
+
+
+def test_steady_keeps_the_minimum_in_a_flame_that_saturates():
+    """Red at its limit in every frame: colour does not rise, and the median once put a bright spot into the plate."""
+    rng = np.random.default_rng(0)
+    clip = np.full((30, 40, 40, 3), 90.0)
+    clip[:, 10:30, 10:30] = [255, 130, 30]
+    clip[5:, 15:25, 15:25] = [255, 235, 160]  # brighter, and less warm, in most frames
+    clip = np.uint8(np.clip(clip + rng.normal(0, 2, clip.shape), 0, 255))
+    low = darkest(clip)
+    plate = plates.steady(clip, low, plates.fire_reached(clip, low))
+    rise = (plate.astype(float) - low) @ LUMA
+    assert np.abs(rise[16:24, 16:24]).max() < 1 and rise.max() < plates.MOST_RISE
+    left = plates.fire_left(plate, np.ones(low.shape[:2], bool))
+    assert left == pytest.approx(400 / 1600, abs=0.01), "the flame never leaves, and that is said"
+    assert plates.fire_left(plate, np.zeros(low.shape[:2], bool)) == 0
+
+
+def test_another_clip_uncovers_what_burns_in_this_one():
+    truth = draw(cameras()[0])[0]
+    low, other = truth.copy(), np.uint8(np.rint(0.7 * truth))  # the other clip is darker all over
+    low[100:140, 80:120] = [255, 160, 40]
+    other[10:40, 10:40] = [255, 160, 40]
+    reached = np.zeros(low.shape[:2], bool)
+    reached[95:145, 75:125] = True
+    plate = plates.uncovered(low, reached, [other])
+    assert np.abs(plate[100:140, 80:120].astype(float) - truth[100:140, 80:120]).mean() < 2
+    np.testing.assert_array_equal(plate[~reached], low[~reached])
+    np.testing.assert_array_equal(plates.uncovered(low, reached, []), low)
 
 
 def test_what_is_found_frame_by_frame_is_what_numpy_finds_in_the_whole_clip():
@@ -139,6 +168,31 @@ def test_poses_that_cannot_be_solved_say_so_per_camera(tmp_path):
     with pytest.raises(PoseError, match=r"(?s)not registered: .*cam_2.*cam_2: 0 features.*--points"):
         ingest(IngestConfig(videos, tmp_path / "set", fov=50.0, fps=(100.0,)))
     assert not (tmp_path / "set" / "dataset.json").exists()
+
+
+def test_poses_of_a_rig_are_taken_over_and_judged(tmp_path):
+    pytest.importorskip("pycolmap")
+    rig = cameras()
+    first, second = footage(tmp_path / "a", rig), footage(tmp_path / "b", rig, frames=4)
+    fov = float(np.rad2deg(2 * np.arctan(WIDTH / 2 / FOCAL)))
+    config = IngestConfig(first, tmp_path / "set", fov=fov, fps=(100.0,), baseline_m=1.25, board="none")
+    known = Dataset.open(ingest(config).folder)
+    again = replace(config, videos=second, out=tmp_path / "again", rig=known.path, baseline_m=None)
+    made = ingest(again)
+    assert made.poses.report.method == "rig" and max(made.poses.report.moved["set"].values()) < 0.5
+    for got, camera in zip(Dataset.open(made.folder).cameras, known.cameras, strict=True):
+        np.testing.assert_array_equal(got.world_to_camera, camera.world_to_camera)
+    assert Dataset.open(made.folder).description.in_metres
+
+    with pytest.raises(DataFormatError, match="same --fov"):
+        ingest(replace(again, out=tmp_path / "lens", fov=fov - 5))
+    touched = footage(tmp_path / "c", [rig[0], rig[1], rig[1]], frames=3)
+    with pytest.raises(PoseError, match=r"cam_2: .*moved by|cam_2: only"):
+        ingest(replace(again, videos=touched, out=tmp_path / "moved"))
+    with pytest.raises(GofError, match="no view0 there"):
+        ingest(replace(config, out=tmp_path / "none", with_clip=[tmp_path / "set"]))
+    together = ingest(replace(config, out=tmp_path / "both", with_clip=[tmp_path / "b"]))
+    assert list(together.poses.report.moved) == ["b"]
 
 
 def test_known_cameras_are_taken_as_they_are(tmp_path):

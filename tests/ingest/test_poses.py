@@ -9,8 +9,8 @@ import pytest
 from gof.dataset.poses import PoseReport, Poses
 from gof.errors import DataFormatError
 from gof.ingest import adjust, sfm
+from gof.ingest.axes import upright_world
 from gof.ingest.marked_points import MarkedPoint, read_points
-from gof.ingest.place import upright_world
 from tests.ingest.scene import HEIGHT, WIDTH, cameras, draw, lens, pose_errors
 
 pytestmark = pytest.mark.long
@@ -24,7 +24,7 @@ def solved():
     rig = cameras()
     pictures = [draw(c)[0] for c in rig]
     masks = [np.ones(p.shape[:2], bool) for p in pictures]
-    return rig, sfm.solve(pictures, masks, [lens(c) for c in rig], NAMES)
+    return rig, sfm.solve([(pictures, masks)], [lens(c) for c in rig], NAMES)
 
 
 def board(rig, side=0.3, noise=0.0, scale=1.0):
@@ -57,6 +57,37 @@ def test_known_points_give_pose_and_scale(solved, scale):
     assert angle < 0.5 and shift < 0.03
     centers = [-p[:3, :3].T @ p[:3, 3] for p in poses.world_to_camera]
     assert np.linalg.norm(centers[2] - centers[0]) == pytest.approx(scale * 6 * np.sin(np.deg2rad(12)), rel=0.03)
+
+
+def test_clips_of_one_rig_are_solved_together(solved):
+    """Keypoints of all clips count on, matches stay within a clip, and the mapper takes the pool as one picture."""
+    rig, first = solved
+    pictures = [np.uint8(np.clip(0.8 * draw(c)[0] + 5.0, 0, 255)) for c in rig]
+    masks = [np.ones(p.shape[:2], bool) for p in pictures]
+    second = sfm.solve([(pictures, masks)], [lens(c) for c in rig], NAMES, mapped=False)
+    pool = sfm.pooled([first.features, second.features])
+    for (i, j), matches in pool.matches.items():
+        count = len(first.features.matches[i, j])
+        assert len(matches) == count + len(second.features.matches[i, j])
+        here, there = pool.pair(i, j)
+        np.testing.assert_array_equal(here[count:], second.features.pair(i, j)[0])
+        np.testing.assert_array_equal(there[:count], first.features.pair(i, j)[1])
+    plain = [draw(c)[0] for c in rig]
+    both = sfm.solve([(plain, masks), (pictures, masks)], [lens(c) for c in rig], NAMES)
+    assert both.figures.keypoints["cam_0"] == len(pool.keypoints[0])
+    angle, shift = pose_errors(both.model.world_to_camera, [c.world_to_camera for c in rig])
+    assert angle < 0.3 and shift < 0.02
+
+
+def test_a_touched_camera_is_seen():
+    camera = cameras()[0]
+    picture = draw(camera)[0]
+    everywhere = np.ones(picture.shape[:2], bool)
+    assert sfm.shift_between(picture, everywhere, picture[::1], None)[0] < 0.01
+    moved = np.roll(picture, 3, axis=1)
+    shift, count = sfm.shift_between(picture, everywhere, moved, everywhere)
+    assert shift == pytest.approx(3, abs=0.2) and count > 30
+    assert sfm.shift_between(picture, everywhere, np.zeros_like(picture), None)[1] == 0
 
 
 def test_marked_points_tell_true_poses_from_wrong_ones(solved):

@@ -1,0 +1,183 @@
+"""What clips tell of where their cameras stand, before anything is solved; and whether one was touched in between."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from gof.capture.template import BoardTemplate
+from gof.dataset import Dataset
+from gof.dataset.description import METRES
+from gof.errors import DataFormatError, GofError
+from gof.ingest import sfm
+from gof.ingest.board import board_points, board_region
+from gof.ingest.marked_points import MarkedPoint
+from gof.ingest.over_time import largest_change
+from gof.ingest.up import UpChoice
+from gof.lens import Lens
+
+STILL_RANGE = 60  # of 255: pixels that change more over the clip show fire or LEDs and get no features
+MIN_JUDGED = 30  # matches from which on that share says something: some ten of any two pictures' are chance
+MAX_SHIFT_PX = 1.5  # median move of a camera's still picture between two clips above which the camera was touched
+MAX_SHIFT_SMALL_PX = 0.75  # the same in px of the other clip's pictures, where they are stored smaller
+SAME_LENS = 0.01  # relative difference of two lenses that are taken for one
+
+Solver = Literal["auto", "features", "points"]
+
+
+@dataclass(frozen=True)
+class PoseOptions:
+    """What is known of the scene beside its pictures.
+
+    Attributes:
+        solver: "features": structure from motion; "points": the board or points by hand; "auto": the first that holds.
+        by_hand: marked points.
+        board: to look for; None does not look.
+        marker_m: side of the board's marker in m; gives the scale.
+        baseline_m: distance between the first and the last camera in m; gives the scale.
+        rig: another clip's poses, to be taken over if nothing speaks against them.
+        up: how the vertical is found, see `find_up`.
+
+    Raises:
+        GofError: a length is not positive.
+    """
+
+    solver: Solver = "auto"
+    by_hand: tuple[MarkedPoint, ...] = ()
+    board: BoardTemplate | None = None
+    marker_m: float | None = None
+    baseline_m: float | None = None
+    rig: Rig | None = None
+    up: UpChoice = "auto"
+
+    def __post_init__(self):
+        for value, name in ((self.marker_m, "--marker-m"), (self.baseline_m, "--baseline-m")):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise GofError(f"{name} {value}: must be a positive length in metres")
+
+    @property
+    def has_length(self) -> bool:
+        """Whether the coordinates of the marked points are true metres."""
+        return self.marker_m is not None or any(p.xyz is not None for p in self.by_hand)
+
+    @property
+    def marker_side(self) -> float:
+        """Side of the marker in metres, or in a unit of its own."""
+        return self.marker_m or 1.0
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras whose poses are known from another clip of the same rig.
+
+    Attributes:
+        folder: of that clip's dataset.
+        world_to_camera: (C, 4, 4).   scale: how the unit of length is known.
+        plates: (H, W, 3) uint8 RGB per camera, of any size.
+    """
+
+    folder: Path
+    world_to_camera: np.ndarray
+    scale: str
+    plates: list[np.ndarray]
+
+    @classmethod
+    def read(cls, folder: Path, lenses: list[Lens]) -> Rig:
+        """Of a dataset that `gof ingest` made, for cameras with these lenses.
+
+        Raises:
+            DataFormatError: no dataset, another number of cameras, or another lens.
+        """
+        dataset = Dataset.open(folder)
+        if len(dataset.cameras) != len(lenses):
+            raise DataFormatError(f"{folder}: has {len(dataset.cameras)} cameras, the footage {len(lenses)}")
+        for camera, lens in zip(dataset.cameras, lenses, strict=True):
+            expected = camera.scaled(lens.width, lens.height).K
+            if not np.allclose(expected, lens.K, rtol=SAME_LENS, atol=SAME_LENS * lens.width):
+                raise DataFormatError(
+                    f"{folder}: its camera '{camera.name}' has a focal length of {expected[0, 0]:.0f} px at this size, "
+                    f"the footage {lens.K[0, 0]:.0f} px; give both clips the same --fov or --cameras"
+                )
+        plates = [np.uint8(np.rint(255 * dataset.static(c))) for c in range(len(lenses))]
+        poses = np.array([camera.world_to_camera for camera in dataset.cameras])
+        return cls(folder, poses, str(dataset.description.provenance.get("scale", METRES)), plates)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one clip tells of where its cameras stand; the frames themselves are no longer needed.
+
+    Attributes:
+        name: of the clip, for messages.
+        plates: (H, W, 3) uint8 minimum plates per camera.
+        masks: (H, W) bool, where features may be.
+        board: points of the sync board.   notes: on cameras that do not show it.
+    """
+
+    name: str
+    plates: list[np.ndarray]
+    masks: list[np.ndarray]
+    board: list[MarkedPoint]
+    notes: list[str]
+
+    @classmethod
+    def of(
+        cls, name: str, clips: list[Collection[np.ndarray]], lowest: list[np.ndarray], options: PoseOptions
+    ) -> Evidence:
+        """From (H, W, 3) uint8 RGB pictures and their minimum plate, per camera."""
+        board, notes = board_points(clips, options.board, options.marker_side) if options.board else ([], [])
+        return cls(name, lowest, _feature_masks(clips, board, options), board, notes)
+
+
+def require_still(
+    names: list[str],
+    clip: Evidence,
+    other: str,
+    plates: list[np.ndarray],
+    masks: list[np.ndarray] | None = None,
+) -> dict[str, float]:
+    """How far each camera's still picture moved between two clips: median in px of the clip's pictures.
+
+    Args:
+        other: name of the other clip.   plates: its pictures.   masks: where features may be in them.
+    Raises:
+        PoseError: a camera moved, or the two pictures have too little in common to tell.
+    """
+    shifts = {}
+    for c, name in enumerate(names):
+        shift, count = sfm.shift_between(clip.plates[c], clip.masks[c], plates[c], None if masks is None else masks[c])
+        if count < MIN_JUDGED:
+            raise sfm.PoseError(
+                f"{name}: only {count} features of '{clip.name}' are found again in '{other}'; is it of the same rig, "
+                "filmed from the same place?"
+            )
+        # A smaller picture tells places to a fraction of its own pixels.
+        if shift > max(MAX_SHIFT_PX, MAX_SHIFT_SMALL_PX * clip.plates[c].shape[1] / plates[c].shape[1]):
+            raise sfm.PoseError(
+                f"{name}: its picture moved by {shift:.1f} px between '{clip.name}' and '{other}'; poses hold "
+                "only for clips between which no camera was touched"
+            )
+        shifts[name] = round(shift, 2)
+    return shifts
+
+
+def _feature_masks(
+    clips: list[Collection[np.ndarray]], board: list[MarkedPoint], options: PoseOptions
+) -> list[np.ndarray]:
+    """(H, W) bool per camera: where features may be, on what stands still and is not the board."""
+    masks = [_still(clip) for clip in clips]
+    if options.board:
+        for c, mask in enumerate(masks):
+            mask &= ~board_region(board, c, options.board, options.marker_side, mask.shape)
+    return masks
+
+
+def _still(clip: Collection[np.ndarray]) -> np.ndarray:
+    """(H, W) bool: pixels that hardly change, shrunk by two pixels."""
+    import cv2
+
+    return cv2.erode((largest_change(clip) <= STILL_RANGE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
