@@ -7,21 +7,20 @@ Nothing is computed anew: the figures are those of poses.json and dataset.json, 
 
 from __future__ import annotations
 
+import sys
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import tyro
-
 from gof.dataset import Dataset
 from gof.dataset.poses import Poses, UpReport
 
 HEAD = ("clip", "poses", "turns 01, 12", "baselines 12/01", "board px", "least matches", "up", "fire left, %")
 
 
-def main() -> None:
-    """Print the table."""
-    for row in (HEAD, ("---",) * len(HEAD), *map(row_of, tyro.cli(tuple[Path, ...], description=__doc__))):
+def main(argv: list[str]) -> None:
+    """Print the table of these datasets."""
+    for row in (HEAD, ("---",) * len(HEAD), *map(row_of, map(Path, argv))):
         print("| " + " | ".join(row) + " |")
 
 
@@ -59,4 +58,4 @@ def _up(up: UpReport | None) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

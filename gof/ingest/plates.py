@@ -6,6 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import binary_fill_holes
 
 from gof.errors import DataFormatError
 from gof.ingest.over_time import LUMA, median
@@ -22,6 +23,8 @@ MOST_FIRE_LEFT = 0.01  # share of the picture above which plates filmed without 
 def fire_reached(clip: Collection[np.ndarray], low: np.ndarray) -> np.ndarray:
     """(H, W) bool: pixels that fire, or much of its light, reached: red rose above the plate `low` more than blue did.
 
+    So do those that such pixels surround: in the heart of a flame that never moves away, `low` is flame itself.
+
     Args:
         clip: (H, W, 3) uint8 RGB pictures.   low: (H, W, 3) uint8 minimum plate.
     """
@@ -33,7 +36,7 @@ def fire_reached(clip: Collection[np.ndarray], low: np.ndarray) -> np.ndarray:
         np.maximum(warmest, frame[..., 0].astype(np.int16) - frame[..., 2] - base, out=warmest)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * GROW_PX + 1,) * 2)
     spots = cv2.morphologyEx((warmest > WARM).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    return cv2.dilate(spots, disc) > 0
+    return binary_fill_holes(cv2.dilate(spots, disc) > 0)
 
 
 def steady(clip: Collection[np.ndarray], low: np.ndarray, fire: np.ndarray) -> np.ndarray:

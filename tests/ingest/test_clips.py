@@ -62,6 +62,10 @@ def test_steady_keeps_the_minimum_in_a_flame_that_saturates():
     plate = plates.steady(clip, low, plates.fire_reached(clip, low))
     rise = (plate.astype(float) - low) @ LUMA
     assert np.abs(rise[16:24, 16:24]).max() < 1 and rise.max() < plates.MOST_RISE
+    clip[:, 5:35, 5:35] = clip[:, 5:35, 5:35] // 2 + 60  # fire that comes and goes around it
+    clip[0, 5:35, 5:35] = [200, 120, 20]
+    clip[:, 12:28, 12:28] = [255, 130, 30]
+    assert plates.fire_reached(clip, darkest(clip))[20, 20], "what fire surrounds"
     left = plates.fire_left(plate, np.ones(low.shape[:2], bool))
     assert left == pytest.approx(400 / 1600, abs=0.01), "the flame never leaves, and that is said"
     assert plates.fire_left(plate, np.zeros(low.shape[:2], bool)) == 0
