@@ -8,19 +8,31 @@ Nothing is computed anew: the figures are those of poses.json and dataset.json, 
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import tyro
+
 from gof.dataset import Dataset
 from gof.dataset.poses import Poses, UpReport
 
 HEAD = ("clip", "poses", "turns 01, 12", "baselines 12/01", "board px", "least matches", "up", "fire left, %")
 
 
+@dataclass
+class TableConfig:
+    """What `gof ingest` found in real clips, one row a dataset."""
+
+    datasets: tyro.conf.Positional[list[Path]]
+    """Folders made by `gof ingest`."""
+
+
 def main(argv: list[str]) -> None:
-    """Print the table of these datasets."""
-    for row in (HEAD, ("---",) * len(HEAD), *map(row_of, map(Path, argv))):
+    """Print the table."""
+    config = tyro.cli(TableConfig, prog="python -m gof_benchmark.evidence.ingest_table", args=argv)
+    for row in (HEAD, ("---",) * len(HEAD), *map(row_of, config.datasets)):
         print("| " + " | ".join(row) + " |")
 
 
