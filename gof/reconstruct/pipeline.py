@@ -189,7 +189,8 @@ def _observe(run: _Run) -> Observation:
 
 def _say_what_from(run: _Run, observation: Observation) -> None:
     """Which frames, and what that was learned elsewhere, everything that follows comes from."""
-    still = [f"plates/{camera.name}.png" for camera in run.dataset.cameras] + ["background.npz"]
+    plates = [f"plates/{camera.name}.png" for camera in run.dataset.cameras]
+    still = plates if run.settings.scene == "plates" else ["background.npz"]
     learned = ["flow_prior"] if _uses_flow_prior(run) else []
     MadeFrom.of(["seeds.npz", *still, "result.npz", "result.ply"], observation.frames, learned).write(run.out)
 
