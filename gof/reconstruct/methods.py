@@ -44,15 +44,18 @@ class Seeding:
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam. Lengths in voxels, times in frame times: neither a scene's size nor its clock matters.
+    """Learning rates of Adam. Times are in frame times, so that a scene's clock does not matter.
 
     Attributes:
-        position: at the first and the last step, exponential between.   velocity: voxels per frame time.
+        lengths: what `position` and `velocity` are counted in, so that a scene's size does not matter either: voxels,
+            or the cameras' extent (3DGS: 1.1 of the largest distance from their middle).
+        position: at the first and the last step, exponential between.   velocity: per frame time.
         color, plate: display values; a plate's is 0 where plates stay as they are.
         t_mu, log_t_sigma, scale, rotation, opacity: of the raw parameters (`gof.reconstruct.parameters`).
         beta_2: how slowly Adam forgets the size of gradients.
     """
 
+    lengths: Literal["voxels", "extent"]
     position: tuple[float, float]
     velocity: float
     t_mu: float
@@ -107,6 +110,7 @@ OURS = Method(
     flow_prior=True,
     seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
     rates=Rates(
+        lengths="voxels",
         position=(0.03, 0.003),
         velocity=0.0002,
         t_mu=0.01,
@@ -140,7 +144,8 @@ PAPER = Method(
         seen_color=False,  # authors: random within 1/255 of a coefficient, which is middle grey
     ),
     rates=Rates(
-        position=PAPER_POSITION,  # of the cameras' extent until `in_voxels`
+        lengths="extent",
+        position=PAPER_POSITION,
         velocity=1e-2 * PAPER_POSITION[0] * FRAME_MS,  # "Implementation Details": 1e-2 of the position's, per ms
         t_mu=0.01 / FRAME_MS,  # authors: ms
         log_t_sigma=0.01 / (4 * FRAME_MS),  # authors: ms, of a lifetime of four frames
@@ -156,14 +161,11 @@ PAPER = Method(
 METHODS: dict[MethodName, Method] = {"gof": OURS, "paper": PAPER}
 
 
-def rates_in_voxels(method: Method, cameras: Sequence[Camera], voxel_size: float) -> Rates:
-    """The method's rates; the paper's lengths are in the cameras' extent (3DGS: 1.1 of the largest distance from their
-    middle), voxel_size is in m.
-    """
-    rates = method.rates
-    if method is not PAPER:
+def rates_in_voxels(rates: Rates, cameras: Sequence[Camera], voxel_size: float) -> Rates:
+    """The same rates with their lengths in voxels; voxel_size in m, > 0."""
+    if rates.lengths == "voxels":
         return rates
     places = np.stack([camera.position for camera in cameras])
     extent = 1.1 * np.linalg.norm(places - places.mean(0), axis=1).max() / voxel_size
     first, last = rates.position
-    return replace(rates, position=(first * extent, last * extent), velocity=rates.velocity * extent)
+    return replace(rates, lengths="voxels", position=(first * extent, last * extent), velocity=rates.velocity * extent)

@@ -65,7 +65,9 @@ def _blocked(
         emission *= of_frame.sum() / max(emission.sum(), 1.0)
         expected += _seen_from(pixel, solid * emission, gap.shape)
     jacobian = cameras[c].projection_jacobian(voxels.center.mean(0, keepdims=True))
-    side = max(float(np.abs(jacobian).max()) * voxels.voxel_size, 1.0)
+    side = max(1.0, float(np.abs(jacobian).max()) * voxels.voxel_size)
+    if not np.isfinite(expected.sum() + side):  # the flame of the others is behind this camera
+        return np.zeros_like(gap)
     return _missing(expected, light[:, c].sum(0), gap, side)
 
 
