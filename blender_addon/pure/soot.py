@@ -8,7 +8,7 @@ Where in the flame the soot is, and how hot, follows from the solver's reaction 
 or air). Fuel has to break up before there is soot, so there is none right above the burner and less in the core; it is
 coolest at the tips and edges, where it has radiated longest. Before there is soot, burning fuel is blue.
 
-Sources of the figures:
+Sources of the figures (the works named were not at hand; their figures are quoted from memory):
 
 - Absorption. Total (infrared) coefficients of flames, 1/m: LPG 1.4, gasoline 2.1 (Babrauskas, Estimating large pool
   fire burning rates, Fire Technology 19, 1983), wood cribs 0.8 (Drysdale, An Introduction to Fire Dynamics). Soot
