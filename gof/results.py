@@ -2,7 +2,8 @@
 
 The PLY keeps the field's raw conventions so that any splat viewer opens it: scale_* are natural logs, opacity is a
 logit, f_dc/f_rest are SH coefficients (f_rest channel-major). Our additions are plain: t_mu, t_sigma (s), vx, vy, vz
-(m/s), is_dynamic, and v_sd (m/s) where something is known of how sure the velocity is. The npz holds activated values.
+(m/s), is_dynamic; where the gas has another velocity than its light, gas_vx, gas_vy, gas_vz (m/s); and v_sd (m/s) where
+something is known of how sure the velocity is. The npz holds activated values.
 Neither ever contains a pickle.
 """
 
@@ -73,6 +74,8 @@ _NPZ_FIELDS = {
 
 def _save_npz(arrays: Arrays, path: Path, source: str) -> None:
     stored = {key: arrays[name] for key, name in _NPZ_FIELDS.items()}
+    if "gas_velocity" in arrays:
+        stored["v_gas"] = arrays["gas_velocity"]
     stored |= _velocity_sd(arrays)
     stored["rgb" if arrays["color"].ndim == 2 else "sh"] = arrays["color"]
     np.savez(path, schema=np.array(NPZ_SCHEMA), source=np.array(source), **stored)
@@ -87,8 +90,8 @@ def _load_npz(path: Path) -> Arrays:
     missing = [key for key in (*_NPZ_FIELDS, color) if key not in data]
     if missing:
         raise DataFormatError(f"{path}: fields {missing} are missing")
-    unsure = {"velocity_sd": data["v_sd"]} if "v_sd" in data else {}
-    return {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]} | unsure
+    known = {name: data[key] for key, name in (("v_gas", "gas_velocity"), ("v_sd", "velocity_sd")) if key in data}
+    return {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]} | known
 
 
 def _velocity_sd(arrays: Arrays) -> Arrays:
@@ -99,6 +102,9 @@ def _velocity_sd(arrays: Arrays) -> Arrays:
 # ---------------------------------------------------------------- PLY
 
 
+_GAS = ("gas_vx", "gas_vy", "gas_vz")
+
+
 def _save_ply(arrays: Arrays, path: Path, source: str) -> None:
     moving = {
         "t_mu": arrays["t_mu"],
@@ -107,6 +113,8 @@ def _save_ply(arrays: Arrays, path: Path, source: str) -> None:
         "is_dynamic": arrays["dynamic"],
         **_velocity_sd(arrays),
     }
+    if "gas_velocity" in arrays:
+        moving |= {name: arrays["gas_velocity"][:, i] for i, name in enumerate(_GAS)}
     write(path, splat_columns(arrays) | moving, PLY_COMMENTS + ([f"source: {source}"] if source else []))
 
 
@@ -124,10 +132,12 @@ def _load_ply(path: Path) -> Arrays:
     splats = ply.splats()
     if splats["color"].shape[1] == 1:
         splats["color"] = plain_color(splats["color"])
-    unsure = {"velocity_sd": ply.columns("v_sd")[:, 0]} if ply.has("v_sd") else {}
+    known = {"velocity_sd": ply.columns("v_sd")[:, 0]} if ply.has("v_sd") else {}
+    if all(ply.has(name) for name in _GAS):
+        known["gas_velocity"] = ply.columns(*_GAS)
     return (
         splats
-        | unsure
+        | known
         | {
             "velocity": ply.columns("vx", "vy", "vz"),
             "t_mu": ply.columns("t_mu")[:, 0],

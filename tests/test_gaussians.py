@@ -1,5 +1,7 @@
 """TransientGaussians and its two files: closed form, round trip, and every way a file can be wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,33 @@ def test_round_trip(tmp_path, suffix, sh, n):
         assert a.shape == b.shape and a.dtype == b.dtype
         np.testing.assert_allclose(b, a, rtol=1e-6, atol=2e-7, err_msg=name)
     assert [p.name for p in tmp_path.iterdir()] == [f"g{suffix}"], "no temporary file stays behind"
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".npz"])
+def test_gas_has_a_velocity_of_its_own_where_somebody_knows_it(tmp_path, suffix):
+    together = random_gaussians(20)
+    assert TransientGaussians.load(together.save(tmp_path / f"one{suffix}")).gas_velocity is None
+    expected = np.where(together.dynamic[:, None], together.velocity, 0)
+    np.testing.assert_array_equal(together.moving_gas, expected)
+    gas = np.random.default_rng(1).normal(size=(20, 3)).astype(np.float32)
+    apart = replace(together, gas_velocity=gas)
+    loaded = TransientGaussians.load(apart.save(tmp_path / f"two{suffix}"))
+    np.testing.assert_array_equal(loaded.gas_velocity, gas)
+    np.testing.assert_array_equal(loaded.moving_gas, np.where(apart.dynamic[:, None], gas, 0))
+    np.testing.assert_array_equal(loaded.at(0.3)[0], together.at(0.3)[0], "light moves the Gaussian, not gas")
+
+
+def test_gas_turns_with_the_world_and_joins_what_knows_of_none():
+    apart = replace(random_gaussians(6), gas_velocity=np.tile([0, 0, 3.0], (6, 1)))
+    lying = 2 * np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 0.5]])  # z to -y, twice as large
+    np.testing.assert_allclose(apart.transformed(lying).gas_velocity, np.tile([0, -6.0, 0], (6, 1)))
+    joined = TransientGaussians.concatenate([random_gaussians(4), apart, random_gaussians(3)])
+    np.testing.assert_array_equal(joined.gas_velocity[:4], random_gaussians(4).moving_gas)
+    assert len(joined.gas_velocity) == 13 and (joined[4:10].gas_velocity[:, 2] == np.where(apart.dynamic, 3, 0)).all()
+    with pytest.raises(DataFormatError, match="'gas_velocity' has shape"):
+        replace(apart, gas_velocity=np.zeros((5, 3)))
+    with pytest.raises(NonFiniteError, match="'gas_velocity'"):
+        replace(apart, gas_velocity=np.full((6, 3), np.nan))
 
 
 def test_ply_opens_in_an_independent_reader_with_the_3dgs_conventions(tmp_path):

@@ -31,6 +31,7 @@ from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
 from gof.reconstruct.observation import observe
 from gof.reconstruct.pace import Pace, PaceClues
+from gof.reconstruct.several_flames import several_flames
 from gof_benchmark.field_score import best_constant, buoyant_law, fluctuation_cos_sim, mean_per_height, score, within
 from gof_benchmark.preview_field import open_small, preview_field
 
@@ -111,6 +112,7 @@ class Flame:
         burns: which fire it shows; two datasets may show the same grids of another solver.
         solver: "openfoam" or "mantaflow".
         pace: true mean speed of its gas, weighted by light, m/s.
+        alone: whether it is one flame; several have an axis each, and are scored but not trained on.
     """
 
     burns: str
@@ -119,6 +121,7 @@ class Flame:
     field: FlowField
     clues: PaceClues
     pace: float
+    alone: bool
     samples: Samples
 
     @classmethod
@@ -134,7 +137,8 @@ class Flame:
         pace = mean_speed(truth, field.emission)
         clues = PaceClues.of(describer.axis, describer.log_light)
         samples = Samples.of(describer, truth / pace, np.random.default_rng(0))
-        return cls(burns, solver, dataset, field, clues, pace, samples)
+        alone = several_flames(field).max() == 0
+        return cls(burns, solver, dataset, field, clues, pace, alone, samples)
 
 
 HEADER = """\
@@ -317,7 +321,7 @@ def main(argv: list[str] | None = None) -> None:
         for path in paths:
             everything.append(Flame.of(path))
             progress(len(everything), len(paths))
-    flames = [flame for flame in everything if flame.solver != config.without]
+    flames = [flame for flame in everything if flame.solver != config.without and flame.alone]
 
     print(HEADER)
     rows = []
@@ -344,7 +348,7 @@ def main(argv: list[str] | None = None) -> None:
     scaling, velocity = train_velocity([flame.samples for flame in flames])
     prior = prior_of(scaling, velocity, doubt_of(flames, scaling), fitted_pace(flames))
     for flame in everything:
-        if flame.solver == config.without:
+        if flame.solver == config.without or not flame.alone:
             show(flame.dataset.path.name, flame, prior)
     for path in config.test:
         show(str(path), Flame.of(path), prior)

@@ -75,7 +75,7 @@ def grids_at(
     place, opacity = state_at(cloud, time_s)
     emission, density = np.zeros((*shape, 3)), np.zeros(shape)
     momentum, colour = np.zeros((*shape, 3)), linear(cloud.color.astype(np.float64))
-    velocity = cloud.velocity * cloud.dynamic[:, None]
+    velocity = cloud.moving_gas
     for row in np.flatnonzero(opacity >= FAINT):
         scale = cloud.scale[row].astype(np.float64)
         wide = np.maximum(scale, voxel_m / 2)

@@ -33,7 +33,7 @@ def add_truth(thing: bpy.types.Object, truth: TrueVelocity) -> CentreError:
     The cloud's own coordinates are the dataset's world, so it may have been moved since.
     """
     mesh = thing.data
-    velocity, t_mu = point_cloud.column(mesh, "gs_velocity", 3), point_cloud.column(mesh, "gs_t_mu", 1)[:, 0]
+    velocity, t_mu = point_cloud.column(mesh, "gs_gas_velocity", 3), point_cloud.column(mesh, "gs_t_mu", 1)[:, 0]
     true, inside = truth.sample(positions(mesh), t_mu)
     compared = inside & (velocity != 0).any(1)
     true[~compared] = velocity[~compared]

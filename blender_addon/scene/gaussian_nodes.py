@@ -90,10 +90,10 @@ def _write(nodes: Nodes) -> None:
         "GeometryNodeMeshToPoints",
         {"Mesh": given["Geometry"], "Radius": radius, "Selection": nodes.math("MULTIPLY", visible, opaque)},
     ).outputs[0]
-    velocity = nodes.named("gs_velocity", "FLOAT_VECTOR")
+    velocity, gas = nodes.named("gs_velocity", "FLOAT_VECTOR"), nodes.named("gs_gas_velocity", "FLOAT_VECTOR")
     # Fields are evaluated on the geometry that reaches a node: nothing below is computed for what is not drawn.
     points = nodes.store(points, "gs_alpha", "FLOAT", alpha)
-    points = nodes.store(points, "gs_color", "FLOAT_COLOR", _color(nodes, given, velocity, age))
+    points = nodes.store(points, "gs_color", "FLOAT_COLOR", _color(nodes, given, gas, age))
     points = nodes.store(points, "velocity", "FLOAT_VECTOR", nodes.vector("SCALE", velocity, Scale=given["Time Scale"]))
     points = nodes.add(
         "GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}
@@ -108,7 +108,7 @@ def _write(nodes: Nodes) -> None:
                 given["Mode"],
                 _dressed(
                     nodes,
-                    _without(nodes, points, "gs_scale", "gs_euler", "gs_velocity"),
+                    _without(nodes, points, "gs_scale", "gs_euler", "gs_velocity", "gs_gas_velocity"),
                     gaussian_material.points(f"{NAME} Points"),
                 ),
                 _dressed(nodes, _ellipsoids(nodes, points), gaussian_material.ellipsoids(f"{NAME} Ellipsoids")),
@@ -197,15 +197,15 @@ def _ellipsoids(nodes: Nodes, points) -> bpy.types.NodeSocket:
     ball = nodes.choose("GEOMETRY", nodes.add("GeometryNodeIsViewport").outputs[0], close, coarse)
     place = nodes.add("GeometryNodeInputPosition").outputs[0]
     ball = nodes.store(ball, "gs_local", "FLOAT_VECTOR", place)
-    points = _without(nodes, points, "gs_velocity")
+    points = _without(nodes, points, "gs_velocity", "gs_gas_velocity")
     return _instances(
         nodes, points, ball, nodes.named("gs_euler", "FLOAT_VECTOR"), nodes.named("gs_scale", "FLOAT_VECTOR")
     )
 
 
 def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
-    """From the centre, as long as the way of Line Time seconds."""
-    velocity, true = nodes.named("gs_velocity", "FLOAT_VECTOR"), nodes.named("gs_true_velocity", "FLOAT_VECTOR")
+    """From the centre, as long as the way of the gas in Line Time seconds."""
+    velocity, true = nodes.named("gs_gas_velocity", "FLOAT_VECTOR"), nodes.named("gs_true_velocity", "FLOAT_VECTOR")
     shown = nodes.choose("VECTOR", given["Arrows Show"], velocity, true, nodes.vector("SUBTRACT", velocity, true))
     shaft = _cone(nodes, bottom=0.03, top=0.03, depth=0.7)
     head = nodes.add(
@@ -220,7 +220,7 @@ def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
 
 
 def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
-    """The way behind the centre that took Line Time seconds; thinner than the Gaussian."""
+    """The way of the centre in the last Line Time seconds; thinner than the Gaussian."""
     mesh = nodes.add(
         "GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.0, top=0.3, depth=1.0), "Translation": (0, 0, -1.0)}
     ).outputs[0]

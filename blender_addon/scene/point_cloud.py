@@ -122,7 +122,7 @@ def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
         return float(np.percentile(lifetime, 2)), float(np.percentile(lifetime, 98))
     if color == "doubt":
         return 0.0, float(np.percentile(column(mesh, "gs_velocity_sd", 1), 98))
-    velocity = column(mesh, "gs_velocity", 3)
+    velocity = column(mesh, "gs_gas_velocity", 3)
     if color == "error":
         velocity = velocity - column(mesh, "gs_true_velocity", 3)
     return 0.0, float(np.percentile(np.linalg.norm(velocity, axis=1), 98))
@@ -152,6 +152,7 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
     # 1 / t_sigma is 0 for "always on", so no infinity enters the node graph; static Gaussians are always on and rest.
     alive = cloud.dynamic.astype(np.float32)
     add_column(mesh, "gs_velocity", cloud.velocity * alive[:, None])
+    add_column(mesh, "gs_gas_velocity", cloud.moving_gas)
     add_column(mesh, "gs_t_mu", cloud.t_mu)
     add_column(mesh, "gs_inverse_t_sigma", np.minimum(alive / cloud.t_sigma, LONGEST))
     add_column(mesh, "gs_scale", cloud.scale)
@@ -160,7 +161,7 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
     add_column(mesh, "gs_light", light)
     if cloud.velocity_sd is not None:
         # No infinity enters the node graph: where nobody says how sure a velocity is, it may be wrong by all of itself.
-        speed = np.linalg.norm(cloud.velocity, axis=1)
+        speed = np.linalg.norm(cloud.moving_gas, axis=1)
         doubt = np.where(np.isfinite(cloud.velocity_sd), cloud.velocity_sd, speed)
         add_column(mesh, "gs_velocity_sd", doubt * alive)
     if cloud.begin is not None:
@@ -183,7 +184,9 @@ def euler_angles(rotation: np.ndarray) -> np.ndarray:
 def _line_time(cloud: GaussianCloud) -> float:
     """Seconds in which a fast Gaussian passes a tenth of the cloud: arrows as long as that can be told apart."""
     fast = (
-        float(np.percentile(np.linalg.norm(cloud.velocity[cloud.dynamic], axis=1), 98)) if cloud.dynamic.any() else 0.0
+        float(np.percentile(np.linalg.norm(cloud.moving_gas[cloud.dynamic], axis=1), 98))
+        if cloud.dynamic.any()
+        else 0.0
     )
     size = float(np.ptp(np.percentile(cloud.position, [2, 98], axis=0), axis=0).max())
     return 0.1 * size / fast if fast > 0 and size > 0 else 0.02

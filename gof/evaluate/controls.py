@@ -46,7 +46,7 @@ def score_controls(gaussians: MovingGaussians, frames: Sequence[Samples], seed: 
 
     def own(frame: Samples) -> np.ndarray:
         state = gaussians.state_at(frame.time_s)
-        return np.where(state.dynamic[:, None], state.velocity, 0.0).astype(np.float64)
+        return state.moving_gas.astype(np.float64)
 
     weight = np.concatenate([f.weight for f in frames])
     truth = np.concatenate([f.truth for f in frames])

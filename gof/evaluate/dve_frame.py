@@ -179,7 +179,7 @@ def probe(
     position, alpha = state.at(time_s)
     if opacity == "base":
         alpha = state.opacity
-    velocity = np.where(state.dynamic[:, None], state.velocity, 0.0).astype(np.float64)
+    velocity = state.moving_gas.astype(np.float64)
     weight = state.scale.astype(np.float64).prod(1) * alpha
     weight[~(state.dynamic | include_static)] = 0.0
     index = _not_negligible(weight, weight * _row_dot(velocity, velocity))

@@ -121,6 +121,7 @@ def velocity_at(points: np.ndarray, gaussians: MovingGaussians, time_s: float) -
 
     state = gaussians.state_at(time_s)
     position, alpha = state.at(time_s)
+    gas = state.moving_gas
     alive = np.flatnonzero(state.dynamic & (alpha > FAINT))
     cover, momentum = np.zeros(len(points)), np.zeros((len(points), 3))
     tree = cKDTree(points)
@@ -136,9 +137,7 @@ def velocity_at(points: np.ndarray, gaussians: MovingGaussians, time_s: float) -
         weight = alpha[rows][owner] * np.exp(-0.5 * np.einsum("pk,pk->p", distance2, distance2))
         cover += np.bincount(place, weight, len(points))
         for k in range(3):
-            momentum[:, k] += np.bincount(
-                place, weight * state.velocity[rows, k].astype(np.float64)[owner], len(points)
-            )
+            momentum[:, k] += np.bincount(place, weight * gas[rows, k].astype(np.float64)[owner], len(points))
     return np.where((cover >= COVERED)[:, None], momentum / np.maximum(cover, COVERED)[:, None], 0.0), cover
 
 

@@ -38,7 +38,7 @@ def volume(gaussians: TransientGaussians, time_s: float) -> Volume:
     keep = weight > 1e-9 * max(weight.sum(), 1e-300)
     weight = weight[keep]
     position = position[keep].astype(np.float64)
-    velocity = gaussians.velocity[keep].astype(np.float64)
+    velocity = gaussians.moving_gas[keep].astype(np.float64)
     # of each axis the middle 99.6 % of the weight: a few floaters must not shrink the flame
     low, high = (np.array([weighted_quantile(x, weight, q) for x in position.T]) for q in (FLOATERS, 1 - FLOATERS))
     cell = float(max((high - low).max(), 1e-3) / (CELLS - 8))

@@ -90,6 +90,7 @@ def _columns(g: TransientGaussians, time_s: float) -> dict[str, np.ndarray]:
         f"{EXTENSION}:OPACITY": opacity.astype("<f4"),
         **harmonics,
         "_VELOCITY": np.where(g.dynamic[:, None], g.velocity, 0).astype("<f4"),
+        **({} if g.gas_velocity is None else {"_GAS_VELOCITY": g.moving_gas.astype("<f4")}),
         "_T_MU": np.where(always, 0, g.t_mu).astype("<f4"),
         "_T_SIGMA": np.where(always, 0, g.t_sigma).astype("<f4"),
         "_PEAK_OPACITY": g.opacity.astype("<f4"),

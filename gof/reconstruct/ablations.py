@@ -51,8 +51,8 @@ def change_seeds(ablation: Ablation, seeds: TransientGaussians, rng: np.random.G
         return seeds
     direction = rng.normal(size=seeds.velocity.shape)
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-    speed = np.linalg.norm(seeds.velocity, axis=-1, keepdims=True)
-    return replace(seeds, velocity=direction * speed, velocity_sd=np.full(len(seeds), np.inf))
+    light, gas = (direction * np.linalg.norm(v, axis=-1, keepdims=True) for v in (seeds.velocity, seeds.moving_gas))
+    return replace(seeds, velocity=light, gas_velocity=gas, velocity_sd=np.full(len(seeds), np.inf))
 
 
 def change_schedule(ablation: Ablation, schedule: Schedule) -> Schedule:

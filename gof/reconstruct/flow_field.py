@@ -22,8 +22,9 @@ class FrameField:
         time_s: on the dataset clock.
         emission: (V,) >= 0, mean 1 over the frame's hull and 0 outside; all 0 where no flame is seen.
         light: how much the frame's flame shines for each unit of its emission, in a unit of the clip's own.
-        velocity: (V, 3) world m/s; 0 where it is not known.
-        velocity_sd: (V,) m/s, standard deviation of each component of the velocity; inf where nobody says how sure
+        light_velocity: (V, 3) world m/s, at which what shines is seen to move; 0 where it is not known.
+        velocity: (V, 3) world m/s, of the gas; that of the light where nobody knows better.
+        velocity_sd: (V,) m/s, standard deviation of each component of the gas' velocity; inf where nobody says how sure
             it is.
         known: (V,) bool, where the views say something of the velocity.
         image: (C, H, W, 3) the frame's pictures, display sRGB.
@@ -32,6 +33,7 @@ class FrameField:
     time_s: float
     emission: np.ndarray
     light: float
+    light_velocity: np.ndarray
     velocity: np.ndarray
     velocity_sd: np.ndarray
     known: np.ndarray
@@ -82,7 +84,9 @@ def seen_flow_field(
         velocity, known = fuse_frame(voxels, flow, mask, emission, method.fusion, method.smooth_voxels)
         unit = float(light[f] / max(emission.sum(), 1.0))
         unsure = np.full(len(emission), np.inf)
-        frames.append(FrameField(float(time_s), emission, unit, velocity, unsure, known, observation.image[f]))
+        frames.append(
+            FrameField(float(time_s), emission, unit, velocity, velocity, unsure, known, observation.image[f])
+        )
         if progress:
             progress(f + 1, len(observation.frames))
     return FlowField(voxels, tuple(frames))

@@ -31,6 +31,7 @@ from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.log_light import LogLight, slope
 from gof.reconstruct.pace import Pace, PaceClues
+from gof.reconstruct.several_flames import several_flames
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
 FEATURES = (
@@ -142,16 +143,29 @@ class FlowPrior:
         Raises:
             GofError: the result is not finite.
         """
+        flame = several_flames(field)
+        found = [self._corrected_flame(_alone(field, flame == k), metres) for k in range(flame.max() + 1)]
+        frames = [
+            replace(
+                frame,
+                velocity=np.choose(flame[:, None], [frames[f].velocity for frames in found]),
+                velocity_sd=np.choose(flame, [frames[f].velocity_sd for frames in found]),
+            )
+            for f, frame in enumerate(field.frames)
+        ]
+        return replace(field, frames=tuple(frames))
+
+    def _corrected_flame(self, field: FlowField, metres: bool) -> tuple[FrameField, ...]:
+        """The frames of a field that has a single flame."""
         describer = FlameDescriber.of(field)
         if describer is None:
-            still = [
-                replace(frame, velocity=np.zeros_like(frame.velocity), velocity_sd=np.full(len(frame.emission), np.inf))
-                for frame in field.frames
-            ]
-            return replace(field, frames=tuple(still))
+            unsure = np.full(len(field.voxels.center), np.inf)
+            return tuple(
+                replace(frame, velocity=np.zeros_like(frame.velocity), velocity_sd=unsure) for frame in field.frames
+            )
         pace = self.pace.of(PaceClues.of(describer.axis, describer.log_light), metres)
         # frame by frame: all features of a clip at once would take gigabytes
-        return replace(field, frames=tuple(self._corrected(describer, pace, f) for f in range(len(field.frames))))
+        return tuple(self._corrected(describer, pace, f) for f in range(len(field.frames)))
 
     def _corrected(self, describer: FlameDescriber, pace: float, f: int) -> FrameField:
         features, vectors = describer.describe(f)
@@ -162,6 +176,12 @@ class FlowPrior:
         if not (np.isfinite(velocity).all() and np.isfinite(sd).all()):
             raise GofError("the flow prior gave NaN or Inf; are velocity and emission finite?")
         return replace(describer.field.frames[f], velocity=velocity, velocity_sd=sd.astype(np.float64))
+
+
+def _alone(field: FlowField, own: np.ndarray) -> FlowField:
+    """The field with no other light than that of some voxels (V,) bool."""
+    frames = [replace(frame, emission=np.where(own, frame.emission, 0)) for frame in field.frames]
+    return replace(field, frames=tuple(frames))
 
 
 def _network(data: dict[str, np.ndarray], name: str) -> Network:

@@ -83,6 +83,8 @@ class Method:
         fusion: both image components of every camera ("full"), or the paper's eq. 5-7.
         smooth_voxels: emission-weighted smoothing of the fused flow, std-dev in voxels; 0 = none.
         flow_prior: the fused flow is corrected to the gas' own velocity (`flow_prior`).
+        gas_apart: a Gaussian has two velocities: its light's, which is free to fit the pictures, and the gas', which is
+            what the fused flow says; else one for both, which the pictures move.
     """
 
     scene: SceneName
@@ -94,6 +96,7 @@ class Method:
     fusion: str
     smooth_voxels: float
     flow_prior: bool
+    gas_apart: bool
     seeding: Seeding
     rates: Rates
 
@@ -108,11 +111,12 @@ OURS = Method(
     fusion="full",
     smooth_voxels=3.0,
     flow_prior=True,
+    gas_apart=True,
     seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
     rates=Rates(
         lengths="voxels",
         position=(0.03, 0.003),
-        velocity=0.0002,
+        velocity=0.01,
         t_mu=0.01,
         log_t_sigma=0.005,
         scale=0.02,
@@ -136,6 +140,7 @@ PAPER = Method(
     fusion="paper",  # eq. 4 to 7
     smooth_voxels=0.0,
     flow_prior=False,
+    gas_apart=False,  # "Dynamic Scene": a velocity each
     seeding=Seeding(
         by_emission=False,  # authors: half of a frame's voxels
         short_lives=False,  # "four times the frame time"

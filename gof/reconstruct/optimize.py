@@ -36,6 +36,7 @@ class Schedule:
 
     iterations: int
     rates: Rates
+    gas_apart: bool  # see `gof.reconstruct.methods.Method`
     alpha_loss: float = 0.1
     seed: int = 0  # of the order of the pictures
 
@@ -145,7 +146,9 @@ class _Flame:
         self.observation = observation
         self.surroundings = surroundings
         self.voxel_size = units.voxel_size
-        self._velocity_sd = seeds.velocity_sd  # the optimisation hardly moves velocities, and learns nothing of it
+        # Pictures show light: they know nothing of the gas, and nothing of how sure its velocity is.
+        gas_velocity = seeds.gas_velocity if schedule.gas_apart else None
+        self._gas = {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
         self.start_s = float(observation.camera_time_s.min())
         plates = surroundings.unknowns()
         raw = to_raw(seeds, self.voxel_size, self.start_s) | plates
@@ -157,7 +160,7 @@ class _Flame:
     def state(self) -> tuple[TransientGaussians, list[np.ndarray]]:
         """See `Surroundings.result`."""
         gaussians = from_raw(self.optimizer, self.voxel_size, self.start_s)
-        return self.surroundings.result(replace(gaussians, velocity_sd=self._velocity_sd), self.optimizer)
+        return self.surroundings.result(replace(gaussians, **self._gas), self.optimizer)
 
 
 class _TrainingPictures:

@@ -43,7 +43,7 @@ def lifetime_s(field: FlowField, frame_time_s: float) -> float:
 def sample_seeds(
     field: FlowField, seeding: Seeding, t_sigma: float, budget: int, rng: np.random.Generator
 ) -> TransientGaussians:
-    """Gaussians placed where the velocity is known, moving with it.
+    """Gaussians placed where the velocity is known, moving with the light and told of the gas.
 
     Args:
         seeding: how many in which voxel, and what they look like.
@@ -77,7 +77,8 @@ def sample_seeds(
         parts.append(
             TransientGaussians(
                 position=position,
-                velocity=frame.velocity[chosen],
+                velocity=frame.light_velocity[chosen],
+                gas_velocity=frame.velocity[chosen],
                 velocity_sd=frame.velocity_sd[chosen],
                 t_mu=np.full(n, frame.time_s),
                 t_sigma=np.full(n, t_sigma),

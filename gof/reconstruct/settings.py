@@ -41,7 +41,7 @@ class ReconstructionSettings:
     """
 
     SCHEMA: ClassVar[str] = "gof-reconstruction-settings"
-    VERSION: ClassVar[int] = 3
+    VERSION: ClassVar[int] = 4  # 4: light and gas have velocities of their own
 
     dataset: str
     iterations: int

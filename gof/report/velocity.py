@@ -31,7 +31,7 @@ def living(gaussians: TransientGaussians, time_s: float) -> TransientGaussians:
 def screen_velocity(
     gaussians: TransientGaussians, camera: Camera, time_s: float, velocity: np.ndarray | None = None
 ) -> ScreenVelocity:
-    """Render the Gaussians' velocity J v instead of their colour.
+    """Render the velocity J v of the gas, as the Gaussians say it, instead of their colour.
 
     Args:
         gaussians: dynamic Gaussians (N).
@@ -45,7 +45,7 @@ def screen_velocity(
 
     centre, _ = gaussians.at(time_s)
     jacobian = camera.projection_jacobian(centre)
-    v = gaussians.velocity if velocity is None else velocity
+    v = gaussians.moving_gas if velocity is None else velocity
     flow = np.nan_to_num(np.einsum("nij,nj->ni", jacobian, v.astype(np.float64)))  # behind the camera: not drawn anyway
     as_colour = np.concatenate([flow, np.zeros((len(flow), 1))], 1)
     out = render(replace(gaussians, color=as_colour), camera, time_s)

@@ -42,7 +42,7 @@ def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray
         "covariances": (axes @ axes.transpose(0, 2, 1)).astype(np.float32),
         "rgbs": np.clip(plain_color(gaussians.color[seen]), 0, 1),
         "opacities": opacity[seen, None],
-        "velocities": np.where(gaussians.dynamic[seen, None], gaussians.velocity[seen], 0),
+        "velocities": gaussians[seen].moving_gas,
         "doubts": np.where(gaussians.dynamic[seen], gaussians.velocity_sd[seen], 0),
     }
 

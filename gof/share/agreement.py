@@ -46,5 +46,5 @@ def measure(
             seen = opacity >= VISIBLE
             shift = np.linalg.norm(camera.project(before[seen])[0] - camera.project(after[seen])[0], axis=-1)
             moved.append(float(np.nanmax(shift, initial=0.0)))
-    speed = np.where(own.dynamic[:, None], own.velocity - drawn.velocity, 0)
+    speed = own.moving_gas - drawn.moving_gas
     return Agreement(min(psnr), max(moved), float(np.abs(speed).max(initial=0.0)))

@@ -209,7 +209,7 @@ def _checked(
 
 def _speed_scale(results: list[Opened], truths: list[np.ndarray | None]) -> float:
     """m/s of the last colour: the 98th percentile by opacity, over all results and the truth; 0 = nothing moves."""
-    fields = [(r.gaussians, r.gaussians.velocity) for r in results]
+    fields = [(r.gaussians, r.gaussians.moving_gas) for r in results]
     fields += [(r.gaussians, v) for r, v in zip(results, truths, strict=True) if v is not None]
     return _scale([(np.linalg.norm(v, axis=-1)[g.dynamic], g.opacity[g.dynamic]) for g, v in fields])
 

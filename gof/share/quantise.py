@@ -1,4 +1,4 @@
-"""Transient Gaussians in 27 bytes each, as the page of `gof share` carries them, and back.
+"""Transient Gaussians in 27 bytes each, 33 where gas and light have two velocities, as the page of `gof share` carries them, and back.
 
 Every quantity is a column of whole numbers on a grid between its least and its greatest value; t_sigma, scale, opacity
 and v_sd on a grid of their logarithms. The page unpacks by the same description (`player/unpack.js`).
@@ -66,11 +66,13 @@ def pack(gaussians: TransientGaussians, true_velocity: np.ndarray | None = None)
     velocity = np.where(g.dynamic[:, None], g.velocity, 0)
     always = np.where(g.dynamic, g.t_sigma, np.inf)
     unsure = np.where(g.dynamic, g.velocity_sd, np.inf)
+    gas = [] if g.gas_velocity is None else [_linear("v_gas", g.moving_gas, 2)]
     truth = [] if true_velocity is None else [_linear("v_true", true_velocity, 2)]
     made = [
         _rotation(g.rotation),
         _linear("x0", g.position, 2),
         _linear("v", velocity, 2),
+        *gas,
         *truth,
         _linear("t_mu", g.t_mu[:, None], 2),
         _linear("rgb", plain_color(g.color), 1),
@@ -101,6 +103,7 @@ def unpack(packed: Packed) -> TransientGaussians:
         opacity=np.minimum(values["opacity"][:, 0], 1),
         color=values["rgb"],
         dynamic=np.isfinite(values["t_sigma"][:, 0]) | (np.abs(values["v"]).max(-1, initial=0) > 0),
+        gas_velocity=values.get("v_gas"),
         velocity_sd=values["v_sd"][:, 0],
     )
 

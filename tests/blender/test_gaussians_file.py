@@ -55,6 +55,18 @@ def test_reads_how_sure_the_velocity_is(tmp_path, suffix):
     assert np.array_equal(cloud.velocity_sd, doubt)
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".ply"])
+def test_reads_the_velocity_of_the_gas(tmp_path, suffix):
+    together = gaussians()
+    cloud = load(together.save(tmp_path / f"one{suffix}"))
+    assert cloud.gas_velocity is None and np.array_equal(cloud.moving_gas, together.moving_gas)
+    gas = np.random.default_rng(2).normal(size=(N, 3)).astype(np.float32)
+    apart = replace(together, gas_velocity=gas)
+    cloud = load(apart.save(tmp_path / f"two{suffix}"))
+    assert np.array_equal(cloud.gas_velocity, gas) and np.array_equal(cloud.velocity, together.velocity)
+    assert np.array_equal(cloud.moving_gas, apart.moving_gas)
+
+
 def test_reads_big_endian_doubles(tmp_path):
     wanted = gaussians()
     vertex, _ = read_ply(wanted.save(tmp_path / "a.ply"))

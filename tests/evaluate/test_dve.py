@@ -1,6 +1,7 @@
 """DVE against the paper's formulas written out plainly, closed forms, and every hard case."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,6 +60,14 @@ def test_gaussians_are_scored_where_they_are_at_that_time():
     for t in (2.0, 4.0):
         truth = np.array([1 + 0.5 * (t - 2), 0, 0])
         assert dve(g, field, t).l2 == pytest.approx(np.linalg.norm([1, 0, 0.5] - truth) / truth[0], rel=1e-6)
+
+
+def test_the_gas_is_scored_where_the_light_has_moved_to():
+    """In V = (z, 0, 0) the light rises at 0.5 m/s and says of the gas exactly what is there 2 s later."""
+    g = make_gaussians(1, position=[[0, 0, 1.0]], velocity=[[0, 0, 0.5]], t_mu=[2.0], t_sigma=[3.0])
+    field = Analytic(lambda p: p[:, [2]] * np.array([1.0, 0, 0]))
+    assert dve(replace(g, gas_velocity=[[2.0, 0, 0]]), field, 4.0).l2 == pytest.approx(0, abs=1e-6)
+    assert dve(g, field, 4.0).l2 == pytest.approx(np.hypot(2, 0.5) / 2, rel=1e-6)
 
 
 def test_temporal_and_base_opacity():

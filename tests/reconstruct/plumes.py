@@ -22,7 +22,8 @@ def field_of(voxels, velocity, emission, frame_s: float = 0.01) -> FlowField:
     known = np.ones(len(voxels.center), bool)
     unsure = np.full(len(voxels.center), np.inf)
     frames = [
-        FrameField(frame_s * f, emission[f], 1.0, velocity[f], unsure, known, np.empty(0)) for f in range(len(velocity))
+        FrameField(frame_s * f, emission[f], 1.0, velocity[f], velocity[f], unsure, known, np.empty(0))
+        for f in range(len(velocity))
     ]
     return FlowField(voxels, tuple(frames))
 

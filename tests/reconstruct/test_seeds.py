@@ -24,6 +24,7 @@ def column():
         time_s=0.0,
         emission=inside * 1.0,
         light=1.0,
+        light_velocity=np.tile([0, 0, 0.6 * SPEED], (len(inside), 1)),
         velocity=np.tile([0, 0, SPEED], (len(inside), 1)),
         velocity_sd=np.full(len(inside), np.inf),
         known=np.ones(len(inside), bool),
@@ -53,6 +54,12 @@ def test_what_does_not_move_or_shine_lives_as_long_as_allowed(column):
     frame = column.frames[0]
     for change in ({"velocity": frame.velocity * 0}, {"emission": frame.emission * 0}):
         assert lifetime_s(changed(column, **change), 0.01) == pytest.approx(0.04)
+
+
+def test_seeds_move_with_the_light_and_say_what_the_gas_does(column):
+    seeds = sample_seeds(column, OURS.seeding, 0.02, 100, np.random.default_rng(0))
+    np.testing.assert_allclose(seeds.velocity, np.tile([0, 0, 0.6 * SPEED], (len(seeds), 1)), rtol=1e-6)
+    np.testing.assert_allclose(seeds.gas_velocity, np.tile([0, 0, SPEED], (len(seeds), 1)), rtol=1e-6)
 
 
 def test_seeds_follow_the_emission(column):

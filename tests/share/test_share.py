@@ -39,6 +39,16 @@ def small_dataset(folder, fields=None):
 # ---------------------------------------------------------------- quantisation
 
 
+def test_the_gas_comes_back_beside_the_light():
+    g = random_gaussians(200)
+    assert unpack(pack(g)).gas_velocity is None
+    gas = np.random.default_rng(5).normal(size=(200, 3))
+    back = unpack(pack(replace(g, gas_velocity=gas)))
+    still = ~g.dynamic
+    assert np.abs(back.gas_velocity - gas)[~still].max() <= 0.51 * np.ptp(gas, axis=0).max() / (2**16 - 2)
+    assert (back.gas_velocity[still] == 0).all() and np.abs(back.velocity - gas)[~still].max() > 1
+
+
 def test_every_value_comes_back_within_half_a_step():
     """Steps by hand: a range over 2^16 - 1 or 2^8 - 1 parts, of logarithms over 254; quaternions as 10 bits a part."""
     g = random_gaussians(500)

@@ -22,7 +22,7 @@ class GaussianCloud:
     """
 
     position: np.ndarray  # (N, 3) m, at t_mu
-    velocity: np.ndarray  # (N, 3) m/s
+    velocity: np.ndarray  # (N, 3) m/s, of the light: how the row moves
     t_mu: np.ndarray  # (N,) s on the dataset clock
     t_sigma: np.ndarray  # (N,) s, > 0, inf = always on
     scale: np.ndarray  # (N, 3) m, standard deviations, > 0
@@ -30,12 +30,19 @@ class GaussianCloud:
     opacity: np.ndarray  # (N,) in [0, 1]
     color: np.ndarray  # (N, 3) display values, as seen from all sides (the constant term of spherical harmonics)
     dynamic: np.ndarray  # (N,) bool
+    gas_velocity: np.ndarray | None = None  # (N, 3) m/s, of the gas that shines there; None: `velocity`
     velocity_sd: np.ndarray | None = None  # (N,) m/s of each component, inf = nobody says; None: nobody says of any
     begin: np.ndarray | None = None  # (N,) s
     end: np.ndarray | None = None  # (N,) s
 
     def __len__(self) -> int:
         return len(self.position)
+
+    @property
+    def moving_gas(self) -> np.ndarray:
+        """(N, 3) m/s of the gas, 0 where a row is static."""
+        velocity = self.velocity if self.gas_velocity is None else self.gas_velocity
+        return velocity * self.dynamic[:, None]
 
 
 def splats(rows: np.ndarray, path: Path) -> dict[str, np.ndarray]:
@@ -65,7 +72,8 @@ def checked(values: dict[str, np.ndarray], path: Path) -> GaussianCloud:
     n = len(values["position"]) if values["position"].ndim else 0
     if not n:
         raise FileFormatError(f"{path}: holds 0 points; did the reconstruction end well?")
-    widths = {"position": (3,), "velocity": (3,), "scale": (3,), "rotation": (4,), "color": (3,)}
+    vectors = dict.fromkeys(("position", "velocity", "gas_velocity"), (3,))
+    widths = vectors | {"scale": (3,), "rotation": (4,), "color": (3,)}
     for field in fields(GaussianCloud):
         if field.name not in values:
             continue

@@ -32,6 +32,7 @@ NPZ_NAMES = {
     "dynamic": "dynamic",
 }
 UNSURE = "v_sd"  # only in files that say how sure the velocity is
+GAS = "v_gas", ("gas_vx", "gas_vy", "gas_vz")  # npz, PLY: only where the gas has another velocity than its light
 OWN_PROPERTIES = ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")
 
 
@@ -115,6 +116,8 @@ def _read_npz(path: Path, step: int) -> dict[str, np.ndarray]:
     values = {field: found[key] for field, key in NPZ_NAMES.items()} | {"color": color}
     if UNSURE in found:
         values["velocity_sd"] = found[UNSURE]
+    if GAS[0] in found:
+        values["gas_velocity"] = found[GAS[0]]
     return {field: array[::step] if array.ndim else array for field, array in values.items()}
 
 
@@ -141,6 +144,8 @@ def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:
         }
     if ply.has(UNSURE):
         values["velocity_sd"] = columns(rows, UNSURE)[:, 0]
+    if all(ply.has(name) for name in GAS[1]):
+        values["gas_velocity"] = columns(rows, *GAS[1])
     try:
         return values | {
             "velocity": columns(rows, "vx", "vy", "vz"),

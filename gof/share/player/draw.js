@@ -2,7 +2,7 @@
 
 // All of WebGL: Gaussians blended from the back to the front into a float picture, and that over what lies behind.
 
-const TEXELS = 6; // of a Gaussian, four numbers each; splat.vert.glsl says which
+const TEXELS = 7; // of a Gaussian, four numbers each; splat.vert.glsl says which
 const ORDER_WIDTH = 1024; // of the texture that says in which order Gaussians are drawn
 
 /** What the shaders read of every Gaussian. */
@@ -19,7 +19,8 @@ function texels(columns, count, perLine) {
     out[o + 14] = columns.opacity[i];
     out[o + 15] = Number.isFinite(columns.v_sd[i]) ? columns.v_sd[i] : -1;
     out.set(columns.rgb.subarray(3 * i, 3 * i + 3), o + 16);
-    if (columns.v_true) out.set(columns.v_true.subarray(3 * i, 3 * i + 3), o + 20);
+    out.set((columns.v_gas ?? columns.v).subarray(3 * i, 3 * i + 3), o + 20);
+    if (columns.v_true) out.set(columns.v_true.subarray(3 * i, 3 * i + 3), o + 24);
   }
   return out;
 }

@@ -1,10 +1,10 @@
 #version 300 es
-// The way a Gaussian comes along in a short time, as a line that ends where it is now.
+// The way of the gas at a Gaussian in a short time, as a line that ends where it is now.
 precision highp float;
 precision highp sampler2D;
 
 const float NEAR = 0.01;
-const int TEXELS = 6;
+const int TEXELS = 7;
 
 uniform highp usampler2D order; // rows of the cloud, farthest first; four vertices each
 uniform sampler2D cloud;
@@ -37,7 +37,7 @@ void main() {
   vec4 a = texel(0), b = texel(1);
   float late = time - a.w;
   float z = late * b.w;
-  vec3 v = truth ? texel(5).xyz : b.xyz;
+  vec3 v = texel(truth ? 6 : 5).xyz;
   if (dot(v, v) == 0.0) return;
   vec3 head = (a.xyz + late * b.xyz - eye) * axes;
   vec3 tail = head - (v * span) * axes;

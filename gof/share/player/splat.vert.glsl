@@ -7,10 +7,10 @@ precision highp sampler2D;
 const float LEAST_ALPHA = 1.0 / 255.0;
 const float DILATION = 0.3; // px²
 const float NEAR = 0.01;    // m
-const int TEXELS = 6;
+const int TEXELS = 7;
 
 uniform highp usampler2D order; // rows of the cloud, farthest first; four vertices each
-uniform sampler2D cloud;  // texels of a Gaussian: x0 t_mu | v 1/t_sigma | cov | cov opacity v_sd | rgb | v_true
+uniform sampler2D cloud;  // texels of a Gaussian: x0 t_mu | v 1/t_sigma | cov | cov opacity v_sd | rgb | v_gas | v_true
 uniform int perLine;      // Gaussians in a line of the texture
 uniform sampler2D scheme; // colours of numbers
 uniform int colouring;    // 0 radiance, 1 speed, 2 doubt, 3 true speed, 4 true error
@@ -72,9 +72,9 @@ void main() {
   gl_Position = vec4(2.0 * at.x - 1.0, 1.0 - 2.0 * at.y, 0.0, 1.0);
 
   vec3 shown = e.rgb;
-  if (colouring == 1) shown = mapped(length(b.xyz));
+  if (colouring == 1) shown = mapped(length(texel(5).xyz));
   if (colouring == 2) shown = mapped(d.w);
-  if (colouring == 3) shown = mapped(length(texel(5).xyz));
-  if (colouring == 4) shown = mapped(length(texel(5).xyz - b.xyz) * inversesqrt(3.0)); // of a component, as v_sd is
+  if (colouring == 3) shown = mapped(length(texel(6).xyz));
+  if (colouring == 4) shown = mapped(length(texel(6).xyz - texel(5).xyz) * inversesqrt(3.0)); // of a component, as v_sd is
   paint = vec4(shown, opacity);
 }
