@@ -1,4 +1,6 @@
-"""Transient Gaussians in 27 bytes each, 33 where gas and light have two velocities, as the page of `gof share` carries them, and back.
+"""Transient Gaussians as the page of `gof share` carries them, in 27 bytes each, and back.
+
+They are 33 bytes where gas and light have a velocity each.
 
 Every quantity is a column of whole numbers on a grid between its least and its greatest value; t_sigma, scale, opacity
 and v_sd on a grid of their logarithms. The page unpacks by the same description (`player/unpack.js`).
