@@ -21,6 +21,7 @@ CONTROLS = {
     "zero": "nothing moves",
     "random": "each Gaussian keeps its speed, in a random direction",
     "shuffled": "the result's own velocities, dealt out at random",
+    "light": "how the Gaussians move, where the result says another velocity for the gas",
     "constant": "one vector for everything: the mean true velocity",
     "height_mean": "the mean true velocity of each height",
     "true_centre": "the true velocity at each centre: the best a point-wise method can do",
@@ -35,7 +36,7 @@ def score_controls(gaussians: MovingGaussians, frames: Sequence[Samples], seed: 
     `constant` and `height_mean` are weighted means of the truth over all frames together.
 
     Returns:
-        name (as in CONTROLS) -> DVESequence.
+        name (as in CONTROLS) -> DVESequence; "light" only where gas and light have a velocity each.
     """
     rng = np.random.default_rng(seed)
     direction = rng.standard_normal((len(gaussians), 3))
@@ -45,8 +46,11 @@ def score_controls(gaussians: MovingGaussians, frames: Sequence[Samples], seed: 
     donor[scored] = rng.permutation(scored)
 
     def own(frame: Samples) -> np.ndarray:
+        return gaussians.state_at(frame.time_s).moving_gas.astype(np.float64)
+
+    def light(frame: Samples) -> np.ndarray | None:
         state = gaussians.state_at(frame.time_s)
-        return state.moving_gas.astype(np.float64)
+        return None if state.gas_velocity is None else replace(state, gas_velocity=None).moving_gas.astype(np.float64)
 
     weight = np.concatenate([f.weight for f in frames])
     truth = np.concatenate([f.truth for f in frames])
@@ -56,11 +60,12 @@ def score_controls(gaussians: MovingGaussians, frames: Sequence[Samples], seed: 
         "zero": [np.zeros_like(f.truth) for f in frames],
         "random": [direction[f.index] * np.linalg.norm(f.velocity, axis=1, keepdims=True) for f in frames],
         "shuffled": [own(f)[donor[f.index]] for f in frames],
+        "light": [v[f.index] for f in frames if (v := light(f)) is not None],
         "constant": [np.broadcast_to(constant, f.truth.shape) for f in frames],
         "height_mean": _split(height, frames),
         "true_centre": [f.truth_centre for f in frames],
     }
-    return {name: score_sequence(frames, v) for name, v in velocities.items()}
+    return {name: score_sequence(frames, v) for name, v in velocities.items() if v}
 
 
 def fluctuation(frames: Sequence[Samples]) -> DVEResult:

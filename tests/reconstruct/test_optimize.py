@@ -146,6 +146,20 @@ def test_plates_move_as_the_method_says_and_are_kept_beside_the_result(flame, tm
     assert 0.2 < np.abs(scored["joint"] - seen.plate[0]).max()
 
 
+@pytest.mark.long
+def test_pictures_move_the_light_and_leave_the_gas(flame, tmp_path):
+    small = {"iterations": 60, "gaussians": 500, "voxels": 24}
+    for method in ("gof", "paper"):
+        out = tmp_path / method
+        result = TransientGaussians.load(reconstruct(flame, out, method=method, scene="plates", **small))
+        seeds = TransientGaussians.load(out / "seeds.npz")
+        assert not np.array_equal(result.velocity, seeds.velocity)
+        if method == "gof":
+            np.testing.assert_array_equal(result.gas_velocity, seeds.gas_velocity)
+        else:
+            assert result.gas_velocity is None, "one velocity for both"
+
+
 def test_held_out_scores_are_those_of_the_pictures(flame, with_novel_view):
     gaussians, data = column(DT * np.arange(10)), Dataset.open(with_novel_view)
     plates = [data.static(c) for c in range(2)]
