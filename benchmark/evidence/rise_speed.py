@@ -65,7 +65,7 @@ def gas_climb(gaussians: TransientGaussians, dataset: Dataset, camera: int, time
     place, alpha = moving.at(time_s)
     jacobian = dataset.cameras[camera].projection_jacobian(place)
     weight = alpha * np.prod(np.sort(moving.scale, 1)[:, 1:], axis=1)
-    up = -np.einsum("nj,nj->n", jacobian[:, 1], moving.velocity)
+    up = -np.einsum("nj,nj->n", jacobian[:, 1], moving.moving_gas)
     known = np.isfinite(up)
     return float((weight * up)[known].sum() / weight[known].sum())
 

@@ -263,7 +263,8 @@ def _velocity_score(
     gradients: GradientErrors | None,
 ) -> VelocityScore:
     frames = zip(sequence.times_s, sequence.frames, strict=True)
-    skills = {f"skill_over_{name}": skill(sequence.pooled, c.pooled) for name, c in sequence.controls.items()}
+    controls = ((name, sequence.controls.get(name)) for name in CONTROLS)
+    skills = {f"skill_over_{name}": skill(sequence.pooled, c.pooled) if c else None for name, c in controls}
     return VelocityScore(
         **_clip_figures(sequence),
         **skills,
