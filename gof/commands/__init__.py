@@ -24,6 +24,9 @@ COMMANDS = {
         "gof.commands.background", "the scene without fire as static Gaussians, for views no camera took", 40
     ),
     "reconstruct": Command("gof.commands.reconstruct", "three videos -> transient flame Gaussians with velocities", 50),
+    "depth": Command(
+        "gof.commands.depth", "depth maps of a dataset's frames, for the scores of depth of gof evaluate", 55
+    ),
     "evaluate": Command(
         "gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with", 60
     ),

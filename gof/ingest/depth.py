@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,19 +28,27 @@ def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
             f"{weights}: no config.json; give the folder of a Depth-Anything-V2 checkpoint in Hugging Face form, or "
             "leave it away: the stereo depth is then completed along the picture's edges"
         )
+    processor, model = _network(Path(weights))
+    import torch
+
+    with torch.no_grad():
+        out = model(**processor(images=picture, return_tensors="pt")).predicted_depth
+    size = picture.shape[:2]
+    return torch.nn.functional.interpolate(out[None], size, mode="bicubic", align_corners=False)[0, 0].numpy()
+
+
+@cache
+def _network(weights: Path) -> tuple[Any, Any]:
+    """What prepares pictures for the network, and the network."""
     try:
-        import torch
+        import torch  # noqa: F401  (transformers would name it in words of its own)
         from transformers import AutoImageProcessor, AutoModelForDepthEstimation
     except ImportError as e:
         raise MissingDependencyError(
             "monocular depth needs torch and transformers: pip install torch transformers"
         ) from e
     processor = AutoImageProcessor.from_pretrained(weights, local_files_only=True)
-    model = AutoModelForDepthEstimation.from_pretrained(weights, local_files_only=True).eval()
-    with torch.no_grad():
-        out = model(**processor(images=picture, return_tensors="pt")).predicted_depth
-    size = picture.shape[:2]
-    return torch.nn.functional.interpolate(out[None], size, mode="bicubic", align_corners=False)[0, 0].numpy()
+    return processor, AutoModelForDepthEstimation.from_pretrained(weights, local_files_only=True).eval()
 
 
 def align(disparity: np.ndarray, depth: np.ndarray, iterations: int = 20) -> tuple[float, float]:
@@ -118,9 +128,13 @@ def whole_depth(stereo: np.ndarray, picture: np.ndarray, weights: Path | None) -
         return complete(stereo, picture)
     relative = monocular(picture, weights)
     a, b = align(relative, stereo)
-    known = np.isfinite(stereo)
-    farthest = 2 * float(np.nanmax(stereo))
-    return np.where(known, stereo, 1 / np.maximum(a * relative + b, 1 / farthest)).astype(np.float32)
+    whole = from_relative(relative, a, b, farthest=2 * float(np.nanmax(stereo)))
+    return np.where(np.isfinite(stereo), stereo, whole)
+
+
+def from_relative(relative: np.ndarray, a: float, b: float, farthest: float) -> np.ndarray:
+    """Depth (H, W) float32 m of relative disparity (H, W) that `align` found a, b for; at most `farthest`."""
+    return (1 / np.maximum(a * relative + b, 1 / farthest)).astype(np.float32)
 
 
 def back_project(depth: np.ndarray, picture: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

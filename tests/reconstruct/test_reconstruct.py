@@ -11,7 +11,7 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError, NonFiniteError
 from gof.evaluate import dve
 from gof.gaussians import TransientGaussians
-from gof.reconstruct import pipeline
+from gof.reconstruct import pipeline, stages
 from gof.reconstruct.curve import Curve
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.records import read_record
@@ -105,7 +105,7 @@ def test_what_is_returned_is_what_is_on_disk(rising_flame, result):
 def test_a_finished_run_returns_what_it_would_find(rising_flame, tmp_path):
     settings = ReconstructionSettings("flame", iterations=5, gaussians=300, voxels=24, longest_side=96)
     made = pipeline.reconstruct(Dataset.open(rising_flame), settings, tmp_path)
-    assert made == pipeline.Reconstruction.find(tmp_path)
+    assert made == stages.Reconstruction.find(tmp_path)
 
 
 def test_stages_one_by_one(rising_flame, tmp_path, capsys):

@@ -1,0 +1,128 @@
+"""What each choice of the method is worth today: ours, and ours with one choice after another undone.
+
+    python -m gof_benchmark.evidence.choices DATASET --out out/choices [--only "paper's fusion" ...] [--json FILE]
+
+DATASET has true velocity (`gof generate demo`). Every row is a reconstruction by `gof reconstruct`'s own code, with one
+field of `gof.reconstruct.methods.OURS` changed; its folder is OUT/NAME, and finished rows are kept. Scores are those of
+`gof evaluate`, at the size of the pictures that are reconstructed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from unittest.mock import patch
+
+import tyro
+
+from gof.dataset import Dataset
+from gof.errors import GofError
+from gof.evaluate import evaluate
+from gof.files import read_json, write_json
+from gof.reconstruct.methods import METHODS, OURS, PAPER, Method
+from gof.reconstruct.pipeline import reconstruct
+from gof.reconstruct.presets import Effort
+from gof.reconstruct.settings import ReconstructionSettings
+from gof.reconstruct.shrink import shrink
+
+
+def _seeding(**fields) -> Method:
+    return replace(OURS, seeding=replace(OURS.seeding, **fields))
+
+
+def _rates(**fields) -> Method:
+    return replace(OURS, rates=replace(OURS.rates, **fields))
+
+
+ROWS: dict[str, Method] = {
+    "ours": OURS,
+    "no flow prior": replace(OURS, flow_prior=False),
+    "paper's fusion": replace(OURS, fusion="paper"),
+    "no smoothing of the fused flow": replace(OURS, smooth_voxels=0.0),
+    "flow of the pictures, to the next frame": replace(OURS, flow_of_light=False),
+    "flame is where the flow is": replace(OURS, flow_masks=True),
+    "two cameras are enough": replace(OURS, vetoes=False),
+    "tomography from the whole hull": replace(OURS, round_flame=False),
+    "plates in the dark": replace(OURS, lit_plates=False),
+    "plates stay as they are": _rates(plate=0.0),
+    "seeds in half of the voxels": _seeding(by_emission=False),
+    "lives of four frame times": _seeding(short_lives=False),
+    "seeds of opacity 0.4": _seeding(opacity=PAPER.seeding.opacity),
+    "four times the velocity's rate": _rates(velocity=4 * OURS.rates.velocity),
+    "ten times the velocity's rate": _rates(velocity=10 * OURS.rates.velocity),
+    "forty times the velocity's rate": _rates(velocity=40 * OURS.rates.velocity),
+}
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Undo one choice of the method at a time. Prints a table."""
+
+    dataset: tyro.conf.Positional[Path]
+    """Dataset folder with true velocity."""
+    out: Path = Path("out/choices")
+    """Folder for the reconstructions; finished ones are kept."""
+    only: tuple[str, ...] = ()
+    """Names of rows; all of them without."""
+    gaussians: int = 15_000
+    iterations: int = 800
+    voxels: int = 72
+    longest_side: int = 160
+    seed: int = 0
+    json: Path | None = None
+    """Also write the figures to this file."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A reconstruction's scores."""
+
+    name: str
+    l2: float
+    cos_sim: float
+    fluctuation_l2: float | None
+    fluctuation_cos_sim: float | None
+    psnr_flame: float
+    psnr: float
+
+    def __str__(self) -> str:
+        numbers = (self.l2, self.cos_sim, self.fluctuation_l2, self.fluctuation_cos_sim)
+        cells = ["-" if value is None else f"{value:.3f}" for value in numbers]
+        return f"| {self.name} | {' | '.join(cells)} | {self.psnr_flame:.2f} | {self.psnr:.2f} |"
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the table."""
+    config = tyro.cli(Choices, prog="python -m gof_benchmark.evidence.choices", args=argv)
+    unknown = sorted(set(config.only) - ROWS.keys())
+    if unknown:
+        raise GofError(f"--only {unknown}: no such rows; there are {list(ROWS)}")
+    dataset = Dataset.open(config.dataset)
+    print("| choice undone | L2 | CosSim | fluctuation L2 | fluctuation CosSim | PSNR flame | PSNR |")
+    print("|---|---|---|---|---|---|---|")
+    rows = []
+    for name in config.only or ROWS:
+        rows.append(run_one(dataset, name, config))
+        print(rows[-1], flush=True)
+    if config.json:
+        write_json(config.json, [asdict(row) for row in rows])
+
+
+def run_one(dataset: Dataset, name: str, config: Choices) -> Row:
+    """Reconstruct by the row's method and score; kept when it is there already."""
+    folder = config.out / name.replace(" ", "_").replace("'", "").replace(",", "")
+    effort = Effort(config.iterations, config.gaussians, config.voxels, config.longest_side)
+    settings = ReconstructionSettings.of(dataset, effort, seed=config.seed)
+    known = folder / "row.json"
+    with patch.dict(METHODS, gof=ROWS[name]):
+        result = reconstruct(dataset, settings, folder)  # refuses a row of another dataset or effort
+    if not known.exists():
+        scores = evaluate(result.path, shrink(dataset, config.longest_side))
+        passing = scores.dve.fluctuation
+        figures = scores.dve.l2, scores.dve.cos_sim, passing.l2, passing.cos_sim, scores.psnr_flame, scores.psnr
+        write_json(known, asdict(Row(name, *figures)))
+    return Row(**read_json(known))
+
+
+if __name__ == "__main__":
+    main()

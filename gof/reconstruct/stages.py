@@ -1,0 +1,261 @@
+"""The stages of a reconstruction: what each reads, makes and leaves behind.
+
+Every stage leaves pictures of what it did in OUT/stages and its cost in OUT/costs.json.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from gof.cameras import in_words
+from gof.costs import StageCost, StageLog
+from gof.dataset import Dataset
+from gof.dataset.leaks import MadeFrom
+from gof.dataset.plates import save_plates
+from gof.gaussians import TransientGaussians
+from gof.progress import progress_bar
+from gof.reconstruct import ablations, stage_images
+from gof.reconstruct.background import BackgroundOptions, still_gaussians
+from gof.reconstruct.checkpoint import Spent, read_spent
+from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
+from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_prior import FlowPrior
+from gof.reconstruct.heldout import HeldOut
+from gof.reconstruct.methods import Method, rates_in_voxels
+from gof.reconstruct.observation import Observation, observe
+from gof.reconstruct.optical_flow import Flow
+from gof.reconstruct.optimize import Schedule, Units, optimize
+from gof.reconstruct.presets import STILL_STEPS
+from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
+from gof.reconstruct.settings import ReconstructionSettings
+from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
+
+
+@dataclass(frozen=True)
+class Run:
+    """What all stages work with: the dataset at the size that is reconstructed, and where things go."""
+
+    dataset: Dataset
+    settings: ReconstructionSettings
+    method: Method
+    flow: Flow
+    out: Path
+    log: StageLog
+
+    @property
+    def source(self) -> str:
+        """What the files say of where they come from."""
+        return f"gof reconstruct {self.dataset.description.name}"
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """A finished reconstruction.
+
+    Attributes:
+        path: of result.npz; result.ply and plates/ lie beside it.
+        count: of Gaussians.
+        stages: what each cost.
+        held_out: the scores of the result on held-out pictures.
+    """
+
+    path: Path
+    count: int
+    stages: tuple[StageCost, ...]
+    held_out: CurvePoint
+
+    @classmethod
+    def find(cls, folder: Path) -> Reconstruction | None:
+        """The one that was finished in a folder before; None without one."""
+        path = folder / "result.npz"
+        if not (path.exists() and (folder / "result.ply").exists()):
+            return None
+        stages = StageLog(folder / "costs.json").stages()
+        return cls(path, len(TransientGaussians.load(path)), stages, Curve.read(folder).points[-1])
+
+
+# ---- Motion: what the cameras saw, and how it moves in their pictures ------------------------------------------------
+
+
+def see_motion(run: Run) -> Observation:
+    """Pictures, masks, plates and optical flow of the training frames, changed as the ablation wants."""
+    with run.log.measure("motion") as figures, progress_bar("motion") as progress:
+        observation = observe(run.dataset, run.method, run.flow, progress=progress)
+        observation = ablations.change_plates(run.settings.ablation, observation)
+        stage_images.save_observation(run.out / "stages", observation)
+        figures.update(frames=len(observation.frames), cameras=len(observation.cameras))
+    _say_what_from(run, observation)
+    return observation
+
+
+def _say_what_from(run: Run, observation: Observation) -> None:
+    """Which frames, and what that was learned elsewhere, everything that follows comes from."""
+    plates = [f"plates/{camera.name}.png" for camera in run.dataset.cameras]
+    still = plates if run.settings.scene == "plates" else ["background.npz"]
+    learned = ["flow_prior"] if _uses_flow_prior(run) else []
+    MadeFrom.of(["seeds.npz", *still, "result.npz", "result.ply"], observation.frames, learned).write(run.out)
+
+
+def _uses_flow_prior(run: Run) -> bool:
+    return run.settings.flow_prior and run.method.flow_prior
+
+
+# ---- Still scene: what the flame burns in, where it is not a plate ---------------------------------------------------
+
+
+def make_still_scene(run: Run, observation: Observation) -> TransientGaussians | None:
+    """Static Gaussians of the plates, in the fire's light where the method has it; None where plates are drawn."""
+    settings = run.settings
+    if settings.scene == "plates":
+        return None
+    made = run.out / "background.npz"
+    if made.exists():
+        return TransientGaussians.load(made)
+    options = BackgroundOptions(still_steps(settings), max(settings.gaussians, 2), seed=settings.seed)
+    still = still_gaussians(run.dataset, observation.plate, options, run.log)
+    still.save(made, source=f"gof reconstruct {run.dataset.description.name}: the still scene")
+    return still
+
+
+def still_steps(settings: ReconstructionSettings) -> int:
+    """Steps of the still scene, at least one."""
+    return max(round(STILL_STEPS * settings.iterations), 1)
+
+
+# ---- Flow field: where the flame is in space, and how fast it moves there --------------------------------------------
+
+
+def make_flow_field(run: Run, observation: Observation) -> FlowField:
+    """The flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
+    with run.log.measure("flow_field") as figures, progress_bar("flow field") as progress:
+        field = seen_flow_field(observation, run.method, run.settings.voxels, progress)
+        if _uses_flow_prior(run):
+            field = FlowPrior.load().correct(field, metres=run.dataset.description.in_metres)
+        stage_images.save_flow_field(run.out / "stages", field)
+        voxels = field.voxels
+        figures.update(
+            voxels=len(voxels.center), voxel_size_m=round(voxels.voxel_size, 5), resolution=voxels.resolution.tolist()
+        )
+    return field
+
+
+# ---- Seeds: the Gaussians that the optimisation starts from ----------------------------------------------------------
+
+
+def make_seeds(
+    run: Run, observation: Observation, still: TransientGaussians | None, field: FlowField, held_out: HeldOut
+) -> TransientGaussians:
+    """The Gaussians that the optimisation starts from; kept in OUT/seeds.npz."""
+    settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
+    rng = np.random.default_rng(settings.seed)
+    with run.log.measure("seeds") as figures:
+        t_sigma = lifetime_s(field, dt) if method.seeding.short_lives else LIFETIME_FRAMES[1] * dt
+        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng)
+        seeds = ablations.change_seeds(settings.ablation, seeds, rng)
+        seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
+        figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
+    shown = (seeds, list(observation.plate)) if still is None else (TransientGaussians.concatenate([still, seeds]), [])
+    _show(run, held_out, "4_seeds", "the seeds before any optimisation", *shown)
+    return seeds
+
+
+# ---- Fit -------------------------------------------------------------------------------------------------------------
+
+
+def fit(
+    run: Run,
+    observation: Observation,
+    still: TransientGaussians | None,
+    field: FlowField,
+    seeds: TransientGaussians,
+    held_out: HeldOut,
+) -> tuple[TransientGaussians, list[np.ndarray], Curve]:
+    """Fit the pictures, from the last checkpoint if there is one.
+
+    Returns:
+        Gaussians and plates as `gof.reconstruct.surroundings.Surroundings.result`, and the curve of held-out scores.
+    """
+    settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
+    rates = rates_in_voxels(method.rates, observation.cameras, field.voxels.voxel_size)
+    schedule = Schedule(settings.iterations, rates, method.gas_apart, seed=settings.seed)
+    schedule = ablations.change_schedule(settings.ablation, schedule)
+    believed_s = ablations.change_times(settings.ablation, observation.camera_time_s, dt)
+    observation = replace(observation, camera_time_s=believed_s)
+    units = Units(field.voxels.voxel_size, dt)
+    surroundings: Surroundings = (
+        Plates(observation.cameras, observation.plate, observation.blocked, move=schedule.rates.plate > 0)
+        if still is None
+        else StillScene(still, observation.cameras, field.voxels)
+    )
+    checkpoint = _checkpoint(run)
+    spent = read_spent(checkpoint)
+    curve = CurveLog(run.out, resumed_s=spent and spent.fitting_s)
+    before_s = spent.stage_s if spent else 0.0
+    with (
+        run.log.measure("optimize", before_s, iterations=settings.iterations, gaussians=len(seeds)),
+        progress_bar("optimise") as progress,
+    ):
+        monitor = _Monitor(_snapshot(run), held_out, curve, progress, time.perf_counter() - before_s)
+        gaussians, plates = optimize(seeds, observation, surroundings, schedule, units, checkpoint, monitor)
+    return gaussians, plates, curve.curve
+
+
+@dataclass(frozen=True)
+class _Monitor:
+    """Along the optimisation: its progress, a snapshot for `gof view`, and the curve of held-out scores."""
+
+    snapshot: Path
+    held_out: HeldOut
+    curve: CurveLog
+    progress: Callable[..., None]
+    start: float  # of the stage, by the clock
+
+    def spent(self) -> Spent:
+        return Spent(time.perf_counter() - self.start, self.curve.seconds)
+
+    def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> str | None:
+        gaussians.save(self.snapshot, source=f"gof reconstruct, step {step}")
+        point = self.curve.add(step, partial(self.held_out.score, gaussians, plates))
+        scores = point.scores
+        if scores.psnr_flame is None:
+            return None
+        return f"held-out flame {scores.psnr_flame:.2f} dB at {in_words(scores.sizes_px)}"
+
+
+# ---- Save ------------------------------------------------------------------------------------------------------------
+
+
+def save(
+    run: Run, gaussians: TransientGaussians, plates: list[np.ndarray], curve: Curve, held_out: HeldOut
+) -> Reconstruction:
+    """Write the result and the plates that it is drawn over; remove what was only on the way."""
+    _show(run, held_out, "5_result", "the result", gaussians, plates)
+    save_plates(run.out, [camera.name for camera in run.dataset.cameras if plates], plates)
+    gaussians.save(run.out / "result.ply", source=run.source)
+    path = gaussians.save(run.out / "result.npz", source=run.source)
+    _checkpoint(run).unlink(missing_ok=True)
+    _snapshot(run).unlink(missing_ok=True)
+    return Reconstruction(path, len(gaussians), run.log.stages(), curve.points[-1])
+
+
+def _checkpoint(run: Run) -> Path:
+    return run.out / "checkpoint.npz"
+
+
+def _snapshot(run: Run) -> Path:
+    return run.out / "snapshot.npz"
+
+
+def _show(
+    run: Run, held_out: HeldOut, name: str, caption: str, gaussians: TransientGaussians, plates: list[np.ndarray]
+) -> None:
+    """A held-out frame beside what the Gaussians make of it, where there is one."""
+    image = held_out.side_by_side(gaussians, plates)
+    if image is not None:
+        stage_images.save_image(run.out / "stages", name, f"A held-out frame, above {caption}", image)
