@@ -5,7 +5,6 @@ The slow part runs the named evidence scripts at toy size: what a page tells a r
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,8 +12,6 @@ from typing import NamedTuple
 
 import pytest
 
-from gof.dataset import CameraEntry, Dataset, DatasetDescription
-from tests.conftest import look_at
 from tests.reconstruct.rising_flame import reconstruct, write_flame
 from tests.test_docs import ROOT, evidence_scripts, modules_run_by
 
@@ -68,9 +65,7 @@ def sections(page: Path) -> list[Section]:
             found.append([open_[-1], [part for part in open_[:-1] if part[0] > 1]])
         elif open_:
             open_[-1][2] += line + "\n"
-    return [
-        Section(name, part[1], part[2], "\n".join(f"{p[1]}\n{p[2]}" for p in parents)) for part, parents in found
-    ]
+    return [Section(name, part[1], part[2], "\n".join(f"{p[1]}\n{p[2]}" for p in parents)) for part, parents in found]
 
 
 SECTIONS = [section for page in PAGES for section in sections(page)]
@@ -100,3 +95,88 @@ def test_the_list_of_other_numbers_is_short_and_needed():
     bare = {(s.page, s.heading) for s in SECTIONS if s.shows_measurements and not s.names_command}
     assert NOT_MEASURED.keys() - bare == set(), "no longer needed"
     assert len(NOT_MEASURED) <= 12
+
+
+# ---------------------------------------------------------------- the scripts run
+
+TINY = ("--gaussians", "300", "--iterations", "20", "--voxels", "16")
+
+# Evidence script -> its arguments at toy size. FLAME: a dataset of drawn Gaussians that rise, three cameras of 48x96
+# pixels; LATE: the same with clocks that are off; RESULT: a reconstruction of FLAME; OUT: an empty folder.
+TOY = {
+    "choices": ("FLAME", "--out", "OUT", "--only", "ours", "plates in the dark", *TINY),
+    "doubt": ("FLAME",),
+    "dve_speed": ("--counts", "1000", "--sizes", "16", "--scipy-up-to", "1000"),
+    "flow_fusion": ("FLAME", "--voxels", "16"),
+    "hard_cases": ("FLAME",),
+    "interval_coverage": ("--repeats", "20"),
+    "motion_bounds": ("FLAME",),
+    "plate_kinds": ("FLAME",),
+    "real_motion": ("FLAME",),
+    "reconstruct_memory": ("FLAME", "--runs", "96", "300", "16"),
+    "render_kernels": ("--quick",),
+    "render_speed": ("--quick",),
+    "rise_speed": ("FLAME", "RESULT"),
+    "scene_model": ("FLAME", "RESULT"),
+    "wrong_clocks": ("LATE", "--out", "OUT", "--errors", "0", "1", *TINY),
+}
+
+# The others, and why they have no run at toy size.
+NOT_AT_TOY_SIZE = {
+    "addon_speed": "its size is the claim: 10^6 Gaussians in Blender",
+    "bent_rows": "needs the paper's clips",
+    "capture_accuracy": "its pictures are of full size: the marker needs 40 pixels",
+    "capture_gaps": "needs the paper's clips",
+    "colmap_points": "structure from motion finds nothing in toy pictures",
+    "contact_sheet": "renders a scene by Blender",
+    "cost_check": "makes two whole datasets by Blender",
+    "effect_costs": "makes a dataset for every effect by Blender",
+    "fire_sizes": "bakes six fires by Blender",
+    "flame_clock": "needs the paper's clips",
+    "flame_looks": "needs the paper's clips",
+    "gas_from_below": "bakes two fires by Blender",
+    "generated_board": "renders a board by Blender",
+    "ingest_memory": "needs ffmpeg; its size is the claim",
+    "ingest_table": "needs datasets that gof ingest made of the paper's clips",
+    "open_sockets": "runs every command, Blender's too",
+    "ordinary_footage": "needs ffmpeg and the paper's clips",
+    "reliability": "tests/test_reliability.py runs its parts",
+    "render_agreement": "has one size; Mitsuba draws it in minutes",
+    "share_player": "needs Chromium",
+    "static_depth": "needs Blender's depth",
+    "velocity_truth": "bakes smoke by Blender",
+}
+
+
+def test_every_script_has_a_toy_run_or_a_reason():
+    assert TOY.keys() | NOT_AT_TOY_SIZE.keys() == evidence_scripts()
+    assert not TOY.keys() & NOT_AT_TOY_SIZE.keys()
+    named = {name for page in PAGES for name in modules_run_by(page.read_text(encoding="utf-8"))}
+    named = {name.removeprefix("evidence.") for name in named if name.startswith("evidence.")} - {"NAME"}
+    assert named <= TOY.keys() | NOT_AT_TOY_SIZE.keys()
+
+
+@pytest.fixture(scope="session")
+def toys(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("toys")
+    flame = write_flame(folder / "flame", frames=10)
+    late = write_flame(folder / "late", frames=10, late={1: 0.004, 2: -0.006})
+    return {"FLAME": flame, "LATE": late, "RESULT": reconstruct(flame, folder / "result").parent}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TOY)
+def test_the_script_prints_its_figures_at_toy_size(name, toys, tmp_path):
+    places = {**{key: str(path) for key, path in toys.items()}, "OUT": str(tmp_path / "out")}
+    arguments = [places.get(word, word) for word in TOY[name]]
+    run = subprocess.run(
+        [sys.executable, "-m", f"gof_benchmark.evidence.{name}", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=500,
+        cwd=tmp_path,
+        env=os.environ | {"MPLBACKEND": "Agg"},
+    )
+    assert run.returncode == 0, run.stderr[-3000:]
+    assert re.search(r"\d\.\d", run.stdout), "it prints figures"
+    assert "Traceback" not in run.stderr and "nan" not in run.stdout.lower()

@@ -86,7 +86,8 @@ class IngestConfig:
     frames: int | None = None
     """Use only so many frames."""
     depth: bool = False
-    """Also write depth/cam_0.npy ... (H, W, camera depth in metres), by stereo on the plates, and points.ply."""
+    """Also write depth/cam_0.npy ... (H, W, camera depth in metres), by semi-global stereo on the plates (the paper: by
+    COLMAP's PatchMatch, which needs CUDA and is not here), and points.ply."""
     depth_weights: Path | None = None
     """Folder of a Depth-Anything-V2 checkpoint that completes the stereo depth; without it edges of the plate do."""
     start: tuple[int, ...] = (0,)

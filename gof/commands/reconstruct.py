@@ -45,7 +45,9 @@ class ReconstructConfig:
     longest_side: int | None = None
     """Pictures with a longer side, in pixels, are shrunk to it."""
     method: MethodName = "gof"
-    """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.methods.METHODS)."""
+    """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.methods.METHODS). Not the paper's even
+    then: the optical flow (--flow memfof is), plates (those of gof ingest --plate minimum are), no exposure per
+    camera."""
     scene: SceneName | None = None
     """What the flame is drawn in: `plates`, a picture without fire per camera (fast; the flame is in front of
     everything), or `gaussians`, the still scene in 3D (hides flame behind it, and is seen from any side; the result

@@ -48,9 +48,11 @@ def save_checkpoint(path: Path, optimizer: Adam, step: int, spent: Spent) -> Non
         )
 
 
-def load_checkpoint(path: Path, optimizer: Adam) -> int:
+def load_checkpoint(path: Path, optimizer: Adam, resized: bool = False) -> int:
     """Put a checkpoint's values and Adam moments into the optimiser; returns the number of steps done (0 = none).
 
+    Args:
+        resized: the number of Gaussians may be another than the optimiser's (density control); plates' sizes may not.
     Raises:
         DataFormatError: it is damaged, or of another optimisation.
     """
@@ -58,9 +60,13 @@ def load_checkpoint(path: Path, optimizer: Adam) -> int:
         return 0
     data = _read(path)
     try:
+        count = data["t_mu.value"].shape[-1] if resized else None
         for name in list(optimizer.keys()):
-            optimizer[name] = _like(dr.detach(optimizer[name]), data[f"{name}.value"])
-            value, promoted, rate, (t, m, v, extra) = optimizer.state[name]
+            _, _, rate, _ = optimizer.state[name]
+            old = dr.detach(optimizer[name])
+            many = count if resized and not name.startswith("plate_") else np.shape(old)[-1]
+            optimizer[name] = _like(old, data[f"{name}.value"], many)
+            value, promoted, _, (t, m, v, extra) = optimizer.state[name]
             moments = _like(t, data[f"{name}.t"]), _like(m, data[f"{name}.m"]), _like(v, data[f"{name}.v"]), extra
             optimizer.state[name] = value, promoted, rate, moments
         return int(data["step"])
@@ -85,8 +91,9 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise DataFormatError(f"{e}; {REMEDY}") from e
 
 
-def _like(old, values: np.ndarray):
-    """Values of a file in an array of the type and shape of another."""
-    if values.shape != np.shape(old) or not np.isfinite(values).all():
-        raise ValueError(f"shape {values.shape} or values are not those of {np.shape(old)} finite numbers")
+def _like(old, values: np.ndarray, count: int | None = None):
+    """Values of a file in an array of the type and shape of another, but for `count` of them."""
+    shape = np.shape(old) if count is None else (*np.shape(old)[:-1], count)
+    if values.shape != shape or not np.isfinite(values).all():
+        raise ValueError(f"shape {values.shape} or values are not those of {shape} finite numbers")
     return type(old)(values)

@@ -1,9 +1,9 @@
 """Ours and the paper's method: every choice in which they part, side by side.
 
 The paper's come from its text, and where that is silent from the constants of its authors' published code
-(github.com/jna-358/gaussians_on_fire, `eccv-demo`), named "authors". Not among them, because it is not here at all:
-densification and pruning of flame Gaussians (3DGS), and one exposure per camera (authors). Plates are made before
-(`gof ingest --plate minimum` is the paper's), and what draws the optical flow is `--flow` (the paper's is memfof).
+(github.com/jna-358/gaussians_on_fire, `eccv-demo`), named "authors". Not among them, because it is not here at all: one
+exposure per camera (authors). Plates are made before (`gof ingest --plate minimum` is the paper's), and what draws the
+optical flow is `--flow` (the paper's is memfof).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Rates:
 
     Attributes:
         lengths: what `position` and `velocity` are counted in, so that a scene's size does not matter either: voxels,
-            or the cameras' extent (3DGS: 1.1 of the largest distance from their middle).
+            or the cameras' extent (`cameras_extent`).
         position: at the first and the last step, exponential between.   velocity: per frame time.
         color, plate: display values; a plate's is 0 where plates stay as they are.
         t_mu, log_t_sigma, scale, rotation, opacity: of the raw parameters (`gof.reconstruct.parameters`).
@@ -85,6 +85,7 @@ class Method:
         flow_prior: the fused flow is corrected to the gas' own velocity (`flow_prior`).
         gas_apart: a Gaussian has two velocities: its light's, which is free to fit the pictures, and the gas', which is
             what the fused flow says; else one for both, which the pictures move.
+        density_control: Gaussians are cloned, split and pruned along the way (`density`); not with `gas_apart`.
     """
 
     scene: SceneName
@@ -97,6 +98,7 @@ class Method:
     smooth_voxels: float
     flow_prior: bool
     gas_apart: bool
+    density_control: bool
     seeding: Seeding
     rates: Rates
 
@@ -112,6 +114,7 @@ OURS = Method(
     smooth_voxels=3.0,
     flow_prior=True,
     gas_apart=True,
+    density_control=False,  # tried, not kept
     seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
     rates=Rates(
         lengths="voxels",
@@ -141,6 +144,7 @@ PAPER = Method(
     smooth_voxels=0.0,
     flow_prior=False,
     gas_apart=False,  # "Dynamic Scene": a velocity each
+    density_control=True,  # "densification was left as in the original implementation"
     seeding=Seeding(
         by_emission=False,  # authors: half of a frame's voxels
         short_lives=False,  # "four times the frame time"
@@ -166,11 +170,16 @@ PAPER = Method(
 METHODS: dict[MethodName, Method] = {"gof": OURS, "paper": PAPER}
 
 
+def cameras_extent(cameras: Sequence[Camera]) -> float:
+    """3DGS' size of a scene, m: 1.1 of the cameras' largest distance from their middle."""
+    places = np.stack([camera.position for camera in cameras])
+    return float(1.1 * np.linalg.norm(places - places.mean(0), axis=1).max())
+
+
 def rates_in_voxels(rates: Rates, cameras: Sequence[Camera], voxel_size: float) -> Rates:
     """The same rates with their lengths in voxels; voxel_size in m, > 0."""
     if rates.lengths == "voxels":
         return rates
-    places = np.stack([camera.position for camera in cameras])
-    extent = 1.1 * np.linalg.norm(places - places.mean(0), axis=1).max() / voxel_size
+    extent = cameras_extent(cameras) / voxel_size
     first, last = rates.position
     return replace(rates, lengths="voxels", position=(first * extent, last * extent), velocity=rates.velocity * extent)

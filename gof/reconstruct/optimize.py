@@ -16,13 +16,15 @@ import numpy as np
 from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
-from gof.reconstruct.methods import Rates
+from gof.reconstruct.density import DensityControl
+from gof.reconstruct.methods import Rates, cameras_extent
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.parameters import from_raw, splats, to_raw
-from gof.reconstruct.surroundings import Surroundings
+from gof.reconstruct.surroundings import Drawn, Surroundings
 from gof.render import Target, l1_ssim
 from gof.render.adam import Adam
 from gof.render.backend import Float
+from gof.render.rasterizer import Frame
 
 SSIM_WEIGHT = 0.2
 CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
@@ -37,6 +39,7 @@ class Schedule:
     iterations: int
     rates: Rates
     gas_apart: bool  # see `gof.reconstruct.methods.Method`
+    density_control: bool = False
     alpha_loss: float = 0.1
     seed: int = 0  # of the order of the pictures
 
@@ -100,21 +103,25 @@ def optimize(
         checkpoint: file to resume from and to write every 500 steps (removed by the caller when done); a disk too full
             for it is reported and does not end the run.
     Returns:
-        the optimised Gaussians, same number and order, in their surroundings: see `Surroundings.result`.
+        the optimised Gaussians in their surroundings, see `Surroundings.result`; without density control the same
+        number, in the same order.
     Raises:
         NonFiniteError: the loss or a parameter became NaN or Inf; names the parameter and the step.
     """
     flame = _Flame(seeds, observation, surroundings, schedule, units)
     pictures = _TrainingPictures(observation)
-    start = load_checkpoint(checkpoint, flame.optimizer)
+    start = load_checkpoint(checkpoint, flame.optimizer, resized=schedule.density_control)
     mean_loss = None
     held_out = None
     for step in range(start, schedule.iterations):
         f, c = pictures.drawn(schedule.seed, step)
         flame.optimizer.set_learning_rate({"x0": schedule.position_rate(units, step)})
-        loss = _loss(flame, pictures, f, c, schedule.alpha_loss)
+        drawn = flame.drawn(f, c)
+        loss = _loss(drawn, pictures, f, c, schedule.alpha_loss)
         dr.backward(loss)
+        flame.watch(step, drawn.frame, c)
         flame.optimizer.step()
+        flame.change(step)
         dr.eval(list(flame.optimizer.values()))
 
         done = step + 1
@@ -146,9 +153,11 @@ class _Flame:
         self.observation = observation
         self.surroundings = surroundings
         self.voxel_size = units.voxel_size
-        # Pictures show light: they know nothing of the gas, and nothing of how sure its velocity is.
+        # Pictures show light: they know nothing of the gas, and nothing of how sure its velocity is. Nor does anybody
+        # where density control clones Gaussians.
         gas_velocity = seeds.gas_velocity if schedule.gas_apart else None
-        self._gas = {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
+        known = {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
+        self._gas = {} if schedule.density_control else known
         self.start_s = float(observation.camera_time_s.min())
         plates = surroundings.unknowns()
         raw = to_raw(seeds, self.voxel_size, self.start_s) | plates
@@ -156,6 +165,30 @@ class _Flame:
         # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
         self.optimizer = Adam(lr=1.0, params=raw, beta_2=schedule.rates.beta_2, epsilon=1e-15, mask_updates=True)
         self.optimizer.set_learning_rate(rates)
+        extent = cameras_extent(observation.cameras)
+        self._density = (
+            DensityControl(len(seeds), extent, self.voxel_size, self.start_s, schedule.iterations, schedule.seed)
+            if schedule.density_control
+            else None
+        )
+
+    def drawn(self, f: int, c: int) -> Drawn:
+        """Camera c's view of frame f; differentiable."""
+        camera = self.observation.cameras[c]
+        time_s = float(self.observation.camera_time_s[c, f]) - self.start_s
+        seen = splats(self.optimizer, self.voxel_size, time_s, camera)
+        # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
+        return self.surroundings.draw(seen, c, self.voxel_size, self.optimizer)
+
+    def watch(self, step: int, frame: Frame, c: int) -> None:
+        """After the backward pass of a step."""
+        if self._density is not None:
+            self._density.watch(step, frame, self.observation.cameras[c], dr.width(self.optimizer["t_mu"]))
+
+    def change(self, step: int) -> None:
+        """After a step: density control, where the method has it."""
+        if self._density is not None:
+            self._density.change(step, self.optimizer)
 
     def state(self) -> tuple[TransientGaussians, list[np.ndarray]]:
         """See `Surroundings.result`."""
@@ -191,15 +224,10 @@ class _TrainingPictures:
         return self._outside[f, c]
 
 
-def _loss(flame: _Flame, pictures: _TrainingPictures, f: int, c: int, alpha_loss: float) -> Any:
+def _loss(drawn: Drawn, pictures: _TrainingPictures, f: int, c: int, alpha_loss: float) -> Any:
     """The loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable."""
-    camera = flame.observation.cameras[c]
-    time_s = float(flame.observation.camera_time_s[c, f]) - flame.start_s
-    seen = splats(flame.optimizer, flame.voxel_size, time_s, camera)
-    # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
-    color, share = flame.surroundings.draw(seen, c, flame.voxel_size, flame.optimizer)
-    loss = l1_ssim(color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
-    return loss + alpha_loss * dr.mean(share * pictures.outside(f, c))
+    loss = l1_ssim(drawn.color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
+    return loss + alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
 
 
 def _note(loss: float, held_out: str | None) -> str:

@@ -16,6 +16,7 @@ from gof.dataset.leaks import refuse_leaked_work, refuse_leaks
 from gof.errors import GofError
 from gof.files import only_run_in
 from gof.reconstruct import memory, sanity, stages
+from gof.reconstruct.density import MOST_GROWTH
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import METHODS
 from gof.reconstruct.optical_flow import flow_method
@@ -98,6 +99,8 @@ def _require_possible(run: stages.Run, anyway: bool) -> None:
     of_all_steps = steps
     if settings.scene == "gaussians":  # the still scene has its own steps, and as many Gaussians again
         of_all_steps, gaussians = steps + stages.still_steps(settings), 2 * gaussians
+    if run.method.density_control:
+        gaussians += (MOST_GROWTH - 1) * settings.gaussians
     seconds = of_all_steps * step_ms(settings.gaussians, camera.width * camera.height, native) / 1e3
     needed = memory.needed_for(run.dataset, gaussians, settings.voxels)
     print(

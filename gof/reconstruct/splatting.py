@@ -132,9 +132,9 @@ def _densify(optimizer: Adam, pull: np.ndarray, size: float, budget: int, rng: n
     child = g[wanted]
     split = child.scale.max(1) > LARGE * size
     scale = np.where(split[:, None], child.scale / SPLIT_SHRINK, child.scale)
-    child = replace(child, scale=scale, position=child.position + split[:, None] * _within(child, rng))
+    child = replace(child, scale=scale, position=child.position + split[:, None] * within(child, rng))
     g.scale[wanted] = scale  # the parent of a split shrinks as its child does, and moves the other way
-    g.position[wanted] += split[:, None] * _within(g[wanted], rng)
+    g.position[wanted] += split[:, None] * within(g[wanted], rng)
     both = TransientGaussians.concatenate([g, child])
     order = morton_order(both.position)  # neighbours in space side by side in memory: speed only
     grown = _adam(_to_raw(both[order]), size)
@@ -152,7 +152,7 @@ def _with_zeros(x: np.ndarray, count: int) -> np.ndarray:
     return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, count)])
 
 
-def _within(g: TransientGaussians, rng: np.random.Generator) -> np.ndarray:
+def within(g: TransientGaussians, rng: np.random.Generator) -> np.ndarray:
     """(N, 3) a random offset drawn from each Gaussian, m."""
     return np.einsum("nij,nj->ni", rotation_matrices(g.rotation), rng.normal(size=(len(g), 3)) * g.scale)
 

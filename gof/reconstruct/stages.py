@@ -183,7 +183,7 @@ def fit(
     """
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
     rates = rates_in_voxels(method.rates, observation.cameras, field.voxels.voxel_size)
-    schedule = Schedule(settings.iterations, rates, method.gas_apart, seed=settings.seed)
+    schedule = Schedule(settings.iterations, rates, method.gas_apart, method.density_control, seed=settings.seed)
     schedule = ablations.change_schedule(settings.ablation, schedule)
     believed_s = ablations.change_times(settings.ablation, observation.camera_time_s, dt)
     observation = replace(observation, camera_time_s=believed_s)

@@ -8,7 +8,7 @@ drawn with it, again and again. The picture is the same (tested), for a fraction
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
 import numpy as np
@@ -19,9 +19,20 @@ from gof.reconstruct.parameters import columns, rows
 from gof.reconstruct.voxels import FlameVoxels
 from gof.render import Splats, render, render_splats
 from gof.render.backend import Array3f, Float
-from gof.render.rasterizer import splats_at
+from gof.render.rasterizer import Frame, splats_at
 
 ROOM = 4.0  # voxels around the hull that flame Gaussians, which may move, are still sure to be in
+
+
+class Drawn(NamedTuple):
+    """A camera's view: colour planes in display values, the flame's share of each pixel, and how it was drawn.
+
+    The first Gaussians of `frame` are the flame's, in their order.
+    """
+
+    color: list[Float]
+    share: Float
+    frame: Frame
 
 
 class Surroundings(Protocol):
@@ -30,8 +41,8 @@ class Surroundings(Protocol):
     def unknowns(self) -> dict[str, Any]:
         """What the optimisation may move of them: raw parameters by name."""
 
-    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> tuple[list[Float], Float]:
-        """The camera's view with the flame in it, colour planes in display values; and the flame's share of each pixel.
+    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
+        """The camera's view with the flame in it.
 
         Args:
             near: m, Gaussians closer to the camera are not drawn.   unknowns: where those of `unknowns` are now.
@@ -63,14 +74,14 @@ class Plates:
     def unknowns(self) -> dict[str, Any]:
         return self._plates if self._move else {}
 
-    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> tuple[list[Float], Float]:
+    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
         plate, through = self._at(camera, unknowns), self._through[camera]
         planes = [plate.x, plate.y, plate.z]
         frame = render_splats(flame, self._cameras[camera], background=planes, near=near)
         if through is None:
-            return frame.color, frame.alpha
+            return Drawn(frame.color, frame.alpha, frame)
         color = [dr.fma(through, drawn - still, still) for drawn, still in zip(frame.color, planes, strict=True)]
-        return color, through * frame.alpha
+        return Drawn(color, through * frame.alpha, frame)
 
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
         plates = [rows(self._at(c, unknowns)).reshape(self._shape) for c in range(len(self._cameras))]
@@ -93,7 +104,7 @@ class StillScene:
     def unknowns(self) -> dict[str, Any]:
         return {}
 
-    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> tuple[list[Float], Float]:
+    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
         layers, view = self._layers[camera], self._cameras[camera]
         if layers.among is None:
             frame = render_splats(flame, view, background=layers.behind, near=near)
@@ -105,7 +116,7 @@ class StillScene:
             share = frame.dynamic_alpha
         through = layers.through
         color = [dr.fma(through, drawn, front) for drawn, front in zip(frame.color, layers.front, strict=True)]
-        return color, through * share
+        return Drawn(color, through * share, frame)
 
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
         return TransientGaussians.concatenate([self._still, flame]), []

@@ -46,7 +46,7 @@ def voxels():
 
 
 def drawn(surroundings, flame):
-    color, share = surroundings.draw(splats_at(flame, CAMERA, 0.0), 0, 0.005, {})
+    color, share, _ = surroundings.draw(splats_at(flame, CAMERA, 0.0), 0, 0.005, {})
     shape = CAMERA.height, CAMERA.width
     return np.stack([plane.numpy().reshape(shape) for plane in color], -1), share.numpy().reshape(shape)
 
