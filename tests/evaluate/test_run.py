@@ -51,6 +51,15 @@ def test_worse_results_score_worse_in_what_they_get_wrong(flame):
     assert dim.dve.l2 == pytest.approx(right.dve.l2, abs=1e-4)  # a common factor of the weights cancels
 
 
+def test_a_gas_that_is_faster_than_its_light_is_scored_and_light_is_a_control(flame):
+    """The light as it is, at half of the gas' speed: the result is right, its light half of the truth off."""
+    _, dataset, truth = flame
+    scores = evaluate(replace(truth, velocity=0.5 * truth.velocity, gas_velocity=truth.velocity), dataset, images=False)
+    assert scores.dve.l2 < 0.05 and scores.controls["light"].l2 == pytest.approx(0.5, abs=0.05)
+    assert scores.dve.skill_over_light == pytest.approx(1 - (scores.dve.l2 / scores.controls["light"].l2) ** 2)
+    assert evaluate(truth, dataset, images=False).dve.skill_over_light is None
+
+
 def test_own_static_background_replaces_the_plate(flame):
     _, dataset, truth = flame
     static = changed(truth[:1], dynamic=np.zeros(1, bool), opacity=np.full(1, 1e-3))
