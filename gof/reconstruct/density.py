@@ -23,6 +23,7 @@ from gof.reconstruct.splatting import LARGE, PULL, SPLIT_SHRINK, within
 from gof.render.adam import Adam
 from gof.render.rasterizer import Frame
 
+RAW = ("x0", "velocity", "t_mu", "log_t_sigma", "scale", "rotation", "opacity", "color")  # `to_raw`'s, per Gaussian
 FIRST, EVERY = 500, 100  # steps
 UNTIL = 0.5  # of all steps: 15 000 of the paper's 30 000
 FAINT = 0.005  # opacity below which a Gaussian is pruned
@@ -83,12 +84,11 @@ class DensityControl:
         seen, self._seen = self._seen, None
         old = from_raw(optimizer, *self._units)
         kept, born = changed(old, seen, self._most, self._extent, done > WIDE_AFTER, (self._seed, done))
-        if not len(kept) and not len(born):
+        if len(kept) == len(old) and not len(born):
             return
         both = TransientGaussians.concatenate([old[kept], born])
         order = morton_order(both.position)  # neighbours in space side by side in memory: speed only
-        source = np.concatenate([kept, np.full(len(born), -1)])[order]
-        put(optimizer, to_raw(born, *self._units), source, order)
+        put(optimizer, kept, to_raw(born, *self._units) if len(born) else {}, order)
 
 
 def changed(
@@ -120,24 +120,22 @@ def changed(
     return np.flatnonzero(there), born[stays]
 
 
-def put(optimizer: Adam, born: dict[str, Any], source: np.ndarray, order: np.ndarray) -> None:
+def put(optimizer: Adam, kept: np.ndarray, born: dict[str, Any], order: np.ndarray) -> None:
     """Put other Gaussians into an optimiser.
 
     Args:
-        born: raw parameters of those that are new.
-        source: (M,) row of each Gaussian's old self, -1 for the new ones.
-        order: (M,) their places among the old ones that stay, in turn, and then the new ones.
+        kept: rows of those that stay.   born: raw parameters of those that are new; {} without any.
+        order: of both together, the first of them those that stay.
     """
-    kept = source[np.argsort(order)]
-    kept = kept[kept >= 0]
-    for name, new in born.items():
+    for name in RAW:
         value, promoted, rate, (t, *moments, extra) = optimizer.state[name]
         kind = type(dr.detach(value))
-        optimizer[name] = kind(_joined(np.array(dr.detach(value))[..., kept], np.array(dr.detach(new)))[..., order])
-        nothing = np.zeros(np.shape(np.array(dr.detach(new))), np.float32)
-        old = [kind(_joined(np.array(x)[..., kept], nothing)[..., order]) for x in moments]
-        optimizer.state[name] = optimizer.state[name][0], promoted, rate, (t, *old, extra)
+        values = np.array(dr.detach(value))
+        new = np.array(dr.detach(born[name])) if born else np.zeros((*values.shape[:-1], 0), np.float32)
 
+        def joined(old: np.ndarray, more: np.ndarray, kind: type = kind) -> Any:
+            return kind(np.ascontiguousarray(np.concatenate([old[..., kept], more], axis=-1)[..., order]))
 
-def _joined(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.concatenate([a, b], axis=-1)
+        optimizer[name] = joined(values, new)
+        moments = [joined(np.array(x), np.zeros_like(new)) for x in moments]
+        optimizer.state[name] = optimizer.state[name][0], promoted, rate, (t, *moments, extra)

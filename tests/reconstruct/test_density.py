@@ -117,6 +117,24 @@ def test_who_stays_keeps_adams_moments_and_rates():
     optimizer.step()  # still an optimiser
 
 
+def test_pruning_alone_and_no_change_at_all():
+    old = some()
+    old.opacity[1] = 0.001
+    optimizer = Adam(lr=1.0, params=to_raw(old, VOXEL, 0.0), epsilon=1e-15)
+    control = density.DensityControl(6, 2.0, VOXEL, 0.0, 30_000, 0)
+    control._seen = seen(*[0] * 6)
+    control.change(599, optimizer)
+    assert len(from_raw(optimizer, VOXEL, 0.0)) == 5
+    same = [np.array(dr.detach(optimizer[name])) for name in density.RAW]
+    control._seen = seen(*[0] * 5)
+    control.change(699, optimizer)
+    for name, before in zip(density.RAW, same, strict=True):
+        np.testing.assert_array_equal(np.array(dr.detach(optimizer[name])), before)
+    control._seen = seen(*[9] * 5)
+    control.change(650, optimizer)  # not the time
+    assert len(from_raw(optimizer, VOXEL, 0.0)) == 5
+
+
 @pytest.fixture
 def quick(monkeypatch):
     """Density control every 20 steps from the 20th on, and a checkpoint every 40."""
