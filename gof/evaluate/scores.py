@@ -88,8 +88,8 @@ class VelocityScore(ClipScore):
     `inside` pools the Gaussians inside the domain alone; `fluctuation` is what is left without the mean of each height;
     `within_sd` is the share of the velocity's components within one v_sd of the truth, 0.68 where errors are normal and
     v_sd is right, None where no Gaussian has one;
-    `skill_over_NAME` = 1 - (L2 / L2 of the control)^2, None where there is no such control; `on_emission` and `gradients` are None for a dataset
-    without a flame grid.
+    `skill_over_NAME` = 1 - (L2 / L2 of the control)^2, None where there is no such control; `on_emission` and
+    `gradients` are None for a dataset without a flame grid.
     """
 
     frames: tuple[FrameScore, ...]
