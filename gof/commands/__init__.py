@@ -29,7 +29,7 @@ COMMANDS = {
     ),
     "convert": Command(
         "gof.commands.convert",
-        "any method's result -> .npz, .ply, .ftgs.ply, .glb or PLYs by frame, in metres, seconds and m/s",
+        "any method's result -> .npz, .ply, .ftgs.ply, .glb, .spz, .sog or PLYs by frame, in metres, seconds and m/s",
         70,
     ),
     "baseline": Command(
