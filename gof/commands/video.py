@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
@@ -19,7 +19,7 @@ from gof.options import require_number, require_positive
 from gof.progress import progress_bar
 from gof.share.opened import Opened, dataset_beside, middle_of, open_moving, time_span
 from gof.share.page import front_camera
-from gof.show.encoder import require_film
+from gof.show.encoder import STILL, require_film
 from gof.show.film import FilmOptions, Recorded, fitted, make_film
 from gof.show.panels import Panel, Subject
 from gof.show.path import Clock, Journey, Shot, Way, clock, orbit, shots, stay, through
@@ -41,6 +41,7 @@ class VideoConfig:
       gof video out/fire --dataset data/fire --time bullet          plays, stops, turns, plays on
       gof video out/fire --dataset data/fire --path camera --recorded       beside what was filmed
       gof video out/fire out/other.ply --names ours theirs --dataset data/fire --panels rgb velocity
+      gof video out/fire out/other.ply --dataset data/fire --path camera --recorded --panels rgb error --out grid.png
 
     Behind a flame is what is known there: a still scene of the result's own or of --scene; from a camera of the dataset
     its plate (a picture of that one view); else nothing, which is black. It is said which.
@@ -52,13 +53,13 @@ class VideoConfig:
     dataset: Path | None = None
     """Dataset folder: its cameras, frame times and plates; default: the one in a demo's folder."""
     out: Path | None = None
-    """Film to write (.webm, .mp4, .webp); default: film.webm in the first result's folder. An older one is replaced."""
+    """Film to write (.webm, .mp4, .webp), or a .png of the instant --stop; default: film.webm beside the result."""
     path: Way = "orbit"
     """Where the camera goes: around the flame; through the dataset's cameras and back; or it stays in one."""
     time: Clock = "play"
     """What time does: plays; stands still (freeze); plays, stops while the camera goes its way, plays on (bullet)."""
     panels: tuple[Panel, ...] = ("rgb", "depth", "velocity", "reduced")
-    """What is shown beside each other."""
+    """What is shown beside each other; error, of 0 to 0.5, is against what was recorded."""
     recorded: bool = False
     """With --path camera: a panel with what that camera recorded."""
     camera: str | None = None
@@ -105,6 +106,8 @@ def main(argv: list[str]) -> int:
         raise GofError(f"--stop {stop:g}: the clip is from {span[0]:g} to {span[1]:g} s")
     number = _camera_number(config.camera, dataset)
     journey = _journey(config, results, dataset, number, stop)
+    if out.suffix.lower() == STILL:
+        config = replace(config, time="freeze", seconds=1 / config.fps)
     times, along = clock(config.time, span, config.slow, config.seconds, config.fps, stop)
     film_shots = shots(journey, times, along)
     still = None if config.scene is None else _still_scene(config.scene, options)
@@ -135,13 +138,15 @@ def _check(config: VideoConfig) -> None:
     if config.names and len(config.names) != len(config.results):
         raise GofError(f"--names: {len(config.names)} names for {len(config.results)} results; give one for each")
     if not config.panels:
-        raise GofError("--panels: name at least one of rgb, depth, velocity, reduced")
+        raise GofError("--panels: name at least one of rgb, depth, velocity, reduced, error")
     for flag, value in (("--slow", config.slow), ("--seconds", config.seconds), ("--reduced", config.reduced)):
         require_positive(flag, value)
     require_number("--degrees", config.degrees, least=0, most=360)
     require_number("--fps", config.fps, least=1, most=240)
     require_number("--height", config.height, least=16, most=MOST_HEIGHT)
     require_number("--stop", config.stop)
+    if "error" in config.panels and not config.recorded:
+        raise GofError("--panels error: an error is against what was recorded; add --recorded")
     if config.recorded and config.path != "camera":
         raise GofError("--recorded: only a camera that stays has recorded what it shows; add --path camera")
     if config.out is not None:

@@ -1,4 +1,4 @@
-"""Films as files: WebM and MP4 (both VP9) by the FFmpeg that comes with OpenCV, animated WebP by Pillow."""
+"""Films as files: WebM and MP4 (both VP9) by the FFmpeg of OpenCV, animated WebP by Pillow; a still one as PNG."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from gof.errors import DataFormatError, GofError
 from gof.files import atomic_path
 
 CODES = {".webm": "VP90", ".mp4": "vp09"}  # the tags by which OpenCV finds the codec in either container
-SUFFIXES = (*CODES, ".webp")
+STILL = ".png"  # a film of one frame
+SUFFIXES = (*CODES, ".webp", STILL)
 WEBP_QUALITY = 88
 
 
@@ -32,7 +33,7 @@ def write_film(path: Path, frames: Iterable[np.ndarray], fps: float) -> Path:
     """
     require_film(path)
     with atomic_path(path) as temporary:
-        write = _write_webp if path.suffix.lower() == ".webp" else _write_video
+        write = _write_video if path.suffix.lower() in CODES else _write_pictures
         count = write(temporary, frames, fps)
         if count == 0 or not temporary.is_file() or temporary.stat().st_size == 0:
             raise DataFormatError(f"{path}: no film could be written")
@@ -57,11 +58,13 @@ def _write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
     return count
 
 
-def _write_webp(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
+def _write_pictures(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
     from PIL import Image
 
     pictures = [Image.fromarray(frame) for frame in frames]
-    if pictures:
+    if path.suffix.lower() == STILL and pictures:
+        pictures[0].save(path, optimize=True)
+    elif pictures:
         how = {"duration": round(1000 / fps), "loop": 0, "quality": WEBP_QUALITY}
         pictures[0].save(path, "webp", save_all=True, append_images=pictures[1:], **how)
     return len(pictures)

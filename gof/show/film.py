@@ -18,7 +18,18 @@ from gof.files import only_run_in
 from gof.pictures import read_picture, write_picture
 from gof.report.animation import original, to_bytes
 from gof.show.encoder import require_film, write_film
-from gof.show.panels import Panel, Scales, Subject, draw_panel, label, measure_scales, sheet, stamp
+from gof.show.panels import (
+    MOST_ERROR,
+    Panel,
+    Scales,
+    Subject,
+    draw_panel,
+    error_colours,
+    label,
+    measure_scales,
+    sheet,
+    stamp,
+)
 from gof.show.path import Shot
 
 MEASURED = 5  # shots from which colours are scaled
@@ -88,7 +99,7 @@ def make_film(
 
     Args:
         made_of: what says which files the subjects are; with everything else here it decides which frames are the same.
-        recorded: adds its panel in front of each row.
+        recorded: adds its panel in front of each row; the panel "error" needs it.
         zero_s: from when the time written in the frames counts.
     Raises:
         GofError: no such kind of film, or another run is at work on it.   DataFormatError: it cannot be written.
@@ -127,6 +138,7 @@ def draw_frame(
         "depth": "depth",
         "velocity": "velocity",
         "reduced": f"Gaussians x {options.reduced:g}",
+        "error": f"error, bright: {MOST_ERROR:g}",
     }
     rows = []
     for subject in subjects:
@@ -134,7 +146,9 @@ def draw_frame(
         if recorded is not None:
             row.append(label(recorded.picture(shot), original(recorded.dataset), "rgb", scales))
         for kind in options.panels:
-            panel = draw_panel(kind, subject, shot, scales, options.reduced)
+            panel = draw_panel("rgb" if kind == "error" else kind, subject, shot, scales, options.reduced)
+            if kind == "error":
+                panel = error_colours(panel, recorded.picture(shot))
             title = titles[kind] if len(subjects) == 1 else f"{subject.name}  {titles[kind]}"
             row.append(label(panel, title or subject.name, kind, scales))
         rows.append(row)

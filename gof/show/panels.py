@@ -17,9 +17,10 @@ from gof.report.animation import side_by_side, to_bytes
 from gof.report.velocity import GROUND, ScreenVelocity, draw, legend, living, sideways_velocity
 from gof.show.path import Shot
 
-Panel = Literal["rgb", "depth", "velocity", "reduced"]
+Panel = Literal["rgb", "depth", "velocity", "reduced", "error"]
 DEPTH_COLOURS = cv2.COLORMAP_VIRIDIS  # near is yellow, far is violet
 GAP = 4  # px between panels
+ERROR_COLOURS, MOST_ERROR = cv2.COLORMAP_INFERNO, 0.5  # display values, of the last colour
 SEEN = 0.5  # alpha from which a depth counts for the scale
 
 
@@ -105,6 +106,13 @@ def depth_colours(depth: np.ndarray, alpha: np.ndarray, scales: Scales) -> np.nd
     share = (high - np.log(np.clip(depth, scales.near, scales.far))) / max(high - low, 1e-9)
     colour = cv2.applyColorMap(np.uint8(255 * share + 0.5), DEPTH_COLOURS)[..., ::-1] / 255
     return to_bytes(alpha[..., None] * colour + (1 - alpha[..., None]) * GROUND)
+
+
+def error_colours(drawn: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint8 of two pictures (H, W, 3) uint8: the mean difference of the channels, black none, bright 0.5."""
+    error = np.abs(drawn.astype(np.float32) - recorded).mean(-1) / 255
+    share = np.uint8(255 * np.clip(error / MOST_ERROR, 0, 1) + 0.5)
+    return np.ascontiguousarray(cv2.applyColorMap(share, ERROR_COLOURS)[..., ::-1])
 
 
 def measure_scales(subjects: Sequence[Subject], some: Sequence[Shot]) -> Scales:

@@ -3,6 +3,7 @@
 import gzip
 import importlib.util
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,6 +61,7 @@ def test_command_writes_both_and_says_what_is_lost(tmp_path, capsys):
 @needs_library
 def test_an_instant_at_which_nothing_is_seen_is_refused(tmp_path):
     g = random_gaussians(60)
+    g = replace(g, t_sigma=np.full(60, 0.01))
     with pytest.raises(DataFormatError, match="no Gaussian can be seen at 1000"):
         compressed.save(g[g.dynamic], tmp_path / "a.spz", 1000.0)
 

@@ -14,7 +14,7 @@ from gof.gaussians import TransientGaussians
 from gof.render import render
 from gof.report.velocity import sideways_velocity
 from gof.show.film import FilmOptions, make_film
-from gof.show.panels import Scales, Subject, depth_colours, draw_panel, measure_scales, picture
+from gof.show.panels import Scales, Subject, depth_colours, draw_panel, error_colours, measure_scales, picture
 from gof.show.path import Shot, orbit, shots
 from gof.trajectory import Trajectory
 from tests.conftest import arc, look_at, write_dataset
@@ -233,11 +233,26 @@ def test_command_two_results_and_a_still_scene(made, capsys):
     assert frames[0][..., 2].max() > 100, "blue"
 
 
+def test_command_makes_a_grid_of_errors_as_one_picture(made):
+    asked = ["video", str(made / "fire.npz"), "--dataset", str(made / "data"), "--path", "camera", "--recorded"]
+    assert gof([*asked, "--panels", "rgb", "error", "--out", str(made / "grid.png")]) == 0
+    grid = cv2.imread(str(made / "grid.png"))[..., ::-1].astype(int)
+    assert grid.shape[:2] == (64, 3 * 36 + 8)
+    assert abs(grid[60, 33].mean() - 0.3 * 255) < 3 and abs(grid[60, 73].mean() - 0.25 * 255) < 3
+    faint, strong = (
+        error_colours(np.full((1, 1, 3), 64), np.full((1, 1, 3), 77)),
+        error_colours(np.zeros((1, 1, 3)), np.full((1, 1, 3), 255)),
+    )
+    assert np.abs(grid[60, 113] - faint[0, 0]).max() <= 8, "an error of 0.05"
+    assert faint.max() < 60 < 240 < strong.max()
+
+
 @pytest.mark.parametrize(
     "words, said",
     [
         (["--names", "a", "b"], "2 names for 1"),
         (["--recorded"], "--path camera"),
+        (["--panels", "error"], "--recorded"),
         (["--camera", "nobody"], "the dataset has"),
         (["--stop", "9"], "the clip is from 0 to 0.2 s"),
         (["--slow", "0"], "--slow 0"),
