@@ -188,6 +188,7 @@ def run(folder: Path, language: str, text: str) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)  # the first one also makes the world
 @pytest.mark.parametrize("page, language, text", RUN, ids=lambda value: re.sub(r"\W+", "_", value)[:40])
 def test_an_example_runs_as_it_is_written(page, language, text, world):
     for words, instead in SAID.get(page, {}).items():
