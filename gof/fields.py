@@ -14,7 +14,7 @@ from gof.errors import DataFormatError
 from gof.zarr_array import ZarrArray
 
 SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
-LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side that a reader believes: twice what a scene may ask for
+LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side; a file that claims more is refused: twice what a scene may ask for
 LARGEST_CHUNK_BYTES = 2**29
 
 

@@ -1,4 +1,4 @@
-"""Reading npz files that nobody vouches for: no pickles, and no more memory than the file can honestly ask for."""
+"""Reading npz files that nobody vouches for: no pickles, and no more memory than its length explains."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ COMMANDS = {
     ),
     "convert": Command(
         "gof.commands.convert",
-        "any method's result -> .npz, .ply, .ftgs.ply, .glb or PLYs by frame, in metres, seconds and m/s",
+        "any method's result -> .npz, .ply, .ftgs.ply, .glb, .spz, .sog or PLYs by frame, in metres, seconds and m/s",
         70,
     ),
     "baseline": Command(
@@ -46,6 +46,9 @@ COMMANDS = {
     ),
     "share": Command(
         "gof.commands.share", "results in one HTML file that plays anywhere, to send to somebody; side by side", 105
+    ),
+    "video": Command(
+        "gof.commands.video", "results as a film from any view: picture, depth, velocity, side by side", 108
     ),
     "capture": Command(
         "gof.commands.capture", "the camera rig: LED board, frame times from footage, calibration, board masks", 120

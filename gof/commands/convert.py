@@ -20,8 +20,8 @@ class ConvertConfig:
     """Read a result of any known method and write it for gof or for another program.
 
     The suffix of OUT chooses: .npz (exact), .ply (3DGS attributes, time and velocity), .ftgs.ply (FreeTimeGS players),
-    .glb (glTF with KHR_gaussian_splatting at one instant, with velocities); a name without a suffix is a folder of
-    3DGS PLYs, one for each frame.
+    .glb (glTF with KHR_gaussian_splatting at one instant, with velocities); .spz and .sog (one instant, compressed); a
+    name without a suffix is a folder of 3DGS PLYs, one for each frame.
 
     What people type:
       gof convert out/fire/result.npz fire.glb --time 0.15
@@ -36,7 +36,7 @@ class ConvertConfig:
     frame_time: float | None = None
     """Seconds between two frames, for results that count frames and for a folder of PLYs."""
     time: float | None = None
-    """Second of the instant in a .glb; default: the middle of the Gaussians' times."""
+    """Second of the instant in a .glb, .spz or .sog; default: the middle of the Gaussians' times."""
     start: float | None = None
     """First second of the clip in an .ftgs.ply (time 0) or a folder; default: when the first Gaussian appears."""
     end: float | None = None

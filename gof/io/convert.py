@@ -1,4 +1,4 @@
-"""Any known result to our formats, or to those of other programs: FTGS-PLY, GLB, a sequence of PLYs."""
+"""Any known result to our formats, or to those of other programs: FTGS-PLY, GLB, SPZ, SOG, a sequence of PLYs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
-from gof.io import gltf, ply_frames
+from gof.io import compressed, gltf, ply_frames
 from gof.io.importers import Imported, freetime
 from gof.options import require_number
 
@@ -21,7 +21,7 @@ def convert(
     frame_time_s: float | None = None,
     time_s: float | None = None,
 ) -> list[str]:
-    """Write a result by suffix: .npz (exact), .ply (3DGS attributes plus time and velocity), .ftgs.ply, .glb.
+    """Write a result by suffix: .npz (exact), .ply (3DGS and time and velocity), .ftgs.ply, .glb, .spz, .sog.
 
     A name without a suffix is a folder of 3DGS PLYs, one every `frame_time_s`.
 
@@ -31,7 +31,7 @@ def convert(
         start_s, end_s: first and last second of the clip in an .ftgs.ply or a folder of PLYs; default: when the first
             Gaussian appears and when the last one is gone.
         frame_time_s: seconds between two frames; with both of the above it tells an .ftgs.ply its number of frames.
-        time_s: instant of a .glb; default: the middle of the Gaussians' times.
+        time_s: instant of a .glb, .spz or .sog; default: the middle of the Gaussians' times.
     Raises:
         DataFormatError: the file exists, the suffix is unknown, positions sampled in time are to become a closed form,
             start_s, end_s or time_s is given for another format, or a folder of PLYs without frame_time_s.
@@ -42,8 +42,9 @@ def convert(
     sequence = out.suffix == ""
     if (start_s, end_s) != (None, None) and not (sequence or out.name.endswith(".ftgs.ply")):
         raise DataFormatError(f"{out}: --start and --end mean something in .ftgs.ply and folders only; leave them out")
-    if time_s is not None and out.suffix != ".glb":
-        raise DataFormatError(f"{out}: --time means something in .glb only; leave it out")
+    instant = (".glb", *compressed.SUFFIXES)
+    if time_s is not None and out.suffix not in instant:
+        raise DataFormatError(f"{out}: --time means something in {', '.join(instant)} only; leave it out")
     if out.exists():
         raise DataFormatError(f"{out}: exists already; remove it or choose another name")
     gaussians = imported.gaussians
@@ -52,8 +53,8 @@ def convert(
     if out.name.endswith(".ftgs.ply"):
         return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
     source = f"{imported.method}: {imported.path.name}"
-    if out.suffix == ".glb":
-        return _save_glb(gaussians, out, time_s, source)
+    if out.suffix in instant:
+        return _save_instant(gaussians, out, time_s, source)
     if sequence:
         if not frame_time_s:
             raise DataFormatError(f"{out}: a folder of PLYs needs --frame-time, the seconds from one file to the next")
@@ -77,13 +78,15 @@ def _save_ftgs(
     return freetime.losses(gaussians, start_s, end_s)
 
 
-def _save_glb(gaussians: TransientGaussians, out: Path, time_s: float | None, source: str) -> list[str]:
+def _save_instant(gaussians: TransientGaussians, out: Path, time_s: float | None, source: str) -> list[str]:
     notes = []
     if time_s is None:
         moving = gaussians.t_mu[gaussians.dynamic]
         time_s = float(np.median(moving)) if len(moving) else 0.0
         notes.append(f"the instant is {time_s:.4f} s, the middle of the Gaussians' times; --time chooses another")
-    return notes + gltf.save(gaussians, out, time_s, source)
+    if out.suffix == ".glb":
+        return notes + gltf.save(gaussians, out, time_s, source)
+    return notes + compressed.save(gaussians, out, time_s)
 
 
 def _clip(gaussians: TransientGaussians, out: Path, start_s: float | None, end_s: float | None) -> tuple[float, float]:

@@ -18,7 +18,7 @@ MIN_ALPHA = 0.15  # below this no arrow is drawn: the mean velocity of almost no
 
 
 class ScreenVelocity(NamedTuple):
-    flow: np.ndarray  # (H, W, 2) px/s, opacity-weighted mean along the pixel's ray; 0 where alpha is 0
+    flow: np.ndarray  # (H, W, 2) px/s, or m/s; opacity-weighted mean along the pixel's ray; 0 where alpha is 0
     alpha: np.ndarray  # (H, W) in [0, 1)
 
 
@@ -39,15 +39,27 @@ def screen_velocity(
     Returns:
         ScreenVelocity; J is the derivative of the pixel with respect to the world point, at each centre.
     """
-    if len(gaussians) == 0:
-        return ScreenVelocity(np.zeros((camera.height, camera.width, 2)), np.zeros((camera.height, camera.width)))
-    from gof.render import render
-
     centre, _ = gaussians.at(time_s)
     jacobian = camera.projection_jacobian(centre)
     v = gaussians.moving_gas if velocity is None else velocity
     flow = np.nan_to_num(np.einsum("nij,nj->ni", jacobian, v.astype(np.float64)))  # behind the camera: not drawn anyway
-    as_colour = np.concatenate([flow, np.zeros((len(flow), 1))], 1)
+    return _mean_along_rays(gaussians, camera, time_s, flow)
+
+
+def sideways_velocity(gaussians: TransientGaussians, camera: Camera, time_s: float) -> ScreenVelocity:
+    """What of the velocity is parallel to the picture, in m/s instead of px/s: the same from near and from far."""
+    return _mean_along_rays(gaussians, camera, time_s, gaussians.velocity @ camera.world_to_camera[:2, :3].T)
+
+
+def _mean_along_rays(
+    gaussians: TransientGaussians, camera: Camera, time_s: float, values: np.ndarray
+) -> ScreenVelocity:
+    """Two values (N, 2) of each Gaussian, drawn instead of its colour."""
+    if len(gaussians) == 0:
+        return ScreenVelocity(np.zeros((camera.height, camera.width, 2)), np.zeros((camera.height, camera.width)))
+    from gof.render import render
+
+    as_colour = np.concatenate([values, np.zeros((len(values), 1))], 1)
     out = render(replace(gaussians, color=as_colour), camera, time_s)
     alpha = out["alpha"]
     seen = alpha > 1e-4
@@ -60,7 +72,7 @@ def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray
     """A panel (scale H, scale W, 3) uint8: direction colours over a dark ground, arrows on a grid.
 
     Args:
-        longest: px/s of full brightness; an arrow of that speed reaches its neighbour.
+        longest: speed of full brightness, in the velocity's unit; an arrow of that speed reaches its neighbour.
         scale: whole factor by which the panel is larger than the picture.
     """
     color = direction_colors(velocity.flow, longest) * velocity.alpha[..., None] + GROUND * (

@@ -22,7 +22,7 @@ class Opened:
     name: str
     method: str
     path: Path
-    gaussians: TransientGaussians
+    gaussians: MovingGaussians
 
 
 def newest(path: Path) -> Path:
@@ -51,19 +51,24 @@ def open_result(path: Path, options: ImportOptions, name: str | None = None) -> 
     Raises:
         DataFormatError: unknown or damaged, sampled in time, or empty.
     """
-    imported = read_result(newest(path), options)
-    gaussians = imported.gaussians
-    if not isinstance(gaussians, TransientGaussians):
+    result = open_moving(path, options, name)
+    if not isinstance(result.gaussians, TransientGaussians):
         raise DataFormatError(
-            f"{path}: positions sampled in time; a page moves Gaussians by x0 + (t - t_mu) v. `gof view` shows such a "
-            "result"
+            f"{path}: positions sampled in time; a page moves Gaussians by x0 + (t - t_mu) v. `gof view` and "
+            "`gof video` show such a result"
         )
-    if not len(gaussians):
+    return result
+
+
+def open_moving(path: Path, options: ImportOptions, name: str | None = None) -> Opened:
+    """Read a result of any method, also one that is sampled in time; see `open_result`."""
+    imported = read_result(newest(path), options)
+    if not len(imported.gaussians):
         raise DataFormatError(f"{path}: holds no Gaussian")
     plain = path.resolve().name if path.is_dir() else path.name.split(".")[0]
     if plain == "result" and not path.is_dir():
         plain = path.resolve().parent.name
-    return Opened(name or plain, imported.method, imported.path, gaussians)
+    return Opened(name or plain, imported.method, imported.path, imported.gaussians)
 
 
 def dataset_beside(path: Path) -> Path | None:

@@ -1,4 +1,4 @@
-"""Arrays of an npz file, with numpy only: no pickles, and no more memory than the file can honestly ask for."""
+"""Arrays of an npz file, with numpy only: no pickles, and no more memory than its length explains."""
 
 from __future__ import annotations
 
