@@ -55,13 +55,12 @@ def main(argv: list[str]) -> int:
     names = [submission.name for submission in submissions]
     if len(set(names)) < len(names):
         raise GofError(f"two submissions have one name: {', '.join(sorted(names))}; change it in method.json")
-    scenes = [
-        scored_scene(made, submissions, config.out / "scores") for made in made_scenes(suite, config.split).values()
-    ]
-    scenes = [scene for scene in scenes if scene.runs]
+    here = [made for name, made in made_scenes(suite, config.split).items() if any(name in s.runs for s in submissions)]
+    scenes = [scored_scene(made, submissions, config.out / "scores") for made in here]
     if not scenes:
         raise GofError(f"no submission has a result of a {config.split} scene that is made in {suite}")
-    title = f"{suite_name()}, {suite.resolve().name}, {config.split} scenes"
+    pictures = "; ".join(sorted({made.pictures for made in here}))
+    title = f"{suite_name()}, {suite.resolve().name}, {config.split} scenes, pictures {pictures}"
     found = board(title, {submission.name: submission.method for submission in submissions}, scenes)
     write_record(config.out / "board.json", found)
     if config.json is not None:

@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.errors import DataFormatError
+
 torch = pytest.importorskip("torch")
 pytest.importorskip("drjit")
+from gof.on_cpu.export_wu import clock_of  # noqa: E402
 
 TRAINERS = Path(__file__).parent / "trainers"
 ROOT = Path(__file__).parents[2]
@@ -149,6 +152,14 @@ def test_nothing_of_gof_imports_this_room():
     assert not found
 
 
+def test_wus_clock_is_that_of_the_layout():
+    """Its HyperNeRF reader ends at 1, its "multiple view" reader a frame before; of others nothing is known."""
+    assert clock_of(Path("data/hypernerf"), 5).tolist() == [0, 0.25, 0.5, 0.75, 1]
+    assert clock_of(Path("/elsewhere/multipleview"), 5).tolist() == pytest.approx([0, 0.2, 0.4, 0.6, 0.8])
+    with pytest.raises(DataFormatError, match="neither a 'hypernerf' nor a 'multipleview' view"):
+        clock_of(Path("data/dynerf"), 5)
+
+
 # ---- real checkouts --------------------------------------------------------------------------------------------------
 
 
@@ -175,7 +186,8 @@ def unchanged(folder: Path) -> bool:
 
 
 @pytest.mark.slow
-def test_4dgs_of_wu(run, views, tmp_path):
+@pytest.mark.parametrize("layout", ["multipleview", "hypernerf"])
+def test_4dgs_of_wu(run, views, tmp_path, layout):
     code_folder = checkout("WU")
     config = tmp_path / "short.py"
     config.write_text(
@@ -183,7 +195,7 @@ def test_4dgs_of_wu(run, views, tmp_path):
         "OptimizationParams = dict(dataloader=True, iterations=40, coarse_iterations=20, batch_size=1)\n"
     )
     script, model = code_folder / "train.py", tmp_path / "model"
-    words = ["-s", views / "multipleview", "--model_path", model, "--configs", config]
+    words = ["-s", views / layout, "--model_path", model, "--configs", config]
     words += ["--port", 6031, "--expname", "x", "--save_iterations", 40]
     code, out, err = run("--method", "wu", "--curve", tmp_path / "c.csv", script, *words, packages=False)
     assert code == 0 and "no file changed" in out, err[-3000:]
