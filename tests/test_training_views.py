@@ -62,7 +62,7 @@ def test_multiple_views_of_wu(root):
 
 
 def test_hypernerf_of_wu(root):
-    """What its reader does: lenses of twice the picture, x = R (X - position), time over the last frame, a real split."""
+    """What its reader does: lenses of twice the picture, x = R (X - position), frames by number, a real split."""
     folder, dataset = root / "hypernerf", Dataset.open(root)
     split = json.loads((folder / "dataset.json").read_text())
     about = json.loads((folder / "metadata.json").read_text())

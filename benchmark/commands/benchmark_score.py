@@ -20,6 +20,8 @@ from gof.evaluate.submission import Run, Submission
 from gof.evaluate.submission_check import score_again
 from gof.evaluate.suite_board import ScoredScene, board
 from gof.evaluate.suite_page import to_html, to_markdown
+from gof.evaluate.training_curve import FILE as CURVE
+from gof.evaluate.training_curve import TrainingCurve
 from gof.files import atomic_path
 from gof.records import to_json, write_record
 from gof.terminal import console
@@ -75,14 +77,17 @@ def main(argv: list[str]) -> int:
 
 def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> ScoredScene:
     """A scene with the scores of every submission that has it."""
-    runs = {}
+    runs, curves = {}, {}
     for submission in submissions:
         folders = submission.runs.get(made.scene.name, ())
         if folders:
             opened = [Run.open(folder, made.scene.name) for folder in folders]
             runs[submission.name] = tuple(evaluated(run, made, submission.method, kept) for run in opened)
+            with_curve = [run.folder / CURVE for run in opened if (run.folder / CURVE).is_file()]
+            if with_curve:
+                curves[submission.name] = TrainingCurve.read(with_curve[0])
     times_s = tuple(map(float, made.dataset.times_s))
-    return ScoredScene(made.scene.name, made.scene.split, eddy_time(made.dataset), times_s, runs)
+    return ScoredScene(made.scene.name, made.scene.split, eddy_time(made.dataset), times_s, runs, curves)
 
 
 def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> EvaluatedResult:

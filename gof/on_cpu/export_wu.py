@@ -103,8 +103,8 @@ def clock_of(trained_on: Path, count: int) -> np.ndarray:
     """(K,) the method's time at every frame. Raises DataFormatError: the folder is not named as a layout of ours."""
     if trained_on.name not in CLOCKS:
         raise DataFormatError(
-            f"{trained_on}: the training's folder is neither a 'hypernerf' nor a 'multipleview' view, so how its reader "
-            "counted time is not known"
+            f"{trained_on}: the training's folder is neither a 'hypernerf' nor a 'multipleview' view, "
+            "so how its reader counted time is not known"
         )
     return CLOCKS[trained_on.name](count)
 
