@@ -82,6 +82,34 @@ def test_hypernerf_of_wu(root):
     assert (folder / "points3D_downsample2.ply").read_bytes() == (root / "points3d.ply").read_bytes()
 
 
+def test_the_published_form_of_neural_3d_video(root):
+    """Pictures of 4:3, lenses for a width of 2704: a point is where a reader that resizes to 1352x1014 looks for it."""
+    folder, dataset = root / "n3v", Dataset.open(root)
+    rows = np.load(folder / "poses_bounds.npy")
+    videos = sorted(folder.glob("cam*.mp4"))
+    assert rows.shape == (4, 17) and [path.name for path in videos] == [f"cam{k:02d}.mp4" for k in range(4)]
+    np.testing.assert_array_equal(rows[0], rows[1], "without an evaluation camera the held-out one is a copy")
+    for number, camera in enumerate(dataset.cameras):
+        matrix = rows[number + 1][:15].reshape(3, 5)
+        assert matrix[:2, 4].tolist() == [2028, 2704]
+        down, right, back, centre = matrix[:, :4].T
+        to_camera = np.stack([right, down, -back])
+        point = fire.blob(2)
+        seen = to_camera @ (point - centre)
+        focal = matrix[2, 4] / 2
+        pixel = focal * seen[:2] / seen[2] + (676, 507)
+        clip = cv2.VideoCapture(str(videos[number + 1]))
+        pictures = [clip.read()[1] for _ in range(fire.FRAMES)]
+        assert not clip.read()[0] and pictures[0].shape[1] * 3 == pictures[0].shape[0] * 4
+        height, width = pictures[0].shape[:2]
+        top, left = height // 2 - fire.HEIGHT, width // 2 - fire.WIDTH
+        shown = pictures[2][top : top + 2 * fire.HEIGHT : 2, left : left + 2 * fire.WIDTH : 2]
+        own = cv2.imread(str(dataset.file(number, "rgb", 2))).astype(float)
+        assert np.abs(shown - own).mean() < 4 and pictures[2][:, : left - 4].max() < 12
+        in_video = (left, top) + 2 * camera.project(point[None])[0][0]
+        np.testing.assert_allclose(pixel, in_video * 1352 / width, atol=1e-6)
+
+
 def test_layout_of_freetimegs(root):
     """The first camera by name is held out by its trainer; frames held out here are absent from the others."""
     folder, dataset = root / "freetimegs", Dataset.open(root)

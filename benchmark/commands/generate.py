@@ -35,7 +35,16 @@ class GenerateConfig:
     """Cost preset instead of the scene's own settings: toy, preview, draft, standard or paper."""
     views: tuple[
         Literal[
-            "nerfstudio", "dnerf", "points", "colmap", "dynerf", "multipleview", "hypernerf", "freetimegs", "firebundle"
+            "nerfstudio",
+            "dnerf",
+            "points",
+            "colmap",
+            "dynerf",
+            "n3v",
+            "multipleview",
+            "hypernerf",
+            "freetimegs",
+            "firebundle",
         ],
         ...,
     ] = ()

@@ -1,6 +1,7 @@
 """`gof baseline` as a user runs it: look-alike trainers of our own, and real checkouts where given."""
 
 import csv
+import json
 import os
 import subprocess
 import sys
@@ -213,6 +214,37 @@ def test_4dgs_of_wu(run, views, tmp_path, layout):
     # Half-frame differences of a young network agree with tiny ones to a part of the speed, no more.
     error = np.linalg.norm(trajectory.velocity[1:-1] - centre) / np.linalg.norm(centre)
     assert error < 0.5 and unchanged(code_folder)
+
+
+READER = """
+import json, sys
+import numpy as np
+from scene.neural_3D_dataset_NDC import Neural3D_NDC_Dataset
+read = Neural3D_NDC_Dataset(sys.argv[1], "train", 1.0, time_scale=1, eval_index=0)
+picture, (R, T), time = read[2]
+found = {"count": len(read), "focal": read.focal[0], "time": time}
+found |= {"R": np.asarray(R).tolist(), "T": np.asarray(T).tolist()}
+json.dump(found | {"shape": list(picture.shape), "bright": float(picture.max())}, open(sys.argv[2], "w"))
+"""
+
+
+@pytest.mark.slow
+def test_wus_dynerf_reader_reads_the_published_form(run, views, tmp_path):
+    """His own class: the world from camera 1, the field of view, time over 300 pictures."""
+    from gof.dataset import Dataset
+
+    script = checkout("WU") / "train.py"
+    reader = tmp_path / "reader.py"
+    reader.write_text(f"import sys\nsys.path.insert(0, {str(script.parent)!r})\n{READER}")
+    code, _, err = run("--method", "wu", reader, views / "n3v", tmp_path / "read.json", packages=False)
+    assert code == 0, err[-3000:]
+    read, dataset = json.loads((tmp_path / "read.json").read_text()), Dataset.open(views)
+    camera = dataset.cameras[0]
+    assert read["count"] == 3 * len(dataset.times_s) and read["shape"] == [3, 1014, 1352] and read["bright"] > 0.5
+    assert read["time"] == pytest.approx(2 / 300)
+    np.testing.assert_allclose(np.array(read["R"]).T, camera.world_to_camera[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(read["T"], camera.world_to_camera[:3, 3], atol=1e-9)
+    assert read["focal"] == pytest.approx(1352 * 2 * camera.K[0, 0] / 216)  # 48x80, doubled, in 216x162
 
 
 @pytest.mark.slow
