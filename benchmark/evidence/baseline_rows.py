@@ -197,10 +197,14 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
     add(training.result, data, folder, (*training.options, "--curve", f"{here}/curve.csv"), here / "log.txt", costs)
     log = (here / "log.txt").read_text().splitlines()
     said = next(line for line in log if line.startswith("gof baseline: ")).removeprefix("gof baseline: ")
-    title, rest = said.split(", commit ", 1)
-    commit, licence = rest.split("; licence: ", 1)
+    head, _, licence = said.rpartition("; licence: ")
+    title, _, commit = head.partition(", commit ")
     about = {"name": f"{title}, {config.steps} steps", "made_by": "CPU re-run", "authors": [AUTHORS[name]]}
-    about |= {"code": "its own, by gof baseline (docs/baselines.md)", "commit": commit, "licence": licence}
+    about |= {
+        "code": "its own, by gof baseline (docs/baselines.md)",
+        "commit": commit or "not known",
+        "licence": licence,
+    }
     say(folder.parent, about | {"given": GIVEN["others"], "prior": []})
 
 

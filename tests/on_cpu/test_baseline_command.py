@@ -228,6 +228,45 @@ json.dump(found | {"shape": list(picture.shape), "bright": float(picture.max())}
 """
 
 
+HYPER_READER = """
+import json, sys
+import numpy as np
+from scene.hyper_loader import Load_hyper_data
+found = {}
+for split in ("train", "test"):
+    read = Load_hyper_data(sys.argv[1], 0.5, False, split=split)
+    found[split] = [
+        (one.time, one.FovX, one.FovY, one.R.tolist(), one.T.tolist(), list(one.image.shape)) for one in read
+    ]
+json.dump(found, open(sys.argv[2], "w"))
+"""
+
+
+@pytest.mark.slow
+def test_wus_hypernerf_reader_keeps_held_out_frames_out(run, views, tmp_path):
+    """His own class: pictures that train and those that do not, their times, poses and fields of view."""
+    from gof.dataset import Dataset
+
+    script = checkout("WU") / "train.py"
+    reader = tmp_path / "reader.py"
+    reader.write_text(f"import sys\nsys.path.insert(0, {str(script.parent)!r})\n{HYPER_READER}")
+    code, _, err = run("--method", "wu", reader, views / "hypernerf", tmp_path / "read.json", packages=False)
+    assert code == 0, err[-3000:]
+    read, dataset = json.loads((tmp_path / "read.json").read_text()), Dataset.open(views)
+    last = len(dataset.times_s) - 1
+    for split, frames in (("train", dataset.train_frames), ("test", dataset.test_frames)):
+        assert sorted(entry[0] for entry in read[split]) == pytest.approx(
+            sorted(k / last for k in frames for _ in "123")
+        )
+    for number, (_, across, down, R, T, shape) in enumerate(read["train"][:3]):
+        camera = dataset.cameras[number]
+        np.testing.assert_allclose(np.array(R).T, camera.world_to_camera[:3, :3], atol=1e-9)
+        np.testing.assert_allclose(T, camera.world_to_camera[:3, 3], atol=1e-9)
+        assert shape == [3, camera.height, camera.width]
+        half = np.tan([across / 2, down / 2]) * camera.K[0, 0]
+        np.testing.assert_allclose(half, [camera.width / 2, camera.height / 2])
+
+
 @pytest.mark.slow
 def test_wus_dynerf_reader_reads_the_published_form(run, views, tmp_path):
     """His own class: the world from camera 1, the field of view, time over 300 pictures."""
