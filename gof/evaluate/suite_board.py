@@ -106,7 +106,9 @@ def board(title: str, methods: dict[str, AboutMethod], scenes: Sequence[ScoredSc
     ]
     places = {key: _places(key, competing, scenes) for key in RANKED}
     rows = [_row(name, about, scenes, name in competing, places) for name, about in methods.items()]
-    return SuiteBoard(title, (*rows, *_control_rows(methods, scenes)), tuple(map(_alone, scenes)))
+    return SuiteBoard(
+        title, (*rows, *_control_rows(methods, scenes)), tuple(_alone(scene, methods) for scene in scenes)
+    )
 
 
 # ---------------------------------------------------------------- one method
@@ -221,12 +223,12 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
     }
 
 
-def _alone(scene: ScoredScene) -> BoardScene:
-    """The figures of every method in one scene, with ranks of that scene alone."""
+def _alone(scene: ScoredScene, methods: dict[str, AboutMethod]) -> BoardScene:
+    """The figures of every method in one scene, with ranks of that scene alone; unfinished trainings have none."""
     names = list(scene.runs)
     figures: dict[str, dict[str, Figure]] = {name: {} for name in names}
     for key in RANKED:
-        places = _places(key, names, [scene])
+        places = _places(key, [name for name in names if not methods[name].unfinished], [scene])
         for name in names:
             estimate, seed_sd = _estimate(key, name, [scene])
             if estimate is not None:

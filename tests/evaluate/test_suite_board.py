@@ -110,6 +110,8 @@ def test_who_is_not_everywhere_competes_with_nobody():
     assert found["part"].figures["l2"].rank is None and found["part"].figures["l2"].mean < 0.3
     stopped = {"full": AboutMethod(name="full", unfinished="stopped at 3 of 9 steps")}
     assert not rows(board("t", stopped, scenes))["full"].competes
+    in_one = board("t", stopped | methods("part"), [scene("a", full=0.1, part=-0.3)]).scenes[0].figures
+    assert in_one["full"]["l2"].rank is None and in_one["part"]["l2"].rank is None, "nor in one scene"
 
 
 def test_controls_are_always_there():
