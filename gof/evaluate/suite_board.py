@@ -226,9 +226,10 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
 def _alone(scene: ScoredScene, methods: dict[str, AboutMethod]) -> BoardScene:
     """The figures of every method in one scene, with ranks of that scene alone; unfinished trainings have none."""
     names = list(scene.runs)
+    stopped = {name for name, about in methods.items() if about.unfinished}
     figures: dict[str, dict[str, Figure]] = {name: {} for name in names}
     for key in RANKED:
-        places = _places(key, [name for name in names if not methods[name].unfinished], [scene])
+        places = _places(key, [name for name in names if name not in stopped], [scene])
         for name in names:
             estimate, seed_sd = _estimate(key, name, [scene])
             if estimate is not None:
