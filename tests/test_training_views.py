@@ -1,5 +1,6 @@
 """The layouts that other methods' trainings read, told apart from the dataset by rules written here and by pycolmap."""
 
+import json
 import struct
 
 import cv2
@@ -60,6 +61,55 @@ def test_multiple_views_of_wu(root):
         np.testing.assert_allclose(image.cam_from_world().matrix(), pose[:3], atol=1e-9)
 
 
+def test_hypernerf_of_wu(root):
+    """What its reader does: lenses of twice the picture, x = R (X - position), frames by number, a real split."""
+    folder, dataset = root / "hypernerf", Dataset.open(root)
+    split = json.loads((folder / "dataset.json").read_text())
+    about = json.loads((folder / "metadata.json").read_text())
+    assert sorted(split["train_ids"] + split["val_ids"]) == sorted(split["ids"]) == sorted(about)
+    assert {about[name]["warp_id"] for name in split["val_ids"]} == set(fire.TEST)
+    assert {about[name]["warp_id"] for name in split["train_ids"]} == set(range(fire.FRAMES)) - set(fire.TEST)
+    point = np.array([0.1, -0.2, 0.6])
+    for name, entry in about.items():
+        camera = dataset.cameras[entry["camera_id"]]
+        picture = folder / "rgb/2x" / f"{name}.png"
+        assert picture.read_bytes() == dataset.file(entry["camera_id"], "rgb", entry["warp_id"]).read_bytes()
+        lens = json.loads((folder / "camera" / f"{name}.json").read_text())
+        seen = np.array(lens["orientation"]) @ (point - lens["position"])
+        pixel = (lens["focal_length"] * seen[:2] / seen[2] + lens["principal_point"]) / 2
+        np.testing.assert_allclose(pixel, camera.project(point[None])[0][0], atol=1e-9)
+        assert lens["image_size"] == [2 * fire.WIDTH, 2 * fire.HEIGHT]
+    assert (folder / "points3D_downsample2.ply").read_bytes() == (root / "points3d.ply").read_bytes()
+
+
+def test_the_published_form_of_neural_3d_video(root):
+    """Pictures of 4:3, lenses for a width of 2704: a point is where a reader that resizes to 1352x1014 looks for it."""
+    folder, dataset = root / "n3v", Dataset.open(root)
+    rows = np.load(folder / "poses_bounds.npy")
+    videos = sorted(folder.glob("cam*.mp4"))
+    assert rows.shape == (4, 17) and [path.name for path in videos] == [f"cam{k:02d}.mp4" for k in range(4)]
+    np.testing.assert_array_equal(rows[0], rows[1], "without an evaluation camera the held-out one is a copy")
+    for number, camera in enumerate(dataset.cameras):
+        matrix = rows[number + 1][:15].reshape(3, 5)
+        assert matrix[:2, 4].tolist() == [2028, 2704]
+        down, right, back, centre = matrix[:, :4].T
+        to_camera = np.stack([right, down, -back])
+        point = fire.blob(2)
+        seen = to_camera @ (point - centre)
+        focal = matrix[2, 4] / 2
+        pixel = focal * seen[:2] / seen[2] + (676, 507)
+        clip = cv2.VideoCapture(str(videos[number + 1]))
+        pictures = [clip.read()[1] for _ in range(fire.FRAMES)]
+        assert not clip.read()[0] and pictures[0].shape[1] * 3 == pictures[0].shape[0] * 4
+        height, width = pictures[0].shape[:2]
+        top, left = height // 2 - fire.HEIGHT, width // 2 - fire.WIDTH
+        shown = pictures[2][top : top + 2 * fire.HEIGHT : 2, left : left + 2 * fire.WIDTH : 2]
+        own = cv2.imread(str(dataset.file(number, "rgb", 2))).astype(float)
+        assert np.abs(shown - own).mean() < 4 and pictures[2][:, : left - 4].max() < 12
+        in_video = (left, top) + 2 * camera.project(point[None])[0][0]
+        np.testing.assert_allclose(pixel, in_video * 1352 / width, atol=1e-6)
+
+
 def test_layout_of_freetimegs(root):
     """The first camera by name is held out by its trainer; frames held out here are absent from the others."""
     folder, dataset = root / "freetimegs", Dataset.open(root)
@@ -94,6 +144,14 @@ def test_what_a_layout_cannot_hold_is_named(tmp_path):
     (root / "dataset.json").write_text(text.replace("100.0", "101.0", 1))
     with pytest.raises(DataFormatError, match="one centred field of view"):
         views.write("multipleview", root)
+    (root / "dataset.json").write_text(text.replace("0.03", "0.035"))
+    with pytest.raises(DataFormatError, match="not evenly spaced"):
+        views.write("hypernerf", root)
+    held_out = json.loads(text)
+    held_out["splits"] = {"train": list(range(fire.FRAMES)), "test": []}
+    (root / "dataset.json").write_text(json.dumps(held_out))
+    with pytest.raises(DataFormatError, match="holds out nothing"):
+        views.write("hypernerf", root)
 
 
 def test_a_dataset_with_smaller_pictures(tmp_path):
@@ -106,6 +164,7 @@ def test_a_dataset_with_smaller_pictures(tmp_path):
     assert np.abs(cv2.imread(str(small.file(1, "rgb", 3))) - means).max() <= 0.5
     point = np.array([[0.1, 0.2, 0.6]])
     np.testing.assert_allclose(2 * small.cameras[2].project(point)[0], large.cameras[2].project(point)[0])
+    assert not (out / "spec.json").exists() and "pictures" in small.description.provenance
     assert small.test_frames == large.test_frames and (out / "transforms_train.json").is_file()
     with pytest.raises(GofError, match="is there already"):
         shrunk.shrink(root, out, 40)

@@ -16,6 +16,8 @@ from gof.dataset.leaks import MadeFrom
 from gof.errors import DataFormatError, GofError
 from gof.evaluate import evaluate
 from gof.evaluate.submission import PICTURES, SCORES, Run, write_pictures
+from gof.evaluate.training_curve import FILE as CURVE
+from gof.evaluate.training_curve import TrainingCurve
 from gof.files import is_name
 from gof.progress import progress_bar
 from gof_benchmark.suite.made import scene_of
@@ -44,6 +46,8 @@ class AddConfig:
     """Which frames the method learned from, where the result's folder does not say."""
     pictures: Path | None = None
     """Folder CAMERA/000004.png of the held-out frames, by the method's own renderer; without it ours draws them."""
+    curve: Path | None = None
+    """How the training went, as `gof baseline --curve` writes it; the board shows whether it had converged."""
     flame_only: bool = False
     """The result of another method is a flame alone, drawn over the dataset's fire-free plates."""
     json: Path | None = None
@@ -59,7 +63,11 @@ def main(argv: list[str]) -> int:
     folder = config.submission / made.scene.name / (config.run or "")
     if (folder / SCORES).exists():
         raise GofError(f"{folder}: holds a run already; remove it, or give --run another name")
+    if config.curve is not None:
+        TrainingCurve.read(config.curve)
     result = copy(config.result, folder)
+    if config.curve is not None:
+        shutil.copyfile(config.curve, folder / CURVE)
     say_frames(config, folder, made.dataset)
     options = config.foreign.options()
     if options.world is not None:

@@ -20,6 +20,8 @@ from gof.evaluate.submission import Run, Submission
 from gof.evaluate.submission_check import score_again
 from gof.evaluate.suite_board import ScoredScene, board
 from gof.evaluate.suite_page import to_html, to_markdown
+from gof.evaluate.training_curve import FILE as CURVE
+from gof.evaluate.training_curve import TrainingCurve
 from gof.files import atomic_path
 from gof.records import to_json, write_record
 from gof.terminal import console
@@ -55,13 +57,12 @@ def main(argv: list[str]) -> int:
     names = [submission.name for submission in submissions]
     if len(set(names)) < len(names):
         raise GofError(f"two submissions have one name: {', '.join(sorted(names))}; change it in method.json")
-    scenes = [
-        scored_scene(made, submissions, config.out / "scores") for made in made_scenes(suite, config.split).values()
-    ]
-    scenes = [scene for scene in scenes if scene.runs]
+    here = [made for name, made in made_scenes(suite, config.split).items() if any(name in s.runs for s in submissions)]
+    scenes = [scored_scene(made, submissions, config.out / "scores") for made in here]
     if not scenes:
         raise GofError(f"no submission has a result of a {config.split} scene that is made in {suite}")
-    title = f"{suite_name()}, {suite.resolve().name}, {config.split} scenes"
+    pictures = "; ".join(sorted({made.pictures for made in here}))
+    title = f"{suite_name()}, {suite.resolve().name}, {config.split} scenes, pictures {pictures}"
     found = board(title, {submission.name: submission.method for submission in submissions}, scenes)
     write_record(config.out / "board.json", found)
     if config.json is not None:
@@ -76,14 +77,17 @@ def main(argv: list[str]) -> int:
 
 def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> ScoredScene:
     """A scene with the scores of every submission that has it."""
-    runs = {}
+    runs, curves = {}, {}
     for submission in submissions:
         folders = submission.runs.get(made.scene.name, ())
         if folders:
             opened = [Run.open(folder, made.scene.name) for folder in folders]
             runs[submission.name] = tuple(evaluated(run, made, submission.method, kept) for run in opened)
+            with_curve = [run.folder / CURVE for run in opened if (run.folder / CURVE).is_file()]
+            if with_curve:
+                curves[submission.name] = TrainingCurve.read(with_curve[0])
     times_s = tuple(map(float, made.dataset.times_s))
-    return ScoredScene(made.scene.name, made.scene.split, eddy_time(made.dataset), times_s, runs)
+    return ScoredScene(made.scene.name, made.scene.split, eddy_time(made.dataset), times_s, runs, curves)
 
 
 def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> EvaluatedResult:

@@ -34,7 +34,19 @@ class GenerateConfig:
     preset: str | None = None
     """Cost preset instead of the scene's own settings: toy, preview, draft, standard or paper."""
     views: tuple[
-        Literal["nerfstudio", "dnerf", "points", "colmap", "dynerf", "multipleview", "freetimegs", "firebundle"], ...
+        Literal[
+            "nerfstudio",
+            "dnerf",
+            "points",
+            "colmap",
+            "dynerf",
+            "n3v",
+            "multipleview",
+            "hypernerf",
+            "freetimegs",
+            "firebundle",
+        ],
+        ...,
     ] = ()
     """Also write the dataset in the layouts that other people's code reads."""
     workers: int = 2

@@ -9,6 +9,7 @@ from pathlib import Path
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof_benchmark.suite import Size, SuiteScene, scenes_of
+from gof_benchmark.views.shrunk import SHRUNK
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
@@ -21,6 +22,13 @@ class MadeScene:
 
     scene: SuiteScene
     dataset: Dataset
+
+    @property
+    def pictures(self) -> str:
+        """Their size, and whether they were made smaller than the suite's (`gof_benchmark.views.shrunk`)."""
+        first = self.dataset.cameras[0]
+        smaller = ", smaller than the suite's" if SHRUNK in self.dataset.description.provenance else ""
+        return f"{first.width}x{first.height}{smaller}"
 
 
 def made_scenes(folder: Path, split: str = "all") -> dict[str, MadeScene]:

@@ -16,7 +16,8 @@ def write(name: str, root: Path) -> None:
     """Write one view of the finished dataset in `root`, over an older one.
 
     Args:
-        name: "nerfstudio", "dnerf", "points", "colmap", "dynerf", "multipleview", "freetimegs" or "firebundle".
+        name: "nerfstudio", "dnerf", "points", "colmap", "dynerf", "n3v", "multipleview", "hypernerf",
+            "freetimegs" or "firebundle".
     Raises:
         DataFormatError: no finished dataset there, or one that the layout cannot express.
     """

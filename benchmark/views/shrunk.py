@@ -1,7 +1,8 @@
 """A dataset with smaller pictures, in a folder of its own: `python -m gof_benchmark.views.shrunk DATASET OUT`.
 
-For trainings on few cores: views (`gof generate` writes them) refer to pictures as they are. The truth is linked, not
-copied. Pictures are area means; linear pictures and true flow are left out.
+For trainings on few cores: views (`gof generate` writes them) refer to pictures as they are. The truth and the spec are
+linked, not copied: a scene of the suite stays one, in a folder with its size's and its own name. Pictures are area
+means; linear pictures and true flow are left out.
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ from gof.dataset import CameraEntry, Dataset
 from gof.dataset.description import FILE
 from gof.errors import GofError
 from gof.files import atomic_path, path_in
+from gof_blender.pure.layout import Layout
 
 from . import write as write_view
 from .links import link
 from .source import ViewSource
+
+SHRUNK = "pictures"  # in a dataset's provenance: how its pictures were made smaller
 
 
 @dataclass
@@ -60,7 +64,10 @@ def shrink(root: Path, out: Path, longest_side: int) -> None:
     for name in (dataset.description.velocity, "grids"):
         if name and path_in(dataset.path, name).is_dir():
             shutil.copytree(path_in(dataset.path, name), path_in(out, name), copy_function=_link)
-    said = {"pictures": f"area means of {dataset.description.name}, at most {longest_side} px"}
+    spec = Layout(dataset.path).spec
+    if spec.is_file():
+        link(spec, Layout(out).spec)
+    said = {SHRUNK: f"area means of {dataset.description.name}, at most {longest_side} px"}
     described = replace(dataset.description, cameras=tuple(entries), provenance=dataset.description.provenance | said)
     described.write(out)
 

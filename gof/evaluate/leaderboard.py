@@ -87,6 +87,8 @@ COLUMNS = {
     "flow_prior": Column("learned flow prior", NEITHER, "s", _flow_prior),
     "l2": Column("DVE L2", LOWER, ".3f", _velocity(lambda dve: dve.l2)),
     "cos_sim": Column("DVE CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.cos_sim)),
+    "inside_l2": Column("in the domain L2", LOWER, ".3f", _velocity(lambda dve: dve.inside.l2)),
+    "inside_cos": Column("in the domain CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.inside.cos_sim)),
     "fluctuation_l2": Column("fluctuation L2", LOWER, ".3f", _velocity(lambda dve: dve.fluctuation.l2)),
     "fluctuation_cos": Column("fluctuation CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.fluctuation.cos_sim)),
     "emission_l2": Column("on emission L2", LOWER, ".3f", _emission(lambda emission: emission.l2)),
@@ -135,6 +137,8 @@ class Row:
     flow_prior: str | None = None
     l2: float | None = None
     cos_sim: float | None = None
+    inside_l2: float | None = None
+    inside_cos: float | None = None
     fluctuation_l2: float | None = None
     fluctuation_cos: float | None = None
     emission_l2: float | None = None

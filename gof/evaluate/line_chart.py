@@ -13,10 +13,17 @@ COLOURS = ("#c2410c", "#1d4ed8", "#15803d", "#7e22ce", "#0e7490", "#a16207", "#b
 COLOURS += ("#84cc16", "#38bdf8", "#f472b6", "#854d0e", "#a78bfa")
 
 
-def write(
-    path: Path, title: str, x_label: str, y_label: str, series: dict[str, list[tuple[float, float, str]]]
-) -> None:
-    """Write a chart; a point is (x, y, label), x and y > 0 (others are left out). The legend stands below."""
+Series = dict[str, list[tuple[float, float, str]]]
+
+
+def write(path: Path, title: str, x_label: str, y_label: str, series: Series) -> None:
+    """Write a chart to a file; as `draw`."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(draw(title, x_label, y_label, series))
+
+
+def draw(title: str, x_label: str, y_label: str, series: Series) -> str:
+    """A chart; a point is (x, y, label), x and y > 0 (others are left out). The legend stands below."""
     series = {name: [p for p in points if p[0] > 0 and p[1] > 0] for name, points in series.items()}
     everything = [point for points in series.values() for point in points]
     x_low, x_high = _range([p[0] for p in everything])
@@ -60,8 +67,7 @@ def write(
                 f"{escape(point[2])}</text>"
             )
         parts.append(f'<text x="{LEFT}" y="{HEIGHT + 6 + 16 * index}" fill="{colour}">{escape(name)}</text>')
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join([*parts, "</svg>"]) + "\n")
+    return "\n".join([*parts, "</svg>"]) + "\n"
 
 
 def _range(values: list[float]) -> tuple[float, float]:

@@ -6,6 +6,7 @@ SUBMISSION/method.json                          who, with which code, from which
                  made_from.json                 the frames that the result was made from
                  pictures/CAMERA/000004.png     the held-out frames, drawn by the method's own renderer
                  costs.json                     seconds and memory, where they are known
+                 curve.csv                      loss over steps and seconds, where it is known
 """
 
 from __future__ import annotations

@@ -18,11 +18,13 @@ from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
 from gof.evaluate.statistics import Estimate, over_frames, over_runs, over_scenes, ranks
+from gof.evaluate.training_curve import TrainingCurve
 
 RANKED = ("l2", "cos_sim", "psnr_flame", "ssim_flame")  # figures that every frame has
 CONTROLS = ("zero", "constant", "height_mean", "true_centre")
 WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, CosSim 0, by definition
 UNIFORM = ("zero", "constant")  # vorticity: L2 1, and no divergence
+POINTS = 40  # of a training's curve, at most
 NOT_SHOWN = ("flow_prior", "evaluate_s", "speed_ratio", "skill")
 
 Series = dict[float, float]  # time in s -> a figure of that frame
@@ -37,6 +39,7 @@ class ScoredScene:
     eddy_time: EddyTime
     times_s: tuple[float, ...]  # of the frames, by number
     runs: dict[str, tuple[EvaluatedResult, ...]]
+    curves: dict[str, TrainingCurve] = field(default_factory=dict)  # of one run, where there is one
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class BoardRow:
 
 @dataclass(frozen=True)
 class BoardScene:
-    """One scene alone: `figures` by method, then by name."""
+    """One scene alone: `figures` by method, then by name; the training `curves` of methods that have one."""
 
     name: str
     split: str
@@ -81,6 +84,7 @@ class BoardScene:
     at_least: bool
     eddies: float
     figures: dict[str, dict[str, Figure]] = field(default_factory=dict)
+    curves: dict[str, TrainingCurve] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -102,7 +106,9 @@ def board(title: str, methods: dict[str, AboutMethod], scenes: Sequence[ScoredSc
     ]
     places = {key: _places(key, competing, scenes) for key in RANKED}
     rows = [_row(name, about, scenes, name in competing, places) for name, about in methods.items()]
-    return SuiteBoard(title, (*rows, *_control_rows(methods, scenes)), tuple(map(_alone, scenes)))
+    return SuiteBoard(
+        title, (*rows, *_control_rows(methods, scenes)), tuple(_alone(scene, methods) for scene in scenes)
+    )
 
 
 # ---------------------------------------------------------------- one method
@@ -217,12 +223,13 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
     }
 
 
-def _alone(scene: ScoredScene) -> BoardScene:
-    """The figures of every method in one scene, with ranks of that scene alone."""
+def _alone(scene: ScoredScene, methods: dict[str, AboutMethod]) -> BoardScene:
+    """The figures of every method in one scene, with ranks of that scene alone; unfinished trainings have none."""
     names = list(scene.runs)
+    stopped = {name for name, about in methods.items() if about.unfinished}
     figures: dict[str, dict[str, Figure]] = {name: {} for name in names}
     for key in RANKED:
-        places = _places(key, names, [scene])
+        places = _places(key, [name for name in names if name not in stopped], [scene])
         for name in names:
             estimate, seed_sd = _estimate(key, name, [scene])
             if estimate is not None:
@@ -231,7 +238,9 @@ def _alone(scene: ScoredScene) -> BoardScene:
                 figures[name][key] = Figure(estimate.mean, estimate.half_width, seed_sd, rank)
     clip_s = scene.times_s[-1] - scene.times_s[0]
     eddy = scene.eddy_time
-    return BoardScene(scene.name, scene.split, eddy.seconds, eddy.at_least, clip_s / max(eddy.seconds, 1e-9), figures)
+    eddies = clip_s / max(eddy.seconds, 1e-9)
+    curves = {name: curve.thinned(POINTS) for name, curve in scene.curves.items()}
+    return BoardScene(scene.name, scene.split, eddy.seconds, eddy.at_least, eddies, figures, curves)
 
 
 # ---------------------------------------------------------------- controls

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
+from gof.evaluate import line_chart
 from gof.evaluate.cells import in_markdown
 from gof.evaluate.leaderboard import COLUMNS
 from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
+from gof.evaluate.training_curve import TrainingCurve
 
 
 def used(rows: tuple[BoardRow, ...]) -> list[str]:
@@ -115,4 +119,29 @@ def _scene(scene: BoardScene) -> dict:
         "eddies": scene.eddies,
         "headings": [COLUMNS[key].heading for key in keys],
         "rows": rows,
+        "curves": [_curve(name, curve) for name, curve in scene.curves.items()],
+        "chart": _chart(scene.curves),
     }
+
+
+def _curve(name: str, curve: TrainingCurve) -> dict:
+    """A row of the table of trainings."""
+    return {
+        "name": name,
+        "steps": curve.step[-1],
+        "seconds": curve.processor_seconds[-1],
+        "first": curve.loss[0],
+        "last": curve.loss[-1],
+        "fall": "not known" if math.isnan(curve.last_fall) else f"{100 * curve.last_fall:.0f} %",
+    }
+
+
+def _chart(curves: dict[str, TrainingCurve]) -> str:
+    """The loss over processor seconds, each method's by its own first; SVG, empty where nothing is known."""
+    if not curves:
+        return ""
+    lines = {
+        name: [(s, loss / curve.loss[0], "") for s, loss in zip(curve.processor_seconds, curve.loss, strict=True)]
+        for name, curve in curves.items()
+    }
+    return line_chart.draw("Training loss", "processor seconds", "loss / its first value", lines)

@@ -19,19 +19,21 @@ from gof.errors import DataFormatError
 from gof.trajectory import Trajectory
 
 STEP_S = 1e-4  # of the differences, in float64: a ten thousandth of a second is a hundredth of a frame or less
+CLOCKS = {  # by the layout that it was trained on: the method's time at frame k of K, as its reader counts
+    "hypernerf": lambda count: np.arange(count) / max(count - 1, 1),
+    "multipleview": lambda count: np.arange(count) / count,
+}
 
 
 def export(model: Path, dataset: Path, out: Path) -> str:
     """Write the Gaussians at the frame times and half steps of a dataset, with velocities.
-
-    The method's clock counts pictures: frame k of K is at k / K, as its "multiple view" reader has it.
 
     Args:
         model: a training's output folder, with `cfg_args` and `point_cloud/iteration_*`; the last one is taken.
     Returns:
         What was written, in words.
     Raises:
-        DataFormatError: no finished training there.
+        DataFormatError: no finished training there, or one on another layout than these two.
     """
     settings = read_settings(model / "cfg_args")
     folder, iteration = _last_iteration(model)
@@ -41,7 +43,7 @@ def export(model: Path, dataset: Path, out: Path) -> str:
     frames = Dataset.open(dataset).times_s
     half_steps = np.arange(2 * len(frames) - 1) / 2
     times = np.interp(half_steps, np.arange(len(frames)), frames)
-    state = _State(gaussians, frames)
+    state = _State(gaussians, frames, clock_of(Path(settings.source_path), len(frames)))
     samples = [state.at(time) for time in times]
     velocity = [state.velocity(time) for time in times]
     names = ("position", "scale", "rotation", "opacity", "color")
@@ -58,8 +60,8 @@ def export(model: Path, dataset: Path, out: Path) -> str:
 class _State:
     """The method's Gaussians as a function of seconds, in float64."""
 
-    def __init__(self, gaussians, frames: np.ndarray):
-        self._gaussians, self._frames = gaussians, frames
+    def __init__(self, gaussians, frames: np.ndarray, clock: np.ndarray):
+        self._gaussians, self._frames, self._clock = gaussians, frames, clock
         self._network = gaussians._deformation.double().eval()
         self._inputs = [
             tensor.detach().double()
@@ -73,8 +75,7 @@ class _State:
         ]
 
     def _deformed(self, time_s: float):
-        count = len(self._frames)
-        clock = np.interp(time_s, self._frames, np.arange(count) / count)
+        clock = np.interp(time_s, self._frames, self._clock)
         times = torch.full((len(self._inputs[0]), 1), float(clock), dtype=torch.float64)
         with torch.no_grad():
             return self._network(*self._inputs, times)
@@ -96,6 +97,16 @@ class _State:
         """(N, 3) m/s: central differences, one-sided at the clip's two ends."""
         before, after = np.clip([time_s - STEP_S, time_s + STEP_S], self._frames[0], self._frames[-1])
         return ((self._deformed(after)[0] - self._deformed(before)[0]) / (after - before)).numpy()
+
+
+def clock_of(trained_on: Path, count: int) -> np.ndarray:
+    """(K,) the method's time at every frame. Raises DataFormatError: the folder is not named as a layout of ours."""
+    if trained_on.name not in CLOCKS:
+        raise DataFormatError(
+            f"{trained_on}: the training's folder is neither a 'hypernerf' nor a 'multipleview' view, "
+            "so how its reader counted time is not known"
+        )
+    return CLOCKS[trained_on.name](count)
 
 
 def read_settings(path: Path) -> Namespace:

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from gof.errors import DataFormatError
 from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import FrameScore, PictureScore, Scores
 from gof.evaluate.suite_board import ScoredScene, SuiteBoard, board, difference
 from gof.evaluate.suite_page import to_html, to_markdown
+from gof.evaluate.training_curve import TrainingCurve
+from gof.on_cpu.curve import Curve
 from gof.records import read_record, write_record
 
 GOLDEN = Scores.read(Path(__file__).parents[1] / "golden/gof-scores.json")
@@ -42,6 +45,11 @@ def scene(name: str, **methods) -> ScoredScene:
         for method, offsets in methods.items()
     }
     return ScoredScene(name, "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
+
+
+def curve(losses) -> TrainingCurve:
+    steps = range(10, 10 * len(losses) + 1, 10)
+    return TrainingCurve(tuple(steps), tuple(0.5 * k for k in steps), tuple(map(float, losses)))
 
 
 def methods(*names) -> dict[str, AboutMethod]:
@@ -102,6 +110,8 @@ def test_who_is_not_everywhere_competes_with_nobody():
     assert found["part"].figures["l2"].rank is None and found["part"].figures["l2"].mean < 0.3
     stopped = {"full": AboutMethod(name="full", unfinished="stopped at 3 of 9 steps")}
     assert not rows(board("t", stopped, scenes))["full"].competes
+    in_one = board("t", stopped | methods("part"), [scene("a", full=0.1, part=-0.3)]).scenes[0].figures
+    assert in_one["full"]["l2"].rank is None and in_one["part"]["l2"].rank is None, "nor in one scene"
 
 
 def test_controls_are_always_there():
@@ -139,3 +149,46 @@ def test_page_and_tables(tmp_path):
     assert "knew before: nothing" in page and page.count("<h3>") == 3
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is fetched"
     assert "| **0.5" in to_markdown(found) and "*control: zero*" in to_markdown(found)
+
+
+def test_a_training_that_stopped_falling_is_told_from_one_that_had_not():
+    steady = curve([*np.geomspace(1, 0.1, 60), *[0.1] * 40])
+    falling = curve(np.geomspace(1, 0.1, 100))
+    assert steady.last_fall == pytest.approx(0, abs=1e-9)
+    assert falling.last_fall == pytest.approx(1 - 0.1 ** (20 / 99))  # an exponential falls by one factor each fifth
+    assert np.isnan(curve([1, 0.5]).last_fall)
+    thinned = falling.thinned(40)
+    assert len(thinned.step) == 40 and thinned.step[-1] == 1000 and thinned.loss[-1] == pytest.approx(0.1, rel=0.05)
+
+
+def test_curves_are_on_the_page(tmp_path):
+    here = replace(scene("a", one=0.1, two=0.2), curves={"one": curve(np.geomspace(2, 0.5, 100))})
+    found = board("t", methods("one", "two"), [here, scene("b", one=0.1, two=0.2)])
+    write_record(tmp_path / "board.json", found)
+    assert read_record(SuiteBoard, tmp_path / "board.json") == found
+    page = to_html(found)
+    assert page.count("Had the trainings converged?") == 1 and page.count("<polyline") == 1
+    assert "<td>1000</td><td>500</td>" in page
+
+
+@pytest.mark.parametrize(
+    "text, named",
+    [
+        ("step,loss\n10,1\n", "columns step, processor_seconds, loss"),
+        ("step,processor_seconds,loss\n", "holds no point"),
+        ("step,processor_seconds,loss\n10,1,nan\n", "above zero"),
+        ("step,processor_seconds,loss\n10,1,1\n10,2,1\n", "must rise"),
+        ("step,processor_seconds,loss\n10,1,x\n", "columns step"),
+    ],
+)
+def test_a_curve_that_is_none_is_refused(tmp_path, text, named):
+    (tmp_path / "curve.csv").write_text(text)
+    with pytest.raises(DataFormatError, match=named):
+        TrainingCurve.read(tmp_path / "curve.csv")
+
+
+def test_a_curve_that_gof_baseline_wrote_is_read(tmp_path):
+    written = Curve(tmp_path / "curve.csv")
+    for loss in np.linspace(1, 0.5, 30):
+        written.add(loss)
+    assert TrainingCurve.read(tmp_path / "curve.csv").step == (10, 20, 30)

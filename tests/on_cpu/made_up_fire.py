@@ -18,7 +18,7 @@ def write(root: Path) -> Path:
     dataset(root)
     from gof_benchmark import views
 
-    for name in ("dnerf", "points", "multipleview", "freetimegs"):
+    for name in ("dnerf", "points", "n3v", "multipleview", "hypernerf", "freetimegs"):
         views.write(name, root)
     return root
 

@@ -1,6 +1,7 @@
 """`gof baseline` as a user runs it: look-alike trainers of our own, and real checkouts where given."""
 
 import csv
+import json
 import os
 import subprocess
 import sys
@@ -10,8 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.errors import DataFormatError
+
 torch = pytest.importorskip("torch")
 pytest.importorskip("drjit")
+from gof.on_cpu.export_wu import clock_of  # noqa: E402
 
 TRAINERS = Path(__file__).parent / "trainers"
 ROOT = Path(__file__).parents[2]
@@ -149,6 +153,14 @@ def test_nothing_of_gof_imports_this_room():
     assert not found
 
 
+def test_wus_clock_is_that_of_the_layout():
+    """Its HyperNeRF reader ends at 1, its "multiple view" reader a frame before; of others nothing is known."""
+    assert clock_of(Path("data/hypernerf"), 5).tolist() == [0, 0.25, 0.5, 0.75, 1]
+    assert clock_of(Path("/elsewhere/multipleview"), 5).tolist() == pytest.approx([0, 0.2, 0.4, 0.6, 0.8])
+    with pytest.raises(DataFormatError, match="neither a 'hypernerf' nor a 'multipleview' view"):
+        clock_of(Path("data/dynerf"), 5)
+
+
 # ---- real checkouts --------------------------------------------------------------------------------------------------
 
 
@@ -175,7 +187,8 @@ def unchanged(folder: Path) -> bool:
 
 
 @pytest.mark.slow
-def test_4dgs_of_wu(run, views, tmp_path):
+@pytest.mark.parametrize("layout", ["multipleview", "hypernerf"])
+def test_4dgs_of_wu(run, views, tmp_path, layout):
     code_folder = checkout("WU")
     config = tmp_path / "short.py"
     config.write_text(
@@ -183,7 +196,7 @@ def test_4dgs_of_wu(run, views, tmp_path):
         "OptimizationParams = dict(dataloader=True, iterations=40, coarse_iterations=20, batch_size=1)\n"
     )
     script, model = code_folder / "train.py", tmp_path / "model"
-    words = ["-s", views / "multipleview", "--model_path", model, "--configs", config]
+    words = ["-s", views / layout, "--model_path", model, "--configs", config]
     words += ["--port", 6031, "--expname", "x", "--save_iterations", 40]
     code, out, err = run("--method", "wu", "--curve", tmp_path / "c.csv", script, *words, packages=False)
     assert code == 0 and "no file changed" in out, err[-3000:]
@@ -201,6 +214,76 @@ def test_4dgs_of_wu(run, views, tmp_path):
     # Half-frame differences of a young network agree with tiny ones to a part of the speed, no more.
     error = np.linalg.norm(trajectory.velocity[1:-1] - centre) / np.linalg.norm(centre)
     assert error < 0.5 and unchanged(code_folder)
+
+
+READER = """
+import json, sys
+import numpy as np
+from scene.neural_3D_dataset_NDC import Neural3D_NDC_Dataset
+read = Neural3D_NDC_Dataset(sys.argv[1], "train", 1.0, time_scale=1, eval_index=0)
+picture, (R, T), time = read[2]
+found = {"count": len(read), "focal": read.focal[0], "time": time}
+found |= {"R": np.asarray(R).tolist(), "T": np.asarray(T).tolist()}
+json.dump(found | {"shape": list(picture.shape), "bright": float(picture.max())}, open(sys.argv[2], "w"))
+"""
+
+
+HYPER_READER = """
+import json, sys
+import numpy as np
+from scene.hyper_loader import Load_hyper_data
+found = {}
+for split in ("train", "test"):
+    read = Load_hyper_data(sys.argv[1], 0.5, False, split=split)
+    found[split] = [
+        (one.time, one.FovX, one.FovY, one.R.tolist(), one.T.tolist(), list(one.image.shape)) for one in read
+    ]
+json.dump(found, open(sys.argv[2], "w"))
+"""
+
+
+@pytest.mark.slow
+def test_wus_hypernerf_reader_keeps_held_out_frames_out(run, views, tmp_path):
+    """His own class: pictures that train and those that do not, their times, poses and fields of view."""
+    from gof.dataset import Dataset
+
+    script = checkout("WU") / "train.py"
+    reader = tmp_path / "reader.py"
+    reader.write_text(f"import sys\nsys.path.insert(0, {str(script.parent)!r})\n{HYPER_READER}")
+    code, _, err = run("--method", "wu", reader, views / "hypernerf", tmp_path / "read.json", packages=False)
+    assert code == 0, err[-3000:]
+    read, dataset = json.loads((tmp_path / "read.json").read_text()), Dataset.open(views)
+    last = len(dataset.times_s) - 1
+    for split, frames in (("train", dataset.train_frames), ("test", dataset.test_frames)):
+        assert sorted(entry[0] for entry in read[split]) == pytest.approx(
+            sorted(k / last for k in frames for _ in "123")
+        )
+    for number, (_, across, down, R, T, shape) in enumerate(read["train"][:3]):
+        camera = dataset.cameras[number]
+        np.testing.assert_allclose(np.array(R).T, camera.world_to_camera[:3, :3], atol=1e-9)
+        np.testing.assert_allclose(T, camera.world_to_camera[:3, 3], atol=1e-9)
+        assert shape == [3, camera.height, camera.width]
+        half = np.tan([across / 2, down / 2]) * camera.K[0, 0]
+        np.testing.assert_allclose(half, [camera.width / 2, camera.height / 2])
+
+
+@pytest.mark.slow
+def test_wus_dynerf_reader_reads_the_published_form(run, views, tmp_path):
+    """His own class: the world from camera 1, the field of view, time over 300 pictures."""
+    from gof.dataset import Dataset
+
+    script = checkout("WU") / "train.py"
+    reader = tmp_path / "reader.py"
+    reader.write_text(f"import sys\nsys.path.insert(0, {str(script.parent)!r})\n{READER}")
+    code, _, err = run("--method", "wu", reader, views / "n3v", tmp_path / "read.json", packages=False)
+    assert code == 0, err[-3000:]
+    read, dataset = json.loads((tmp_path / "read.json").read_text()), Dataset.open(views)
+    camera = dataset.cameras[0]
+    assert read["count"] == 3 * len(dataset.times_s) and read["shape"] == [3, 1014, 1352] and read["bright"] > 0.5
+    assert read["time"] == pytest.approx(2 / 300)
+    np.testing.assert_allclose(np.array(read["R"]).T, camera.world_to_camera[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(read["T"], camera.world_to_camera[:3, 3], atol=1e-9)
+    assert read["focal"] == pytest.approx(1352 * 2 * camera.K[0, 0] / 216)  # 48x80, doubled, in 216x162
 
 
 @pytest.mark.slow

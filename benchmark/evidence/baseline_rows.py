@@ -1,0 +1,291 @@
+"""Rows of other methods beside ours on scenes of GoF-Bench, trained by their own code on this machine's processor.
+
+    python -m gof_benchmark.evidence.baseline_rows WORK/standard OUT --wu 4DGaussians --yang 4d-gaussian-splatting \
+        --freetime FreeTimeGsVanilla [--scenes jet logs foam_two_burners] [--steps 3000] [--python THEIRS/bin/python]
+
+Every scene is seen in smaller pictures, every method is trained for the same number of steps with the settings that its
+authors give for a scene of this kind, schedules shortened in proportion; then ours: with the flow prior, without, and
+`--method paper` for as many steps, and once more for as many processor seconds as the slowest of the others took. Each
+becomes a submission in OUT/submissions, is checked, and all are scored into OUT/board. What is finished is not done
+again, so it may be stopped and started as one likes. THEIRS is a Python with the packages of docs/baselines.md.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import tyro
+
+from gof.costs import Costs, StageCost, StageLog
+from gof.dataset import Dataset
+from gof.errors import GofError
+from gof.files import write_json
+from gof.records import write_record
+from gof_benchmark.views import shrunk
+
+VIEWS = ("dnerf", "points", "hypernerf", "freetimegs")
+GIVEN = {"others": ["poses", "starting points"], "ours": ["poses", "plates", "masks"]}
+AUTHORS = {"wu": "Guanjun Wu et al.", "yang": "Zeyu Yang et al.", "freetime": "the authors of FreeTimeGsVanilla"}
+OURS = {  # name in the submission's folder: (name of the row, options, what it knew before)
+    "gof": ("gof", (), ["the flow prior, learned on the dev fires"]),
+    "gof_no_prior": ("gof without the flow prior", ("--no-flow-prior",), []),
+    "gof_paper": ("gof, --method paper", ("--method", "paper"), []),
+    "gof_long": ("gof, as long as the slowest", (), ["the flow prior, learned on the dev fires"]),
+}
+
+
+@dataclass(frozen=True)
+class BaselineRows:
+    """Train other methods by their own code and ours beside them, check them, and score them on one page."""
+
+    suite: tyro.conf.Positional[Path]
+    """A size of the suite that `gof benchmark make` made: WORK/standard."""
+    out: tyro.conf.Positional[Path]
+    """Folder for all of it."""
+    scenes: tuple[str, ...] = ("jet", "logs", "foam_two_burners")
+    """Of the suite, of one split."""
+    wu: Path | None = None
+    """Checkout of hustvl/4DGaussians."""
+    yang: Path | None = None
+    """Checkout of fudan-zvg/4d-gaussian-splatting."""
+    freetime: Path | None = None
+    """Checkout of raiscui/FreeTimeGsVanilla."""
+    steps: int = 3000
+    """Of every training, one picture each."""
+    longest_side: int = 160
+    """Of the pictures, px."""
+    seeds: int = 1
+    """Runs of each of ours; the others' scripts fix their seed."""
+    split: str = "test"
+    """Of the scenes: test or dev."""
+    python: Path = Path(sys.executable)
+    """The Python that has the other methods' packages."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """Command lines, run in turn, of which the one with `--curve` trains; what comes out, and how it is added.
+
+    `options`: of `gof benchmark add`.
+    """
+
+    commands: tuple[tuple[str, ...], ...]
+    result: Path
+    options: tuple[str, ...] = ("--trained-on", "train")
+    settings: dict[Path, str] = field(default_factory=dict)
+
+
+# ---------------------------------------------------------------- the methods: their settings, their command lines
+
+
+def wu(config: BaselineRows, data: Path, out: Path) -> Training:
+    """`arguments/hypernerf/default.py` at fewer steps, a fifth of them coarse; temporal resolution half the frames."""
+    steps, fine = config.steps, config.steps * 4 // 5
+    share, count = fine / 14_000, len(Dataset.open(data).times_s)
+    settings = f"""ModelHiddenParams = dict(
+    kplanes_config={{"grid_dimensions": 2, "input_coordinate_dim": 4, "output_coordinate_dim": 16,
+                     "resolution": [64, 64, 64, {count // 2}]}},
+    multires=[1, 2, 4], defor_depth=1, net_width=128,
+    plane_tv_weight=0.0002, time_smoothness_weight=0.001, l1_time_planes=0.0001, render_process=False)
+OptimizationParams = dict(
+    iterations={fine}, coarse_iterations={steps - fine}, batch_size=1, opacity_reset_interval=300000,
+    position_lr_max_steps={round(20_000 * share)}, densify_from_iter={round(500 * share)},
+    densify_until_iter={round(10_000 * share)})
+"""
+    script, start = config.wu / "train.py", ("-m", "gof", "baseline", "--method", "wu")
+    train = (
+        *start,
+        "--curve",
+        f"{out}/curve.csv",
+        f"{script}",
+        "-s",
+        f"{data}/hypernerf",
+        "--model_path",
+        f"{out}/model",
+    )
+    train += ("--configs", f"{out}/settings.py", "--save_iterations", f"{fine}", "--test_iterations", "10000000")
+    export = (*start, "--trajectory", f"{out}/wu.npz", f"{script}", f"{out}/model", f"{data}")
+    commands = (train + ("--expname", "x"), export)
+    return Training(commands, out / "wu.npz", settings={out / "settings.py": settings})
+
+
+def yang(config: BaselineRows, data: Path, out: Path) -> Training:
+    """`configs/dnerf/*.yaml` at fewer steps, one picture a step, pictures as large as they are."""
+    steps, share = config.steps, config.steps / 30_000
+    settings = f"""gaussian_dim: 4
+time_duration: [0.0, 1.0]
+num_pts: 300_000
+num_pts_ratio: 1.0
+rot_4d: True
+force_sh_3d: False
+batch_size: 1
+exhaust_test: False
+ModelParams: {{sh_degree: 3, source_path: "{data}", model_path: "{out}/model", images: "images", resolution: 1,
+  white_background: False, data_device: "cuda", eval: True, extension: ".png", num_extra_pts: 0, loaded_pth: "",
+  frame_ratio: 1, dataloader: False}}
+PipelineParams: {{convert_SHs_python: False, compute_cov3D_python: False, debug: False, env_map_res: 0,
+  env_optimize_until: 1000000000, env_optimize_from: 0, eval_shfs_4d: True}}
+OptimizationParams: {{iterations: {steps}, position_lr_init: 0.00016, position_t_lr_init: -1.0,
+  position_lr_final: 0.0000016, position_lr_delay_mult: 0.01, position_lr_max_steps: {steps}, feature_lr: 0.0025,
+  opacity_lr: 0.05, scaling_lr: 0.005, rotation_lr: 0.001, percent_dense: 0.01, lambda_dssim: 0.2,
+  thresh_opa_prune: 0.005, densification_interval: 100, opacity_reset_interval: 3000,
+  densify_from_iter: {round(500 * share)}, densify_until_iter: {round(15_000 * share)}, densify_grad_threshold: 0.0002,
+  densify_grad_t_threshold: 0.0002 / 40, densify_until_num_points: -1, final_prune_from_iter: -1,
+  sh_increase_interval: {max(1, round(1000 * share))}, lambda_opa_mask: 0.0, lambda_rigid: 0.0, lambda_motion: 0.0}}
+"""
+    train = ("-m", "gof", "baseline", "--method", "yang", "--curve", f"{out}/curve.csv", f"{config.yang}/train.py")
+    train += ("--config", f"{out}/settings.yaml", "--test_iterations", "-1", "--save_iterations", f"{steps}")
+    options = ("--trained-on", "train", "--time-unit", f"{duration(data)}")
+    return Training((train,), out / f"model/chkpnt{steps}.pth", options, {out / "settings.yaml": settings})
+
+
+def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
+    """Its `default_keyframe_small`; starting points by its own script."""
+    count, steps, view = len(Dataset.open(data).times_s), config.steps, data / "freetimegs"
+    script = "src/combine_frames_fast_keyframes.py"
+    start = (f"{config.freetime}/{script}", "--input-dir", f"{view}/triangulation", "--output-path", f"{out}/start.npz")
+    start += ("--frame-start", "0", "--frame-end", f"{count - 1}", "--keyframe-step", "5", "--sample-ratio", "0.25")
+    train = ("-m", "gof", "baseline", "--method", "freetime", "--without-lpips", "--curve", f"{out}/curve.csv")
+    train += (f"{config.freetime}/src/simple_trainer_freetime_4d_pure_relocation.py", "default_keyframe_small")
+    train += ("--data-dir", f"{view}", "--init-npz-path", f"{out}/start.npz", "--result-dir", f"{out}/model")
+    train += ("--start-frame", "0", "--end-frame", f"{count}", "--max-steps", f"{steps}", "--save-steps", f"{steps}")
+    train += ("--eval-steps", "10000000", "--lambda-perc", "0", "--disable-viewer", "--render-traj-n-frames", "2")
+    options = ("--trained-on", "train", "--time-unit", f"{duration(data)}", "--world", f"{view}/sparse/0")
+    return Training((start, train), out / f"model/ckpts/ckpt_{steps - 1}.pt", options)
+
+
+OTHERS = {"wu": wu, "yang": yang, "freetime": freetime}
+
+
+def duration(data: Path) -> float:
+    """Of the clip, s."""
+    times = Dataset.open(data).times_s
+    return float(times[-1] - times[0])
+
+
+# ---------------------------------------------------------------- trainings and what they cost
+
+
+def measured(words: list[str], log: Path) -> StageCost:
+    """Run a command in its log's folder: processor seconds and peak memory. Raises GofError: it failed."""
+    print(" ".join(words), flush=True)
+    with log.open("a") as file:
+        process = subprocess.Popen(words, stdout=file, stderr=subprocess.STDOUT, cwd=log.parent)
+        _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise GofError(f"{words[1:5]} ended with status {process.returncode}; its words are in {log}")
+    return StageCost("processor", usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+
+
+def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
+    """Train a method, and put it into its submission with its curve and what it cost."""
+    training = OTHERS[name](config, data, out / name / data.name)
+    folder = out / "submissions" / name / data.name
+    if (folder / "scores.json").is_file():
+        return
+    here = fresh(out / name / data.name)
+    for path, text in training.settings.items():
+        path.write_text(text)
+    costs = [measured([f"{config.python}", *words], here / "log.txt") for words in training.commands]
+    add(training.result, data, folder, (*training.options, "--curve", f"{here}/curve.csv"), here / "log.txt", costs)
+    log = (here / "log.txt").read_text().splitlines()
+    said = next(line for line in log if line.startswith("gof baseline: ")).removeprefix("gof baseline: ")
+    head, _, licence = said.rpartition("; licence: ")
+    title, _, commit = head.partition(", commit ")
+    about = {"name": f"{title}, {config.steps} steps", "made_by": "CPU re-run", "authors": [AUTHORS[name]]}
+    about |= {
+        "code": "its own, by gof baseline (docs/baselines.md)",
+        "commit": commit or "not known",
+        "licence": licence,
+    }
+    say(folder.parent, about | {"given": GIVEN["others"], "prior": []})
+
+
+def train_ours(config: BaselineRows, name: str, data: Path, out: Path, seed: int) -> None:
+    """Reconstruct, and put it into its submission with what it cost."""
+    title, options, prior = OURS[name]
+    folder = out / "submissions" / name / data.name / f"seed_{seed}"
+    if (folder / "scores.json").is_file():
+        return
+    steps = config.steps if name != "gof_long" else equal_steps(config, data, out)
+    here = fresh(out / name / data.name / f"seed_{seed}")
+    words = [sys.executable, "-m", "gof", "reconstruct", f"{data}", "--out", f"{here}/result", "--preset", "preview"]
+    words += ["--iterations", f"{steps}", "--seed", f"{seed}", *options]
+    costs = [measured(words, here / "log.txt")]
+    add(here / "result", data, folder, (), here / "log.txt", costs)
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+    about = {"name": title if name == "gof_long" else f"{title}, {steps} steps", "authors": ["the authors of gof"]}
+    about |= {"code": "gof reconstruct --preset preview", "commit": commit.stdout.strip() or "not known"}
+    say(folder.parent.parent, about | {"licence": "as gof", "given": GIVEN["ours"], "prior": prior})
+
+
+def equal_steps(config: BaselineRows, data: Path, out: Path) -> int:
+    """Steps of ours that take as many processor seconds as the slowest of the others took on this scene."""
+    theirs = [seconds(out / "submissions" / name / data.name) for name in OTHERS if getattr(config, name)]
+    ours = seconds(out / "submissions/gof" / data.name / "seed_0")
+    return round(config.steps * max(theirs, default=ours) / ours)
+
+
+def seconds(run: Path) -> float:
+    return sum(stage.seconds for stage in StageLog(run / "costs.json").stages())
+
+
+def fresh(folder: Path) -> Path:
+    shutil.rmtree(folder, ignore_errors=True)  # half a training, of this script
+    folder.mkdir(parents=True)
+    return folder
+
+
+def add(result: Path, data: Path, run: Path, options: tuple[str, ...], log: Path, costs: list[StageCost]) -> None:
+    """`gof benchmark add`; costs.json then says processor seconds, which others on the machine do not change."""
+    shutil.rmtree(run, ignore_errors=True)
+    submission, words = (run.parent, ()) if run.name == data.name else (run.parent.parent, ("--run", run.name))
+    command = [sys.executable, "-m", "gof", "benchmark", "add", f"{result}", f"{data}", f"{submission}"]
+    measured([*command, *words, *options], log)
+    peak = max(cost.peak_mb for cost in costs)
+    total = StageCost("processor", sum(cost.seconds for cost in costs), peak)
+    write_record(run / "costs.json", Costs((total,), total.seconds))
+
+
+def say(submission: Path, about: dict) -> None:
+    """method.json: the seconds are the mean of the runs that are there."""
+    runs = [seconds(path.parent) for path in submission.rglob("costs.json")]
+    peaks = [stage.peak_mb for path in submission.rglob("costs.json") for stage in StageLog(path).stages()]
+    more = {"hardware": "one thread of a processor, shared: processor seconds", "random": True}
+    more |= {"train_seconds": sum(runs) / len(runs), "memory_mb": max(peaks)}
+    write_json(submission / "method.json", json.loads(json.dumps(about | more)))
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Train, add, check, score."""
+    config = tyro.cli(BaselineRows, prog="python -m gof_benchmark.evidence.baseline_rows", args=argv)
+    paths = {name: getattr(config, name) for name in ("suite", "out", *OTHERS)}
+    config = replace(config, **{name: path.resolve() for name, path in paths.items() if path is not None})
+    small = config.out / "pictures" / config.suite.resolve().name
+    others = [name for name in OTHERS if getattr(config, name)]
+    for scene in config.scenes:
+        if not (small / scene / "freetimegs/sparse").is_dir():
+            shutil.rmtree(small / scene, ignore_errors=True)
+            words = [f"{config.suite / scene}", f"{small / scene}", "--longest-side", f"{config.longest_side}"]
+            shrunk.main([*words, "--views", *VIEWS])
+        for name in others:
+            train_other(config, name, small / scene, config.out)
+        for name in OURS:
+            for seed in range(config.seeds):
+                train_ours(config, name, small / scene, config.out, seed)
+    submissions = [f"{config.out / 'submissions' / name}" for name in (*OURS, *others)]
+    for submission in submissions:
+        subprocess.run([sys.executable, "-m", "gof", "benchmark", "check", submission, f"{small}"], check=False)
+    words = ["score", *submissions, f"{small}", "--out", f"{config.out / 'board'}", "--split", config.split]
+    subprocess.run([sys.executable, "-m", "gof", "benchmark", *words], check=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""How a training went: its loss over steps and processor seconds, and whether it had stopped falling."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from gof.errors import DataFormatError
+
+FILE = "curve.csv"  # beside a run's result; `gof baseline --curve` writes it
+PART = 0.2  # of the steps: what the last of them are compared with the ones before by
+
+
+@dataclass(frozen=True)
+class TrainingCurve:
+    """Point by point; `loss` is the mean of the steps since the point before, > 0."""
+
+    step: tuple[int, ...]
+    processor_seconds: tuple[float, ...]
+    loss: tuple[float, ...]
+
+    @property
+    def last_fall(self) -> float:
+        """By what share the mean loss fell from the last fifth but one of the steps to the last: near 0, it had
+        stopped falling. NaN with fewer than ten points, which say nothing."""
+        if len(self.step) < 10:
+            return float("nan")
+        steps, loss = np.array(self.step), np.array(self.loss)
+        last = steps > (1 - PART) * steps[-1]
+        before = ~last & (steps > (1 - 2 * PART) * steps[-1])
+        return float(1 - loss[last].mean() / loss[before].mean())
+
+    def thinned(self, count: int) -> TrainingCurve:
+        """Means of `count` stretches of points, each at its last step; itself where there are not that many."""
+        if len(self.step) <= count:
+            return self
+        ends = np.linspace(0, len(self.step), count + 1).round().astype(int)
+        loss = [float(np.mean(self.loss[a:b])) for a, b in pairwise(ends)]
+        at = ends[1:] - 1
+        return TrainingCurve(tuple(self.step[k] for k in at), tuple(self.processor_seconds[k] for k in at), tuple(loss))
+
+    @classmethod
+    def read(cls, path: Path) -> TrainingCurve:
+        """Of a CSV with columns `step`, `processor_seconds` and `loss`; others are left aside.
+
+        Raises:
+            DataFormatError: not such a file, no point in it, steps or seconds that do not rise, a loss that is not
+                above zero.
+        """
+        try:
+            with path.open(newline="", encoding="utf-8") as file:
+                rows = [(int(r["step"]), float(r["processor_seconds"]), float(r["loss"])) for r in csv.DictReader(file)]
+        except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError) as e:
+            raise DataFormatError(f"{path}: no training curve with columns step, processor_seconds, loss ({e})") from e
+        if not rows:
+            raise DataFormatError(f"{path}: holds no point; was the training stopped at once?")
+        numbers = np.array(rows)
+        rising = (np.diff(numbers[:, 0]) > 0).all() and (np.diff(numbers[:, 1]) >= 0).all()
+        if not (np.isfinite(numbers).all() and rising and (numbers > 0).all()):
+            raise DataFormatError(f"{path}: steps and seconds must rise, and all numbers be above zero")
+        return cls(*zip(*rows, strict=True))
