@@ -98,7 +98,8 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
         name="Light",
         description="How the flame's light follows from the simulation",
         items=[
-            ("soot", "Soot", "Glows and absorbs by its soot: well exposed at every size"),
+            ("sheets", "Soot Sheets", "Glows and absorbs by its soot, in thin sheets: well exposed at every size"),
+            ("soot", "Soot", "Likewise, in all that burns: softer"),
             (
                 "reaction",
                 "Reaction",
