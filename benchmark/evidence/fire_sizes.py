@@ -45,7 +45,7 @@ class FireSizes:
     """Cells along each box's longest side."""
 
 
-def sized(name: str, resolution: int, speeds: str = "physical", light: str = "sheets") -> SceneSpec:
+def sized(name: str, resolution: int, speeds: str = "physical", light: str = "soot") -> SceneSpec:
     """One of SIZES as a spec, seen by a camera at two heights' distance."""
     fire, box, fps, warm_up = SIZES[name]
     tall = max(box.size)

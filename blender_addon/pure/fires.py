@@ -82,10 +82,10 @@ class Fire:
     """Metres."""
     jet_speed: float = 0.0
     """Upward speed at which the fuel leaves the burner, m/s."""
-    light: Literal["sheets", "soot", "reaction"] = "sheets"
-    """sheets: the flame glows and absorbs by its soot, in thin sheets, well exposed at every size (`pure.soot`); soot:
-    likewise, in all that burns; reaction: every metre of it shines the same and nothing is absorbed, as in specs of
-    version 1."""
+    light: Literal["soot", "sheets", "reaction"] = "soot"
+    """soot: the flame glows and absorbs by its soot, in all that burns, well exposed at every size (`pure.soot`);
+    sheets: likewise, in thin sheets; reaction: every metre of it shines the same and nothing is absorbed, as in specs
+    of version 1."""
     speeds: Literal["physical", "solver"] = "physical"
     """physical: lift and burning follow the fire's size, so that gas is as fast as in real fires (`pure.similarity`);
     solver: the same constants at every size, as in specs of version 1: much too fast below a metre."""

@@ -98,8 +98,8 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
         name="Light",
         description="How the flame's light follows from the simulation",
         items=[
-            ("sheets", "Soot Sheets", "Glows and absorbs by its soot, in thin sheets: well exposed at every size"),
-            ("soot", "Soot", "Likewise, in all that burns: softer"),
+            ("soot", "Soot", "Glows and absorbs by its soot: well exposed at every size"),
+            ("sheets", "Soot in Sheets", "Likewise, in thin sheets: folds and sharp edges instead of a soft glow"),
             (
                 "reaction",
                 "Reaction",
