@@ -20,6 +20,7 @@ from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import vorticity
 from gof_blender.pure.fires import Domain, Fire
+from gof_blender.pure.rig import Rig
 from gof_blender.pure.spec import SceneSpec
 
 SIZES = {
@@ -54,7 +55,7 @@ def sized(name: str, resolution: int, speeds: str = "physical", light: str = "so
         clip=Clip(FRAMES, float(fps), warm_up),
         domain=replace(box, resolution=resolution),
         fire=replace(fire, speeds=speeds, light=light),
-        cameras=scene_spec.Rig(count=1, radius=2.1 * tall, height=0.45 * tall, look_at=(0, 0, 0.42 * tall)),
+        cameras=Rig(count=1, radius=2.1 * tall, height=0.45 * tall, look_at=(0, 0, 0.42 * tall)),
         background="ground",
         effects=(vorticity.Settings(),),
     )

@@ -25,7 +25,8 @@ from gof_blender.pure.clip import Clip
 from gof_blender.pure.description import CameraEntry
 from gof_blender.pure.effects import clock, motion_blur, rolling_shutter, sensor_noise, sync_board, video_compression
 from gof_blender.pure.layout import Layout
-from gof_blender.pure.spec import Render, Rig, SceneSpec
+from gof_blender.pure.rig import Rig
+from gof_blender.pure.spec import Render, SceneSpec
 
 GREY = 0.1
 FRAMES = 24

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from .spec import Rig
+    from .rig import Rig
 
 HALF_SENSOR = 18.0  # mm of the long side that a focal length refers to
 

@@ -6,27 +6,18 @@ What a stopped job has finished stays, and the next job for the same folder goes
 
 from __future__ import annotations
 
-import json
-import os
-import queue
 import subprocess
-import threading
 import time
-from collections.abc import Iterable
 from pathlib import Path
 
 from . import cost_model, effects, report
 from .brightness import Brightness
+from .child import JobError, Said, code, last_lines
 from .costs import Costs, StageCost
 from .layout import Layout
 from .spec import SceneSpec
 
 UNITS = {"bake": " steps", "render": " pictures", "ground-truth": " frames"}
-PACKAGE = Path(__file__).resolve().parents[1]
-
-
-class JobError(RuntimeError):
-    """A process failed; the message says what it was doing, and why."""
 
 
 def stages(spec: SceneSpec) -> list[str]:
@@ -76,7 +67,7 @@ class Job:
         self._expected = expected_s(spec, cost_model.predict(spec, machine))
         self._waiting = stages(spec)
         self._process: subprocess.Popen | None = None
-        self._said = _Said()
+        self._said = Said()
         self._start = 0.0
         self._counted = time.monotonic()  # until when costs.json counts this job's time by the clock
 
@@ -147,25 +138,24 @@ class Job:
 
     def _begin(self) -> None:
         arguments = ["--spec", str(self.layout.local_spec), "--out", str(self.layout.root), "--stage", self.stage]
-        code = (
-            f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); "
-            f"from {PACKAGE.name}.worker.generate import run; run({arguments!r})"
-        )
         self._start = time.monotonic()
         self._note(f"{self.stage} ...")
         with open(self._errors(), "ab") as errors:
             # The child ends with its standard input, hence with this process.
             self._process = subprocess.Popen(
-                [*self._python, code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors
+                [*self._python, code("generate", arguments)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
             )
-        self._said = _Said(self._process.stdout)
+        self._said = Said(self._process.stdout)
 
     def _end_of_stage(self, status: int) -> None:
         self._process = None
         self._said.read_rest()
         now = time.monotonic()
         if status:
-            message = f"{self.stage} failed with status {status}:\n{_last_lines(self._errors())}"
+            message = f"{self.stage} failed with status {status}:\n{last_lines(self._errors())}"
             self._note(message)
             raise JobError(message)
         settings = cost_model.stage_settings(self.stage, self.spec)
@@ -195,57 +185,3 @@ class Job:
         self.layout.hidden.mkdir(parents=True, exist_ok=True)
         with open(self.layout.job_log, "a", encoding="utf-8") as file:
             print(time.strftime("%Y-%m-%d %H:%M:%S"), text, file=file)
-
-
-class _Said:
-    """What a stage's process has said so far; a thread listens to it, so that `read` never waits.
-
-    Attributes:
-        done, total: parts of the stage's work, 0 before it says anything.
-        peak_mb: its peak memory, known at its end.
-    """
-
-    def __init__(self, stream: Iterable[bytes] = ()):
-        self.done = 0
-        self.total = 0
-        self.peak_mb = 0.0
-        self._done_before: int | None = None
-        self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        self._listener = threading.Thread(target=self._listen, args=(stream,), daemon=True)
-        self._listener.start()
-
-    @property
-    def share(self) -> float:
-        """Done of all, 0..1."""
-        return min(self.done / self.total, 1.0) if self.total else 0.0
-
-    @property
-    def made(self) -> int:
-        """Parts that this very process has made: it began where the one before it was stopped."""
-        return self.done - (self._done_before or 0)
-
-    def read(self) -> None:
-        """Take note of what has been said since the last call."""
-        while not self._lines.empty():
-            try:
-                message = json.loads(self._lines.get().decode(errors="replace"))
-            except ValueError:
-                continue  # Blender's own greeting
-            if progress := message.get("progress"):
-                self.done = progress["done"]
-                self.total = progress["total"]
-                self._done_before = self.done if self._done_before is None else self._done_before
-            self.peak_mb = message.get("cost", {}).get("peak_mb") or self.peak_mb
-
-    def read_rest(self) -> None:
-        """Take note of all it has said; only once it has ended."""
-        self._listener.join()
-        self.read()
-
-    def _listen(self, stream: Iterable[bytes]) -> None:
-        for line in stream:
-            self._lines.put(line)
-
-
-def _last_lines(path: Path, count: int = 12) -> str:
-    return "\n".join(path.read_text(encoding="utf-8", errors="replace").rstrip().split(os.linesep)[-count:])

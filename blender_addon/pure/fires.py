@@ -82,9 +82,10 @@ class Fire:
     """Metres."""
     jet_speed: float = 0.0
     """Upward speed at which the fuel leaves the burner, m/s."""
-    light: Literal["soot", "reaction"] = "soot"
-    """soot: the flame glows and absorbs by its soot, well exposed at every size (`pure.soot`); reaction: every metre of
-    it shines the same and nothing is absorbed, as in specs of version 1."""
+    light: Literal["soot", "sheets", "reaction"] = "soot"
+    """soot: the flame glows and absorbs by its soot, in all that burns, well exposed at every size (`pure.soot`);
+    sheets: likewise, in thin sheets; reaction: every metre of it shines the same and nothing is absorbed, as in specs
+    of version 1."""
     speeds: Literal["physical", "solver"] = "physical"
     """physical: lift and burning follow the fire's size, so that gas is as fast as in real fires (`pure.similarity`);
     solver: the same constants at every size, as in specs of version 1: much too fast below a metre."""
@@ -117,13 +118,13 @@ class Fire:
 
     @cached_property
     def sheet(self) -> Sheet:
-        """What the flame's light looks up, for the light "soot"."""
-        return sheet(FUELS[self.fuel], 2 * self.radius, self.intensity)
+        """What the flame's light looks up, unless it is that of the reaction."""
+        return sheet(FUELS[self.fuel], 2 * self.radius, self.intensity, thin=self.light == "sheets")
 
     @property
     def dims(self) -> bool:
         """Whether the flame dims what is behind it."""
-        return self.light == "soot"
+        return self.light != "reaction"
 
     @property
     def burner(self) -> Burner:

@@ -1,4 +1,5 @@
-"""`gof evaluate` in a Python that has gof, beside Blender's own."""
+"""A reconstruction is scored in another process: by `gof evaluate` in a Python that has gof, or by `worker.score` in
+another Blender like this one."""
 
 from __future__ import annotations
 
@@ -8,13 +9,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from .dataset_process import JobError
+from .child import JobError, Said, code
 from .io import FileFormatError
 from .scores import Scores
 
 INSTALL = (
     "install it there: in the folder of the Gaussians on Fire source run `make setup`, and choose its .venv/bin/python "
-    "(Windows: .venv\\Scripts\\python.exe)"
+    "(Windows: .venv\\Scripts\\python.exe); without a Python the add-on scores by itself"
 )
 
 
@@ -23,46 +24,65 @@ class EvaluationError(JobError):
 
 
 class Evaluation:
-    """A running evaluation.
+    """A running evaluation; `by_gof` and `by_addon` begin one.
 
     Attributes:
-        scores: what `gof evaluate --json` has found, once `poll` is false.
-
-    Raises:
-        EvaluationError: that Python cannot be started.
+        by: who computes, in words.
+        scores: what was found, once `poll` is false.
     """
 
-    def __init__(self, python: Path, result: Path, dataset: Path, time_unit_s: float = 0.0):
-        """``time_unit_s``: seconds per unit of a foreign result's time; 0 = the file says it."""
-        self.scores = Scores()
-        self._folder = Path(tempfile.mkdtemp(prefix="gof-score-"))
+    def __init__(self, by: str, command: list[str], folder: Path):
+        """``command`` writes folder/scores.json. Raises EvaluationError: it cannot be started."""
+        self.by, self.scores = by, Scores()
+        self._folder, self._program = folder, command[0]
+        self._log = folder / "log.txt"
         self._started = time.monotonic()
-        if len(python.parts) > 1:
-            python = python.absolute()  # not resolved: a virtual environment's is a link
-        command = [str(python), "-m", "gof", "evaluate", str(result.absolute()), "--truth", str(dataset.absolute())]
-        command += ["--no-images", "--json", str(self._folder / "scores.json")]
-        command += ["--time-unit", repr(time_unit_s)] if time_unit_s else []
-        self._log = self._folder / "log.txt"
         try:
             with self._log.open("wb") as log:
                 self._process = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, cwd=self._folder
+                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, cwd=folder
                 )
         except OSError as error:
-            shutil.rmtree(self._folder)
+            shutil.rmtree(folder)
             raise EvaluationError(
-                f"{python}: cannot be run ({error.strerror}); choose the Python that gof is installed in, or {INSTALL}"
+                f"{command[0]}: cannot be run ({error.strerror}); choose the Python that gof is installed in, or "
+                f"{INSTALL}"
             ) from None
-        self._python = python
+        self._said = Said(self._process.stdout)
+
+    @classmethod
+    def by_gof(cls, python: Path, result: Path, dataset: Path, time_unit_s: float = 0.0) -> Evaluation:
+        """Args: time_unit_s: seconds per unit of a foreign result's time; 0 = the file says it."""
+        folder = Path(tempfile.mkdtemp(prefix="gof-score-"))
+        if len(python.parts) > 1:
+            python = python.absolute()  # not resolved: a virtual environment's is a link
+        command = [str(python), "-m", "gof", "evaluate", str(result.absolute()), "--truth", str(dataset.absolute())]
+        command += ["--no-images", "--json", str(folder / "scores.json")]
+        command += ["--time-unit", repr(time_unit_s)] if time_unit_s else []
+        return cls("gof evaluate", command, folder)
+
+    @classmethod
+    def by_addon(cls, blender: list[str], result: Path, dataset: Path, time_unit_s: float = 0.0) -> Evaluation:
+        """Args: blender: a command that runs the Python code given as its next argument, in another Blender."""
+        folder = Path(tempfile.mkdtemp(prefix="gof-score-"))
+        arguments = ["--result", str(result.absolute()), "--dataset", str(dataset.absolute())]
+        arguments += ["--out", str(folder / "scores.json"), "--clip-seconds", repr(time_unit_s)]
+        return cls("the add-on", [*blender, code("score", arguments)], folder)
 
     def __str__(self) -> str:
-        return f"gof evaluate, {time.monotonic() - self._started:.0f} s"
+        seconds = time.monotonic() - self._started
+        self._said.read()
+        if not self._said.done:
+            return f"{self.by}, {seconds:.0f} s"
+        left = seconds * (self._said.total - self._said.done) / self._said.done
+        return f"frame {self._said.done} of {self._said.total}, {left:.0f} s left"
 
     def poll(self) -> bool:
         """Whether it still runs. Raises: EvaluationError when it failed."""
         status = self._process.poll()
         if status is None:
             return True
+        self._said.read_rest()
         try:
             if status:
                 raise EvaluationError(self._reason())
@@ -70,7 +90,7 @@ class Evaluation:
         except FileFormatError as error:
             raise EvaluationError(str(error)) from None
         finally:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._leave()
         return False
 
     def run(self) -> None:
@@ -82,12 +102,18 @@ class Evaluation:
         """End it; nothing is kept."""
         self._process.kill()
         self._process.wait()
+        self._said.read_rest()
+        self._leave()
+
+    def _leave(self) -> None:
+        self._process.stdin.close()
+        self._process.stdout.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _reason(self) -> str:
         text = self._log.read_text(encoding="utf-8", errors="replace").strip()
         if "No module named gof" in text:
-            return f"{self._python}: this Python has no gof; {INSTALL}"
+            return f"{self._program}: this Python has no gof; {INSTALL}"
         lines = text.splitlines()
-        said = [line for line in lines if line.startswith("gof evaluate:")] or lines[-3:] or ["no message"]
+        said = [line for line in lines if line.startswith(("gof evaluate:", "score:"))] or lines[-3:] or ["no message"]
         return "\n".join(said)

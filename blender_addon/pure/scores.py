@@ -1,4 +1,4 @@
-"""What the panel Score shows of the scores that `gof evaluate --json` writes. Other fields are left aside."""
+"""What the panel Score shows: of the scores that `gof evaluate --json` writes, or those of our own `dve`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from .io import FileFormatError
-from .io.records import read_record
+from .io.records import read_record, write_record
 
 
 @dataclass(frozen=True)
@@ -19,9 +19,10 @@ class Control:
 
 @dataclass(frozen=True)
 class Controls:
-    """zero: no motion at all."""
+    """zero: no motion at all; constant: one vector for everything, the mean true velocity."""
 
     zero: Control | None = None
+    constant: Control | None = None
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class VelocityScore:
     Attributes:
         l2: relative L2 error of the velocities; None where it is undefined.
         cos_sim: cosine similarity, likewise.
-        frames_scored: number of frames.
+        frames_scored: number of frames where it is defined.
         weight_outside: share of the Gaussians' mass outside the velocity's domain, 0..1.
     """
 
@@ -60,6 +61,10 @@ class Scores:
         except FileFormatError as error:
             raise FileFormatError(f"{error}; was it written by gof of another version?") from None
 
+    def write(self, path: Path) -> None:
+        """Write a scores.json."""
+        write_record(path, self)
+
     def rows(self) -> list[tuple[str, str]]:
         """Names and values for people."""
         if self.dve is None:
@@ -71,6 +76,8 @@ class Scores:
         ]
         if self.controls.zero:
             rows.append(("L2 of no motion", _number(self.controls.zero.l2)))
+        if self.controls.constant:
+            rows.append(("L2 of one vector", _number(self.controls.constant.l2)))
         return [*rows, ("Weight outside", f"{100 * self.dve.weight_outside:.0f} %")]
 
 

@@ -8,16 +8,25 @@ Where in the flame the soot is, and how hot, follows from the solver's reaction 
 or air). Fuel has to break up before there is soot, so there is none right above the burner and less in the core; it is
 coolest at the tips and edges, where it has radiated longest. Before there is soot, burning fuel is blue.
 
-Sources of the figures (the works named were not at hand; their figures are quoted from memory):
+Real soot glows in thin sheets, the edges of the fuel, which the wind of the flame folds: with `thin` it is where the
+reaction passes SHEET_AT, in a band that is often narrower than a cell. Without, all that burns glows, which looks
+like cotton. The reaction between the cells is the one that Cycles sees, a cubic B-spline, so that the same truth has
+finer pictures.
 
-- Absorption. Total (infrared) coefficients of flames, 1/m: LPG 1.4, gasoline 2.1 (Babrauskas, Estimating large pool
-  fire burning rates, Fire Technology 19, 1983), wood cribs 0.8 (Drysdale, An Introduction to Fire Dynamics). Soot
-  absorbs as 1 / wavelength; at 1500 K and 0.6 um that is C2 / (3.83 T wavelength) = 4.2 times the mean over its own
-  radiation.
+Sources of the figures:
+
+- Absorption. Total (infrared) coefficients of flames, 1/m: LPG 1.4, gasoline 2.1 (V. Babrauskas, Estimating large pool
+  fire burning rates, Fire Technology 19, 1983, doi 10.1007/BF02380810), wood cribs 0.8 (Drysdale, An Introduction to
+  Fire Dynamics). The tables of these two were not at hand: the figures are quoted from memory.
+- Soot absorbs as 1 / wavelength. The mean of that over Planck's radiation of T is 3.83 T / C2, with
+  3.83 = Gamma(5) zeta(5) / (Gamma(4) zeta(4)), so that at 1500 K and 0.6 um soot absorbs C2 / (3.83 T wavelength) =
+  4.2 times as much as on the mean. Of the soot itself only this ratio is used, and no volume fraction. (Between
+  Planck's mean and Rosseland's, 3.60, lies the usual 3.72 of Modest, Radiative Heat Transfer.)
 - A small laminar flame holds its soot in a thin sheet of several ppm (Santoro et al., Combustion and Flame 51, 1983),
   which a mean over a large turbulent flame is not: its optical thickness is taken as at least `LEAST_THICKNESS`. In
   large ones soot lies in folds, between which one sees deeper than through the mean: at most `MOST_THICKNESS`. Both are
-  our choice.
+  our choice, and so are the place, width and density of the thin sheets: those with which the demo's and a campfire's
+  pictures are as bright as before, and their texture nearest to the filmed fires' (`docs/how_real.md`).
 - Soot of 1400 to 1950 K, and its distribution over ``flame``: chosen by eye and by the colours of the paper's filmed
   fires (`gof_benchmark.evidence.flame_looks`).
 """
@@ -42,10 +51,15 @@ REFERENCE_K = 1900.0
 REFERENCE_RADIANCE = 14.0
 """Linear scene radiance of red of a black body of REFERENCE_K: Filmic shows it nearly white. In truth a flame is
 thousands of times brighter than a room, which no picture shows."""
+SHEET_AT, SHEET_WITHIN, SHEET_DENSITY = 0.32, (0.22, 0.44), 4.0
+"""Of thin sheets: the reaction where most soot is, between which values there is any, and how much denser it is."""
 COOLEST = 0.72
 """Temperature of the last soot, at the tips and edges, over that of the hottest: it cools by its own radiation."""
 BLUE = (0.10, 0.32, 1.0)
 """Colour of burning fuel before there is soot: bands of CH at 431 nm and C2 at 516 nm."""
+_U = 0.75  # of a cell from the neighbour below the one a quarter below
+QUARTER = np.array([(1 - _U) ** 3, 3 * _U**3 - 6 * _U**2 + 4, -3 * _U**3 + 3 * _U**2 + 3 * _U + 1, _U**3, 0.0]) / 6
+"""Weights of the five cells around, for the cubic B-spline a quarter of a cell below a cell's centre."""
 STOPS = 32  # of the tables: as many as a colour ramp in Blender holds
 
 
@@ -83,15 +97,21 @@ class Sheet:
         return sooty * of_soot + (1 - sooty) * of_blue
 
 
-def sheet(fuel: Fuel, diameter_m: float, intensity: float = 1.0) -> Sheet:
+def sheet(fuel: Fuel, diameter_m: float, intensity: float = 1.0, thin: bool = False) -> Sheet:
     """The tables of a fuel on a burner of this width, > 0.
 
     Args:
         intensity: factor on all light.
+        thin: whether soot lies in thin sheets, or in all that burns.
     """
     flame = np.linspace(0, 1, STOPS)
-    share = smoothstep(flame, 0.05, 0.45) * (1 - 0.7 * smoothstep(flame, 0.55, 0.95))
-    cold = COOLEST + (1 - COOLEST) * smoothstep(flame, 0.0, 0.65) - 0.05 * smoothstep(flame, 0.8, 1.0)
+    if thin:
+        low, high = SHEET_WITHIN
+        share = SHEET_DENSITY * smoothstep(flame, low, SHEET_AT) * (1 - smoothstep(flame, SHEET_AT, high))
+    else:
+        share = smoothstep(flame, 0.05, 0.45) * (1 - 0.7 * smoothstep(flame, 0.55, 0.95))
+    warms = (0.05, 0.5) if thin else (0.0, 0.65)
+    cold = COOLEST + (1 - COOLEST) * smoothstep(flame, *warms) - 0.05 * smoothstep(flame, 0.8, 1.0)
     thickness = np.clip(VISIBLE_OVER_TOTAL * fuel.absorption_per_m * diameter_m, LEAST_THICKNESS, MOST_THICKNESS)
     absorption = share * fuel.sooty * float(thickness) / diameter_m
     by_colour = WAVELENGTHS_UM[0] / np.array(WAVELENGTHS_UM)  # soot absorbs as 1 / wavelength
@@ -99,6 +119,25 @@ def sheet(fuel: Fuel, diameter_m: float, intensity: float = 1.0) -> Sheet:
     thin = smoothstep(flame, 0.02, 0.25) * (1 - smoothstep(flame, 0.35, 0.8))
     blue = thin[:, None] * np.array(BLUE) * fuel.blue / diameter_m
     return Sheet(intensity * emission, absorption, intensity * blue, fuel.onset * diameter_m)
+
+
+def within_cells(flame: np.ndarray) -> np.ndarray:
+    """(8, X, Y, Z) of a grid (X, Y, Z): its cubic B-spline at eight places in each cell, a quarter of a cell from the
+    middle along each axis. Beyond the grid it is as at its sides."""
+    found = np.asarray(flame, float)[None]
+    for axis in (1, 2, 3):
+        padded = np.concatenate([found.take([0, 0], axis), found, found.take([-1, -1], axis)], axis)
+        there = [
+            sum(weight * _part(padded, axis, start) for start, weight in enumerate(weights))
+            for weights in (QUARTER, QUARTER[::-1])
+        ]
+        found = np.concatenate(there)
+    return found
+
+
+def _part(padded: np.ndarray, axis: int, start: int) -> np.ndarray:
+    """Of a grid with two more cells at both ends of an axis, the cells from `start` on, as many as it had."""
+    return padded.take(range(start, start + padded.shape[axis] - 4), axis)
 
 
 def soot_share(height_m: np.ndarray, onset_m: float) -> np.ndarray:

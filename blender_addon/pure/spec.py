@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,85 +17,21 @@ from typing import Any, Literal
 from . import effects as effect_modules
 from .checked_json import SpecError, from_dict, require
 from .clip import Clip
-from .fires import Domain, Fire, GridFire, Vector
+from .fires import Domain, Fire, GridFire
 from .fuels import FUELS, Fuel
 from .io import FileFormatError
 from .io.files import is_name, path_in, read_json, write_json
 from .presets import PRESETS
+from .rig import Rig
 from .similarity import Constants, scaled, unscaled
+from .spec_versions import from_version_1
 from .timeline import Timeline
 
 SCHEMA = "gof-scene"
 VERSION = 2
-VERSION_1_FIRE = {"light": "reaction", "speeds": "solver"}
 MOST_PICTURES = 100_000
-MOST_PIXELS = 65_536  # along a side; Blender renders no larger
 BACKGROUND = "background.blend"  # of a dataset: the surroundings that a spec's .blend gave it
 LAST_FRAME = 1_048_574  # Blender counts no further
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where a camera stands and how it is turned, instead of its place on the arc."""
-
-    position: Vector
-    """World metres."""
-    rotation: tuple[float, float, float, float]
-    """Quaternion (w, x, y, z) from Blender's camera axes (x right, y up, looking along -z) to the world."""
-
-    def __post_init__(self):
-        length = math.hypot(*self.rotation)
-        require(abs(length - 1) < 1e-3, "cameras.placed.rotation", "a unit quaternion", self.rotation)
-
-
-@dataclass(frozen=True)
-class Rig:
-    """Cameras on a horizontal arc around the point they look at, or each where it was placed."""
-
-    count: int = 3
-    """Number of cameras, evenly spaced on the arc."""
-    eval_count: int = 0
-    """Additional cameras that no method may train on (role "eval"), between and above the others."""
-    arc_deg: float = 70.0
-    """Angle between the first and the last camera."""
-    azimuth_deg: float = -90.0
-    """Direction from the look-at point to the middle of the arc, counter-clockwise from +X."""
-    radius: float = 2.8
-    """Horizontal distance from the look-at point, metres."""
-    height: float = 0.9
-    """Z of the camera centres, metres."""
-    look_at: Vector = (0.0, 0.0, 0.75)
-    """Point on every optical axis, world metres."""
-    focal_mm: float = 50.0
-    """Focal length for a sensor whose long side is 36 mm."""
-    sensor_px: tuple[int, int] = (1280, 720)
-    """Pixels of the sensor: (along its rows, number of rows)."""
-    roll_deg: Literal[0, 90, 180, -90] = 90
-    """Rotation of the camera body about its viewing direction, clockwise seen from behind. Images are stored
-    upright, so 90 and -90 give portrait images whose columns are the sensor's rows."""
-    placed: tuple[Pose, ...] = ()
-    """Poses of all cameras, those for evaluation last, when they do not stand on the arc. Poses are of the upright
-    images: they do not contain the roll."""
-
-    def __post_init__(self):
-        require(self.count >= 1, "cameras.count", "at least 1", self.count)
-        require(self.eval_count >= 0, "cameras.eval_count", "0 or more", self.eval_count)
-        require(0.0 <= self.arc_deg < 360.0, "cameras.arc_deg", "in [0, 360)", self.arc_deg)
-        require(self.radius > 0, "cameras.radius", "positive", self.radius)
-        require(1 <= self.focal_mm <= 5000, "cameras.focal_mm", "in [1, 5000] mm", self.focal_mm)
-        total = self.count + self.eval_count
-        require(len(self.placed) in (0, total), "cameras.placed", f"empty, or {total} poses", len(self.placed))
-        sides = min(self.sensor_px) >= 16 and max(self.sensor_px) <= MOST_PIXELS
-        require(sides, "cameras.sensor_px", f"16 to {MOST_PIXELS} pixels each way", self.sensor_px)
-
-    @property
-    def portrait(self) -> bool:
-        return self.roll_deg in (90, -90)
-
-    @property
-    def names(self) -> list[str]:
-        """All cameras, those for evaluation last."""
-        return [f"cam_{index}" for index in range(self.count)] + [f"eval_{index}" for index in range(self.eval_count)]
 
 
 @dataclass(frozen=True)
@@ -301,7 +236,7 @@ class SceneSpec:
         if schema != SCHEMA or version not in (1, VERSION):
             raise SpecError(f'expected "schema": "{SCHEMA}", "version": {VERSION}, got {schema!r}, version {version!r}')
         if version == 1:
-            data = _from_version_1(data)
+            data = from_version_1(data)
         effects = data.pop("effects", [])
         require(isinstance(effects, list), "effects", "a list", effects)
         data["effects"] = tuple(_effect_from_dict(item) for item in effects)
@@ -349,23 +284,6 @@ def load(path: str | os.PathLike) -> SceneSpec:
 def save(spec: SceneSpec, path: str | os.PathLike) -> None:
     """Write a spec as JSON, atomically; paths of files beside it become relative."""
     write_json(Path(path), spec.relative_to(Path(path).parent).to_dict(), indent=2)
-
-
-def _from_version_1(data: dict) -> dict:
-    """Of a spec of version 1 the same fire in the words of today: its defaults were those of our first fires."""
-    fire = data.get("fire", {})
-    if isinstance(fire, dict) and "grids" not in fire:
-        data = data | {"fire": VERSION_1_FIRE | fire}
-    listed = data.get("effects", [])
-    if isinstance(listed, list):
-        data = data | {"effects": [_effect_from_version_1(item) for item in listed]}
-    return data
-
-
-def _effect_from_version_1(item: Any) -> Any:
-    if isinstance(item, dict) and item.get("name") == "wind":
-        return {"strength": 0.3, "unit": "field"} | item
-    return item
 
 
 def _effect_from_dict(item: Any) -> Any:

@@ -25,7 +25,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> FireObjects:
 
 
 def _look(spec: SceneSpec) -> bpy.types.Material:
-    if spec.fire.light == "reaction":
+    if not spec.fire.dims:
         return material.flame(spec.fuel, spec.fire.intensity)
     middle = spec.domain.min[2] + spec.domain.size[2] / 2  # where the domain's own axes begin
     return material.soot_flame(spec.fire.sheet, spec.fire.burner.bottom - middle)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..pure.io.velocity_store import scalar
 from ..pure.layout import Layout
+from ..pure.soot import within_cells
 from ..pure.spec import SceneSpec
 from ..pure.watch import Watch
 from . import fire, material, velocity
@@ -19,7 +20,7 @@ from .fire_objects import FireObjects, find_flame
 
 QUANTITIES = {"flame": "flame_grid", "heat": "heat_grid", "density": "density_grid"}
 """Names of scalar grids and their attributes in Blender. flame is the reaction, 0 to 1; heat and density are in the
-solver's units. With the light "soot" flame is what a metre emits, mean over the colours."""
+solver's units. Of a flame that glows by its soot it is what a metre emits, mean over the colours and over the cell."""
 
 
 class MantaflowSource:
@@ -31,7 +32,7 @@ class MantaflowSource:
         self._spec = spec
         self.contents = {name: scalar(name) for name in QUANTITIES}
         # Of soot the flame grid is the light itself, as in a fire of grids: no power of the reaction is its light.
-        glows = spec.fire.light == "soot"
+        glows = spec.fire.dims
         self.contents["flame"] = scalar("flame", "linear scene radiance per metre") if glows else scalar("flame")
         self.contents["flame"]["light_exponent"] = 1.0 if glows else material.FLAME_EXPONENT
 
@@ -69,10 +70,13 @@ class MantaflowSource:
     def scalars(self, blender_frame: int) -> dict[str, np.ndarray]:
         bpy.context.scene.frame_set(blender_frame)
         found = dict(self._read_scalars())
-        if self._spec.fire.light == "soot":
+        if self._spec.fire.dims:
             matrix = self.index_to_world
             height = matrix[2, 3] + matrix[2, 2] * (np.arange(found["flame"].shape[2]) + 0.5)
-            light = self._spec.fire.sheet.light(found["flame"], height - self._spec.fire.burner.bottom)
+            height -= self._spec.fire.burner.bottom
+            # Thin sheets are narrower than cells: their light is the mean over places in each.
+            places = within_cells(found["flame"]) if self._spec.fire.light == "sheets" else found["flame"][None]
+            light = sum(self._spec.fire.sheet.light(place, height) for place in places) / len(places)
             found["flame"] = light.astype(np.float32)
         return found
 

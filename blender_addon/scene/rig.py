@@ -8,7 +8,8 @@ from mathutils import Matrix, Quaternion, Vector
 
 from ..pure import camera_poses
 from ..pure.description import CameraEntry
-from ..pure.spec import Rig, SceneSpec
+from ..pure.rig import Rig
+from ..pure.spec import SceneSpec
 
 SENSOR_MM = 36.0  # long side of the sensor
 READOUT = {0: "down", 90: "left", 180: "up", -90: "right"}

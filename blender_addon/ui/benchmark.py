@@ -1,6 +1,5 @@
 """Panel "Benchmark": a dataset with exact ground truth, made by Blender processes beside this one."""
 
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from ..pure.spec import BACKGROUND, BlendFile, SceneSpec
 from ..scene import place
 from ..scene.view import require_display
 from . import scene_spec
-from .job_operator import JobOperator
+from .job_operator import JobOperator, blender
 from .panel import SidebarPanel, show_text, write_lines
 
 PURPOSE = {
@@ -144,7 +143,7 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
         layout.claim(spec)
         if _brings_its_scene(spec, layout) and not layout.bake_marker.is_file():
             _copy_scene(context.scene, layout.background)
-        return Job(spec, layout, _blender())
+        return Job(spec, layout, blender())
 
     def finish(self, context, job: Job) -> str:
         return f"Dataset finished: {job.layout.root}"
@@ -295,13 +294,6 @@ def _draw_job(layout, context, job: Job) -> None:
         box.label(text=f"{'|' * filled}{'.' * (20 - filled)}  {100 * job.fraction:.0f} %")
     write_lines(box, context, str(job), "TIME")
     box.operator(GOF_OT_stop_benchmark.bl_idname, text="Stop", icon="CANCEL")
-
-
-def _blender() -> list[str]:
-    """A command that runs Python code in another process of this Blender, without a window."""
-    if getattr(bpy.app, "module", False):  # the bpy wheel: Blender is a module of Python
-        return [sys.executable, "-c"]
-    return [bpy.app.binary_path, "-b", "--factory-startup", "--python-exit-code", "1", "--python-expr"]
 
 
 def _copy_scene(scene: bpy.types.Scene, path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import bpy
 
 from ..pure.checked_json import SpecError
@@ -96,6 +98,13 @@ class JobOperator:
         context.window_manager.event_timer_remove(self._timer)
         context.workspace.status_text_set(None)
         _redraw(context)
+
+
+def blender() -> list[str]:
+    """A command that runs Python code in another process of this Blender, without a window."""
+    if getattr(bpy.app, "module", False):  # the bpy wheel: Blender is a module of Python
+        return [sys.executable, "-c"]
+    return [bpy.app.binary_path, "-b", "--factory-startup", "--python-exit-code", "1", "--python-expr"]
 
 
 def _is_playing(context) -> bool:

@@ -14,7 +14,8 @@ from mathutils import Matrix, Vector
 
 from ..pure.checked_json import SpecError
 from ..pure.clip import Clip
-from ..pure.spec import Display, Domain, Fire, Pose, Render, Rig, SceneSpec
+from ..pure.rig import Pose, Rig
+from ..pure.spec import Display, Domain, Fire, Render, SceneSpec
 from ..scene import place, rig
 from . import effect_groups
 from .effect_groups import exact

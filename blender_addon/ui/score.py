@@ -5,10 +5,10 @@ from pathlib import Path
 import bpy
 
 from ..pure.io import FileFormatError, velocity_reader
-from ..pure.score_process import INSTALL, Evaluation, EvaluationError
+from ..pure.score_process import Evaluation, EvaluationError
 from ..scene import error_cloud, point_cloud
 from . import preferences
-from .job_operator import JobOperator
+from .job_operator import JobOperator, blender
 from .panel import SidebarPanel, write_lines
 
 
@@ -21,7 +21,8 @@ class GOF_PG_score(bpy.types.PropertyGroup):
     python: bpy.props.StringProperty(
         name="Python",
         subtype="FILE_PATH",
-        description="Python that gof is installed in, such as .venv/bin/python; the preferences keep one for all files",
+        description="Python that gof is installed in, such as .venv/bin/python; the preferences keep one for all "
+        "files. Without one the add-on scores by itself, with the same numbers",
     )
     numbers: bpy.props.StringProperty(description="The last scores, one 'name: value' per line")
     centres: bpy.props.StringProperty(description="The last velocity error at the Gaussians' centres")
@@ -42,7 +43,7 @@ class _ScoreOperator:
 
 
 class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
-    """Compute DVE of the selected reconstruction with `gof evaluate`; needs a Python that gof is installed in"""
+    """Compute DVE of the selected reconstruction: by `gof evaluate` where Python is set, otherwise by the add-on"""
 
     bl_idname = "gof.score"
     bl_label = "Compute Score"
@@ -54,19 +55,16 @@ class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
     def begin(self, context) -> Evaluation:
         settings, thing = context.scene.gof.score, _cloud(context)
         python = settings.python or preferences.python()
-        if not python:
-            raise EvaluationError(f"Set Python to the one that has gof, or {INSTALL}")
         if "gof_source" not in thing:
             raise EvaluationError(f"{thing.name}: not imported from a file; import the reconstruction again")
-        return Evaluation(
-            Path(bpy.path.abspath(python)),
-            Path(thing["gof_source"]),
-            Path(bpy.path.abspath(settings.dataset)),
-            thing.get("gof_time_unit", 0.0),
-        )
+        result, dataset = Path(thing["gof_source"]), Path(bpy.path.abspath(settings.dataset))
+        unit_s = thing.get("gof_time_unit", 0.0)
+        if python:
+            return Evaluation.by_gof(Path(bpy.path.abspath(python)), result, dataset, unit_s)
+        return Evaluation.by_addon(blender(), result, dataset, unit_s)
 
     def finish(self, context, job: Evaluation) -> str:
-        rows = job.scores.rows()
+        rows = [*job.scores.rows(), ("Computed by", job.by)]
         context.scene.gof.score.numbers = "\n".join(f"{name}: {value}" for name, value in rows)
         return ", ".join(f"{name} {value}" for name, value in rows)
 

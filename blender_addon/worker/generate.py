@@ -28,7 +28,6 @@ import json
 import os
 import shutil
 import sys
-import threading
 import time
 import traceback
 from pathlib import Path
@@ -40,7 +39,7 @@ from ..pure.effects import encodes, shows_board
 from ..pure.io.files import write_json
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
-from .reporter import Reporter, leave, peak_mb
+from .reporter import Reporter, leave, peak_mb, run_alone
 
 GENERATOR_VERSION = "0.2.0"
 
@@ -244,10 +243,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run(argv: list[str]) -> None:
-    """Run one stage as the only work of this process, and leave it; leave at once when standard input closes, which is
-    when the process that started this one ends."""
-    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(1)), daemon=True).start()
-    leave(main(argv))
+    """One stage as the only work of this process."""
+    run_alone(main, argv)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 
@@ -48,3 +50,10 @@ def leave(status: int) -> None:
 
         mantaflow.leave(status)
     sys.exit(status)
+
+
+def run_alone(main: Callable[[list[str]], int], argv: list[str]) -> None:
+    """Run a worker's command line as the only work of this process, and leave it; leave at once when standard input
+    closes, which is when the process that started this one ends."""
+    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(1)), daemon=True).start()
+    leave(main(argv))

@@ -1,4 +1,4 @@
-"""The panel Score in real Blender: DVE by `gof evaluate` in another Python, truth at the centres, error views."""
+"""The panel Score in real Blender: DVE by `gof evaluate` or by the add-on, truth at the centres, error views."""
 
 import subprocess
 import sys
@@ -90,6 +90,32 @@ result["kept"] = bpy.context.scene.gof.score.numbers.splitlines() == result["num
     assert {f"DVE L2: {wanted.l2:.3f}", f"DVE CosSim: {wanted.cos_sim:.3f}"} <= set(found["numbers"])
 
 
+@pytest.mark.blender
+def test_without_a_python_the_addon_scores_by_itself(folder):
+    """In another process of this Blender, without gof, torch or mitsuba; the numbers are gof's."""
+    found = in_blender(
+        START
+        + """
+settings.dataset = str(folder / "dataset")
+result["answer"] = list(bpy.ops.gof.score())
+result["numbers"] = settings.numbers.splitlines()
+result["foreign"] = sorted({"gof", "torch", "mitsuba", "scipy"} & set(sys.modules))
+""",
+        folder,
+        sys.executable,
+    )
+    wanted = dve_sequence(TransientGaussians.load(folder / "result.npz"), Dataset.open(folder / "dataset").velocity)
+    assert found["answer"] == ["FINISHED"] and found["foreign"] == []
+    assert set(found["numbers"]) >= {
+        f"DVE L2: {wanted.l2:.3f}",
+        f"DVE CosSim: {wanted.cos_sim:.3f}",
+        f"L2 of one vector: {wanted.controls['constant'].l2:.3f}",
+        f"Weight outside: {100 * wanted.pooled.weight_outside:.0f} %",
+        "Frames: 4",
+        "Computed by: the add-on",
+    }
+
+
 @pytest.mark.long
 def test_weight_outside_is_a_percentage_of_the_weight(folder, tmp_path):
     """Nothing but two Gaussians of the same size and light at the same time: one in the domain, one far from it."""
@@ -165,7 +191,7 @@ result["poll of a view"] = bpy.ops.gof.show_errors.poll()
 @pytest.mark.parametrize(
     "setup, message",
     [
-        ("settings.python = ''", "Set Python to the one that has gof"),
+        ("settings.python, settings.dataset = '', str(folder)", "dataset.json"),
         ("settings.python = '/nowhere/python'", "cannot be run"),
         ("settings.python = str(folder / 'bare' / 'bin' / 'python')", "this Python has no gof; install it there"),
         ("settings.dataset = str(folder)", "dataset.json"),
@@ -200,7 +226,7 @@ def bare_python(folder) -> Path:
 
 
 def test_evaluation_can_be_stopped(folder):
-    run = Evaluation(Path(sys.executable), folder / "result.npz", folder / "dataset")
+    run = Evaluation.by_gof(Path(sys.executable), folder / "result.npz", folder / "dataset")
     assert run.poll()
     scratch = run._folder
     run.stop()
@@ -210,4 +236,4 @@ def test_evaluation_can_be_stopped(folder):
 @pytest.mark.long
 def test_a_failing_evaluation_says_what_gof_said(folder):
     with pytest.raises(EvaluationError, match=r"gof evaluate: .*nothing\.npz"):
-        Evaluation(Path(sys.executable), folder / "nothing.npz", folder / "dataset").run()
+        Evaluation.by_gof(Path(sys.executable), folder / "nothing.npz", folder / "dataset").run()

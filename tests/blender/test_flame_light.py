@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
+from scipy.ndimage import map_coordinates
 
 from gof.dataset import Dataset
 from gof_benchmark.commands import generate
@@ -31,20 +33,54 @@ def test_black_bodies_follow_plancks_law(kelvin):
     np.testing.assert_allclose(soot.black_body(np.array(kelvin)), expected, rtol=0.05)  # white is not quite Wien's
 
 
+def test_soot_absorbs_red_light_more_than_heat_by_plancks_mean():
+    """Of 1 / wavelength over Planck's radiation, summed over wavelengths at 1500 K."""
+    wavelength = np.geomspace(2e-7, 2e-3, 20001)
+    radiance = 1 / wavelength**5 / np.expm1(PLANCK * LIGHT / (wavelength * BOLTZMANN * 1500))
+    mean = trapezoid(radiance / wavelength, wavelength) / trapezoid(radiance, wavelength)
+    assert 1 / 0.6e-6 / mean == pytest.approx(soot.VISIBLE_OVER_TOTAL, rel=0.01)
+
+
+@pytest.mark.parametrize("thin", [False, True])
 @pytest.mark.parametrize("fuel", [name for name, fuel in FUELS.items() if fuel.sooty])
-def test_what_absorbs_shines_as_a_black_body_and_no_brighter(fuel):
-    sheet = soot.sheet(FUELS[fuel], 0.3)
+def test_what_absorbs_shines_as_a_black_body_and_no_brighter(fuel, thin):
+    sheet = soot.sheet(FUELS[fuel], 0.3, thin=thin)
     red = sheet.emission[1:, 0] / sheet.absorption[1:].clip(1e-9)
     lit = sheet.absorption[1:] > 0
     assert red[lit].max() <= soot.black_body(np.array(FUELS[fuel].soot_k))[0] * (1 + 1e-9)
     assert sheet.absorption[0] == 0 and not sheet.emission[0].any() and not sheet.blue[0].any(), "air is dark"
 
 
-def test_a_flame_is_never_brighter_by_its_size_than_a_black_body():
+def test_thin_sheets_are_where_the_reaction_passes_their_value_and_nowhere_else():
+    """On a steady slope from fuel to air there is one sheet."""
+    sheet = soot.sheet(FUELS["propane_high"], 0.26, thin=True)
+    light = sheet.light(np.linspace(0, 1, 1001)[:, None], np.array([1.0]))[:, 0]
+    shines = np.linspace(0, 1, 1001)[light > 0.01 * light.max()]
+    assert 0.2 < shines.min() < soot.SHEET_AT < shines.max() < 0.46 and np.ptp(shines) < 0.25
+
+
+@pytest.mark.parametrize("shape", [(5, 6, 7), (3, 1, 2)])
+def test_places_within_cells_are_those_of_the_spline_that_cycles_draws(shape):
+    """Against scipy's cubic B-spline without its filter; the mean over a cell of a constant is that constant."""
+    grid = np.random.default_rng(0).random(shape)
+    places = soot.within_cells(grid)
+    found = {tuple(p.ravel()) for p in places.round(9)}
+    for side in np.ndindex(2, 2, 2):
+        at = (
+            np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"))
+            + (np.array(side) / 2 - 0.25)[:, None, None, None]
+        )
+        expected = map_coordinates(np.pad(grid, 3, "edge"), at + 3, order=3, prefilter=False)
+        assert tuple(expected.ravel().round(9)) in found
+    np.testing.assert_allclose(soot.within_cells(np.full(shape, 0.3)), 0.3)
+
+
+@pytest.mark.parametrize("thin", [False, True])
+def test_a_flame_is_never_brighter_by_its_size_than_a_black_body(thin):
     """Through its middle: of 1 cm, of a campfire, of 4 m; without the factor each metre would add the same."""
     seen = []
     for fuel, diameter in (("propane_low", 0.01), ("wood", 0.5), ("gasoline", 4.0)):
-        sheet = soot.sheet(FUELS[fuel], diameter)
+        sheet = soot.sheet(FUELS[fuel], diameter, thin=thin)
         most = int(np.argmax(sheet.emission[:, 0]))
         thickness = sheet.absorption[most] * diameter
         seen.append(sheet.emission[most, 0] / sheet.absorption[most] * -math.expm1(-thickness))

@@ -27,7 +27,8 @@ from gof_blender.pure.clip import Clip
 from gof_blender.pure.cost_model import REFERENCE, cells, predict
 from gof_blender.pure.effects import motion_blur, wind
 from gof_blender.pure.layout import Layout
-from gof_blender.pure.spec import Domain, GridFire, Render, Rig, SceneSpec
+from gof_blender.pure.rig import Rig
+from gof_blender.pure.spec import Domain, GridFire, Render, SceneSpec
 from tests.blender.runs import channels
 
 CELL_M, GRID, STEP_S = 0.0125, (40, 36, 48), 0.02  # the stored clock is 0, 0.02, ... 0.08 s

@@ -19,7 +19,8 @@ from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.effects import moving_emitter, obstacles
 from gof_blender.pure.fires import Domain, Fire
 from gof_blender.pure.layout import Layout
-from gof_blender.pure.spec import BlendFile, Clip, Display, Pose, Render, Rig, SceneSpec
+from gof_blender.pure.rig import Pose, Rig
+from gof_blender.pure.spec import BlendFile, Clip, Display, Render, SceneSpec
 from tests.blender.runs import in_blender
 
 PLAIN = SceneSpec("plain", background="studio")

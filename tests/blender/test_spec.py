@@ -16,7 +16,8 @@ from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import motion_blur, rolling_shutter, smoke, vorticity, wind
-from gof_blender.pure.spec import Domain, Fire, Render, Rig, SceneSpec
+from gof_blender.pure.rig import Rig
+from gof_blender.pure.spec import Domain, Fire, Render, SceneSpec
 
 SCENE_EFFECTS = Path(__file__).parents[2] / "blender_addon" / "scene" / "effects"
 

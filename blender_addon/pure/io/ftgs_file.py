@@ -9,6 +9,7 @@ from .cloud import splats
 from .ply_file import PlyVertices, columns
 
 PROPERTIES = ("time", "log_duration", "velocity_0", "velocity_1", "velocity_2")
+CLIP = "gof_clip_s"  # comment of `gof convert`: seconds of its times 0 and 1
 
 
 def matches(ply: PlyVertices) -> bool:
@@ -19,7 +20,8 @@ def read(ply: PlyVertices, clip_s: float | None, fps: float, step: int) -> dict[
     """Fields of a GaussianCloud, in seconds and metres per second; its world is taken as it is.
 
     Args:
-        clip_s: seconds from the first to the last frame; None = the file's number of frames at fps.
+        clip_s: seconds from the first to the last frame; None = what the file says, or its number of
+            frames at fps.
 
     Raises:
         FileFormatError: another version or time unit, missing comments or properties, or no way to know the seconds.
@@ -31,9 +33,14 @@ def read(ply: PlyVertices, clip_s: float | None, fps: float, step: int) -> dict[
     try:
         shortest, moving = float(words["min_duration"]), words["use_velocity"] == "1"
         frames = int(words.get("n_frames", 0))
+        first, last = map(float, words[CLIP].split()) if CLIP in words else (0.0, 0.0)
     except (KeyError, ValueError) as error:
         raise FileFormatError(f"{ply.path}: header comment {error} is missing or not a number") from None
-    seconds = clip_s or (frames - 1) / fps
+    if clip_s or not last > first:  # what the user says goes first
+        first = 0.0
+        seconds = clip_s or (frames - 1) / fps
+    else:
+        seconds = last - first
     if not seconds > 0:
         raise FileFormatError(
             f"{ply.path}: its time runs from 0 to 1 and the file does not say how many seconds that is; set "
@@ -51,7 +58,7 @@ def read(ply: PlyVertices, clip_s: float | None, fps: float, step: int) -> dict[
         t_sigma = np.maximum(np.exp(log_duration), shortest) * seconds
     return splats(rows, ply.path) | {
         "velocity": velocity * moving,
-        "t_mu": time * seconds,
+        "t_mu": first + time * seconds,
         "t_sigma": t_sigma,
         "dynamic": np.ones(len(rows), bool),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,31 @@ def of_dataset(dataset: Path) -> TrueVelocity:
     if not name:
         raise FileFormatError(f"{dataset}: the dataset has no true velocity (a real capture?); choose a generated one")
     return TrueVelocity(path_in(dataset, name))
+
+
+@dataclass(frozen=True)
+class Window:
+    """Cells of one stored frame, in memory.
+
+    Attributes:
+        cells: (x, y, z, 3) float32 m/s.
+        start: (3,) index of the first of them in the whole grid.
+        grid: cells of the whole grid.
+        world_to_index: (4, 4) world metres to continuous cell index, of the whole grid.
+    """
+
+    cells: np.ndarray
+    start: np.ndarray
+    grid: tuple[int, int, int]
+    world_to_index: np.ndarray
+
+    def coordinate(self, points: np.ndarray) -> np.ndarray:
+        """World points (N, 3) to continuous cell index: the centre of cell i has i + 0.5."""
+        return points @ self.world_to_index[:3, :3].T + self.world_to_index[:3, 3]
+
+    def contains(self, coordinate: np.ndarray) -> np.ndarray:
+        """Whether continuous cell indices (N, 3) lie in the whole grid, (N,)."""
+        return ((coordinate >= 0) & (coordinate <= self.grid)).all(1)
 
 
 class TrueVelocity:
@@ -54,6 +80,18 @@ class TrueVelocity:
                 if len(rows):
                     out[rows] += share[rows, None] * self._sample(number, index[rows] - 0.5)
         return out, inside
+
+    def window(self, number: int, low: np.ndarray, high: np.ndarray) -> Window:
+        """The cells of a stored frame that points between two world corners (3,) are interpolated from.
+
+        Raises:
+            FileFormatError: a chunk is damaged.
+        """
+        to_index, grid = self._stored.world_to_index, self._stored.grid
+        corners = np.where(np.array(list(np.ndindex(2, 2, 2))), high, low) @ to_index[:3, :3].T + to_index[:3, 3]
+        start = np.clip(np.floor(corners.min(0) - 0.5), 0, np.array(grid) - 1).astype(int)
+        stop = np.clip(np.floor(corners.max(0) - 0.5) + 2, start + 1, grid).astype(int)
+        return Window(self._stored.cells(number, start, stop), start, grid, to_index)
 
     def _sample(self, number: int, coordinate: np.ndarray) -> np.ndarray:
         """Values (N, 3) of a frame at coordinates counted from the first cell's centre; reads only the cells around."""

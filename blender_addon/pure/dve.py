@@ -1,0 +1,198 @@
+"""DVE of a reconstruction against the true velocity of a dataset, with numpy only.
+
+The protocol is that of docs/dve.md, in its default form: three Gauss-Hermite nodes an axis, opacity at each time,
+moving Gaussians only, every stored frame of the clip. `gof evaluate` computes the same, and more besides; a test holds
+the two against each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .description import DatasetDescription
+from .io import FileFormatError
+from .io.cloud import GaussianCloud
+from .io.trilinear import trilinear
+from .io.velocity_reader import TrueVelocity, of_dataset
+from .scores import Control, Controls, Scores, VelocityScore
+
+NODE = np.sqrt(3.0)  # roots of He_3: -NODE, 0, NODE, with the weights 1/6, 2/3, 1/6
+NODES = NODE * (np.array(list(np.ndindex(3, 3, 3))) - 1.0)
+WEIGHTS = np.prod(np.where(NODES == 0, 2 / 3, 1 / 6), axis=1)
+BATCH = 1200  # Gaussians whose nodes are held at once
+CULL_SHARE = 1e-9  # of weight, and of weighted squared speed, that may be skipped in a frame
+CLAMP = 40.0  # lifetimes away from its moment a Gaussian is gone in any precision
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The moving Gaussians at one time: weight (M,) m^3; velocity, truth (M, 3) m/s; inside (M,), share in the box."""
+
+    weight: np.ndarray
+    velocity: np.ndarray
+    truth: np.ndarray
+    inside: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Weighted sums over the Gaussians of one or more frames. Weights in m^3, speeds in m/s."""
+
+    weight: float = 0.0
+    error2: float = 0.0
+    truth2: float = 0.0
+    cosine: float = 0.0
+    outside: float = 0.0
+    truth: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __add__(self, other: Sums) -> Sums:
+        plain = {name: getattr(self, name) + getattr(other, name) for name in vars(self) if name != "truth"}
+        return Sums(**plain, truth=tuple(np.add(self.truth, other.truth).tolist()))
+
+    @classmethod
+    def of(cls, frame: Frame) -> Sums:
+        weight, velocity, truth = frame.weight, frame.velocity, frame.truth
+        norms = np.linalg.norm(velocity, axis=1) * np.linalg.norm(truth, axis=1)
+        dot = (velocity * truth).sum(1)
+        cosine = np.divide(dot, norms, out=np.zeros_like(dot), where=norms > 0)  # no direction, no agreement
+        return cls(
+            weight=float(weight.sum()),
+            error2=float((weight * ((velocity - truth) ** 2).sum(1)).sum()),
+            truth2=float((weight * (truth**2).sum(1)).sum()),
+            cosine=float((weight * np.clip(cosine, -1, 1)).sum()),
+            outside=float((weight * (1 - frame.inside)).sum()),
+            truth=tuple((weight[:, None] * truth).sum(0).tolist()),
+        )
+
+    @property
+    def l2(self) -> float | None:
+        """Relative L2 error; None where the truth stands still."""
+        return float(np.sqrt(self.error2 / self.truth2)) if self.truth2 > 0 else None
+
+    @property
+    def l2_constant(self) -> float | None:
+        """Of the best single vector, the mean true velocity: what it leaves is the truth's variance."""
+        if not self.truth2 > 0:
+            return None
+        explained = sum(part**2 for part in self.truth) / self.weight
+        return float(np.sqrt(max(self.truth2 - explained, 0.0) / self.truth2))
+
+
+def frame_rate(dataset: Path) -> float:
+    """Frames per second of a dataset's clip; 24 for a single frame. Raises: FileFormatError: no dataset."""
+    time_s = DatasetDescription.read(dataset).time_s
+    return float(1 / np.median(np.diff(time_s))) if len(time_s) > 1 else 24.0
+
+
+def score(cloud: GaussianCloud, dataset: Path) -> Iterator[tuple[int, int, Scores]]:
+    """Score frame after frame: (frames done, frames in all, the score of those).
+
+    Raises:
+        FileFormatError: no dataset, one without true velocity or of another time, a damaged store; numbered stills,
+            which say no velocity; nothing that moves.
+    """
+    if cloud.begin is not None:
+        raise FileFormatError(
+            "numbered stills say where Gaussians are, not how fast; set Python to one that has gof, which scores them"
+        )
+    if not cloud.dynamic.any():
+        raise FileFormatError("the reconstruction has no moving Gaussian, so there is no velocity to score")
+    truth = of_dataset(dataset)
+    frames = _frames(truth, np.array(DatasetDescription.read(dataset).time_s), dataset)
+    total, scored = Sums(), 0
+    for done, number in enumerate(frames, 1):
+        sums = Sums.of(probe(cloud, truth, number))
+        scored += sums.truth2 > 0
+        total = total + sums
+        yield done, len(frames), _scores(total, scored)
+
+
+def _scores(sums: Sums, frames: int) -> Scores:
+    if sums.weight == 0:
+        none = "no Gaussian has weight at any of the dataset's times: is its time in seconds of the same clock?"
+        return Scores(warnings=(none,))
+    still = sums.truth2 == 0
+    found = VelocityScore(
+        l2=sums.l2,
+        cos_sim=float(np.clip(sums.cosine / sums.weight, -1, 1)),
+        frames_scored=frames,
+        weight_outside=min(sums.outside / sums.weight, 1.0),
+    )
+    controls = Controls(Control(None if still else 1.0), Control(sums.l2_constant))
+    return Scores(found, controls, ("the true velocity is zero wherever there are Gaussians",) if still else ())
+
+
+def _frames(truth: TrueVelocity, clip_s: np.ndarray, dataset: Path) -> list[int]:
+    """Numbers of the stored frames that lie in the clip, half a frame's time around it included."""
+    slack = float(np.median(np.diff(clip_s))) / 2 if len(clip_s) > 1 else 0.0
+    in_clip = (truth.time_s >= clip_s[0] - slack) & (truth.time_s <= clip_s[-1] + slack)
+    if not in_clip.any():
+        raise FileFormatError(
+            f"{dataset}: its true velocity covers {truth.time_s[0]:g} to {truth.time_s[-1]:g} s, its pictures "
+            f"{clip_s[0]:g} to {clip_s[-1]:g} s: make the dataset again"
+        )
+    return np.flatnonzero(in_clip).tolist()
+
+
+def probe(cloud: GaussianCloud, truth: TrueVelocity, number: int) -> Frame:
+    """What lives and moves at a stored frame, with the expected true velocity under each. Raises: FileFormatError."""
+    dt = np.where(cloud.dynamic, truth.time_s[number] - cloud.t_mu, 0.0)
+    position = (cloud.position + dt[:, None] * cloud.velocity).astype(np.float32).astype(float)
+    window = np.exp(-0.5 * np.clip(dt / cloud.t_sigma, -CLAMP, CLAMP) ** 2)
+    opacity = (cloud.opacity * window).astype(np.float32)
+    scale, velocity = cloud.scale.astype(float), cloud.velocity.astype(float)
+    weight = np.where(cloud.dynamic, scale.prod(1) * opacity, 0.0)
+    rows = _not_negligible(weight, weight * (velocity**2).sum(1))
+    mean, inside = expected_velocity(truth, number, position[rows], scale[rows], cloud.rotation[rows])
+    return Frame(weight[rows], velocity[rows], mean, inside)
+
+
+def _not_negligible(weight: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """Rows with weight; the others together hold less than CULL_SHARE of `weight` and of `power`, both (N,) >= 0."""
+    living = max(int(np.count_nonzero(weight)), 1)
+    heavy = weight >= CULL_SHARE * weight.sum() / living
+    strong = power > CULL_SHARE * power.sum() / living
+    return np.flatnonzero((weight > 0) & (heavy | strong))
+
+
+def expected_velocity(
+    truth: TrueVelocity, number: int, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """E[V(X)] for X ~ N(position, R diag(scale^2) R^T) at a stored frame, by 27 nodes; outside its domain V is zero.
+
+    Args:
+        position: (M, 3) m.   scale: (M, 3) standard deviations, m.   rotation: (M, 4) unit quaternions wxyz.
+    Returns:
+        (M, 3) m/s, and (M,) share of the nodes' weight that lies in the domain. Raises: FileFormatError.
+    """
+    mean, inside = np.zeros((len(position), 3)), np.ones(len(position))
+    if not len(position):
+        return mean, inside
+    reach = NODE * np.sqrt(3.0) * scale.max(1, keepdims=True)  # the corner node, whatever the rotation
+    window = truth.window(number, (position - reach).min(0), (position + reach).max(0))
+    for start in range(0, len(position), BATCH):
+        rows = slice(start, start + BATCH)
+        axes = rotation_matrices(rotation[rows]) * scale[rows, None, :]  # columns: own axes times deviation
+        points = position[rows, None, :] + np.einsum("mij,pj->mpi", axes, NODES)
+        coordinate = window.coordinate(points.reshape(-1, 3))
+        within = window.contains(coordinate).reshape(-1, len(WEIGHTS))
+        velocity = trilinear(window.cells, coordinate - 0.5 - window.start).reshape(-1, len(WEIGHTS), 3)
+        mean[rows] = np.einsum("p,mpi->mi", WEIGHTS, velocity * within[..., None])
+        inside[rows] = within @ WEIGHTS
+    inside[inside > 1 - 1e-12] = 1.0  # the weights' own rounding
+    return mean, inside
+
+
+def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
+    """(M, 4) unit quaternions wxyz to (M, 3, 3) float64."""
+    w, x, y, z = quaternion.astype(float).T
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.moveaxis(np.array(rows), 2, 0)

@@ -1,0 +1,76 @@
+"""Cameras of a scene: on an arc around the fire, or each where it was placed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from .checked_json import require
+from .fires import Vector
+
+MOST_PIXELS = 65_536  # along a side; Blender renders no larger
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a camera stands and how it is turned, instead of its place on the arc."""
+
+    position: Vector
+    """World metres."""
+    rotation: tuple[float, float, float, float]
+    """Quaternion (w, x, y, z) from Blender's camera axes (x right, y up, looking along -z) to the world."""
+
+    def __post_init__(self):
+        length = math.hypot(*self.rotation)
+        require(abs(length - 1) < 1e-3, "cameras.placed.rotation", "a unit quaternion", self.rotation)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras on a horizontal arc around the point they look at, or each where it was placed."""
+
+    count: int = 3
+    """Number of cameras, evenly spaced on the arc."""
+    eval_count: int = 0
+    """Additional cameras that no method may train on (role "eval"), between and above the others."""
+    arc_deg: float = 70.0
+    """Angle between the first and the last camera."""
+    azimuth_deg: float = -90.0
+    """Direction from the look-at point to the middle of the arc, counter-clockwise from +X."""
+    radius: float = 2.8
+    """Horizontal distance from the look-at point, metres."""
+    height: float = 0.9
+    """Z of the camera centres, metres."""
+    look_at: Vector = (0.0, 0.0, 0.75)
+    """Point on every optical axis, world metres."""
+    focal_mm: float = 50.0
+    """Focal length for a sensor whose long side is 36 mm."""
+    sensor_px: tuple[int, int] = (1280, 720)
+    """Pixels of the sensor: (along its rows, number of rows)."""
+    roll_deg: Literal[0, 90, 180, -90] = 90
+    """Rotation of the camera body about its viewing direction, clockwise seen from behind. Images are stored
+    upright, so 90 and -90 give portrait images whose columns are the sensor's rows."""
+    placed: tuple[Pose, ...] = ()
+    """Poses of all cameras, those for evaluation last, when they do not stand on the arc. Poses are of the upright
+    images: they do not contain the roll."""
+
+    def __post_init__(self):
+        require(self.count >= 1, "cameras.count", "at least 1", self.count)
+        require(self.eval_count >= 0, "cameras.eval_count", "0 or more", self.eval_count)
+        require(0.0 <= self.arc_deg < 360.0, "cameras.arc_deg", "in [0, 360)", self.arc_deg)
+        require(self.radius > 0, "cameras.radius", "positive", self.radius)
+        require(1 <= self.focal_mm <= 5000, "cameras.focal_mm", "in [1, 5000] mm", self.focal_mm)
+        total = self.count + self.eval_count
+        require(len(self.placed) in (0, total), "cameras.placed", f"empty, or {total} poses", len(self.placed))
+        sides = min(self.sensor_px) >= 16 and max(self.sensor_px) <= MOST_PIXELS
+        require(sides, "cameras.sensor_px", f"16 to {MOST_PIXELS} pixels each way", self.sensor_px)
+
+    @property
+    def portrait(self) -> bool:
+        return self.roll_deg in (90, -90)
+
+    @property
+    def names(self) -> list[str]:
+        """All cameras, those for evaluation last."""
+        return [f"cam_{index}" for index in range(self.count)] + [f"eval_{index}" for index in range(self.eval_count)]

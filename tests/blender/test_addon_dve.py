@@ -1,0 +1,149 @@
+"""The add-on's own DVE against closed forms, and against gof's on Gaussians in and outside of a grid."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gof.dataset import Dataset
+from gof.evaluate.sequence import dve_sequence
+from gof.gaussians import TransientGaussians
+from gof.rotations import rotation_matrices
+from gof_blender.pure import dve
+from gof_blender.pure.io import FileFormatError, gaussians_file
+from gof_blender.pure.io.velocity_reader import TrueVelocity
+from gof_blender.pure.io.velocity_store import VelocityWriter
+from tests.conftest import arc, random_gaussians, write_dataset
+
+TIMES = 0.01 * np.arange(6)
+CELL, CELLS = 0.1, (20, 16, 24)
+ORIGIN = np.array([-1.0, -0.8, 0.1])
+A, B = np.array([[0.3, -2, 0.1], [2, 0.3, 0], [0.5, 0, -0.6]]), np.array([0.1, 0, 1.5])
+
+
+def centres() -> np.ndarray:
+    return ORIGIN + CELL * (np.stack(np.meshgrid(*map(np.arange, CELLS), indexing="ij"), -1) + 0.5)
+
+
+def write_truth(path: Path, field, times=TIMES) -> None:
+    """``field(points, time_s)`` at the centres of the cells, float32."""
+    matrix = np.diag([CELL, CELL, CELL, 1.0])
+    matrix[:3, 3] = ORIGIN
+    writer = VelocityWriter(path, CELLS, matrix, times, CELL, "float32")
+    for frame, time_s in enumerate(times):
+        writer.write_frame(frame, field(centres(), time_s).__getitem__)
+    writer.finish()
+
+
+def linear(points, time_s):
+    return points @ A.T + B + [0, 0, 10 * time_s]
+
+
+def curls(points, time_s):
+    x, y, z = np.moveaxis(points, -1, 0)
+    return np.stack([np.sin(6 * z + time_s), np.cos(5 * x) + 0 * y, 2 + np.sin(4 * y + 30 * time_s)], -1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A dataset with eddies of a few cells."""
+    folder = tmp_path_factory.mktemp("dve")
+    images = np.zeros((len(TIMES), 2, 32, 18, 3))
+    dataset = write_dataset(folder / "data", arc(2), images, images[0], TIMES, test_frames=[4])
+    write_truth(dataset / "velocity.zarr", curls)
+    text = (dataset / "dataset.json").read_text()
+    (dataset / "dataset.json").write_text(text.replace('"velocity": null', '"velocity": "velocity.zarr"'))
+    return dataset
+
+
+def cloud_of(gaussians: TransientGaussians, path: Path) -> gaussians_file.GaussianCloud:
+    gaussians.save(path)
+    return gaussians_file.load(path)
+
+
+def scored(cloud, dataset):
+    *_, (done, total, scores) = dve.score(cloud, dataset)
+    assert done == total
+    return scores
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_it_is_gofs_own_score(folder, tmp_path, seed):
+    """Wide and thin, turned, short-lived, static ones, half outside, faint and far ones."""
+    gaussians = random_gaussians(400, seed=seed)
+    gaussians.position[:] = np.random.default_rng(seed).uniform(ORIGIN - 0.3, ORIGIN + 2.5, (400, 3))
+    gaussians.scale[::3] *= 5
+    gaussians.t_mu[:] = np.linspace(-0.02, 0.07, 400)
+    gaussians.t_sigma[::2] = 0.01
+    gaussians.opacity[::7] *= 1e-12
+    gaussians.velocity[5] = 0
+    ours = scored(cloud_of(gaussians, tmp_path / "result.npz"), folder)
+    theirs = dve_sequence(gaussians, Dataset.open(folder).velocity)
+    assert ours.dve.l2 == pytest.approx(theirs.l2, abs=1e-6)
+    assert ours.dve.cos_sim == pytest.approx(theirs.cos_sim, abs=1e-6)
+    assert ours.dve.weight_outside == pytest.approx(theirs.pooled.weight_outside, abs=1e-6)
+    assert ours.controls.constant.l2 == pytest.approx(theirs.controls["constant"].l2, abs=1e-6)
+    assert ours.dve.frames_scored == len(TIMES)
+
+
+def test_a_linear_flow_is_its_value_at_the_centre(tmp_path):
+    """Whatever the Gaussian's shape: then L2 of velocities that are 1 % too fast is 0.01, and CosSim is 1."""
+    write_truth(tmp_path / "v.zarr", linear, TIMES[:2])
+    rng = np.random.default_rng(3)
+    position = rng.uniform([-0.4, -0.3, 0.8], [0.4, 0.3, 1.6], (50, 3))
+    scale, rotation = rng.uniform(0.01, 0.1, (50, 3)), rng.normal(size=(50, 4))
+    rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
+    mean, inside = dve.expected_velocity(TrueVelocity(tmp_path / "v.zarr"), 1, position, scale, rotation)
+    np.testing.assert_allclose(mean, linear(position, TIMES[1]), atol=1e-5)
+    assert (inside == 1).all()
+    wrong = dve.Sums.of(dve.Frame(rng.uniform(1, 2, 50), 1.01 * mean, mean, inside))
+    assert wrong.l2 == pytest.approx(0.01) and wrong.cosine == pytest.approx(wrong.weight)
+
+
+def test_a_plane_wave_is_damped_by_the_width_along_it(tmp_path):
+    """E[sin k.x] = exp(-|k s|^2 / 2) sin k.m; three nodes are good to 2e-4 at k s = 0.5, the cells to 3 %."""
+    k = np.array([3.0, 0.0, 4.0])  # per metre: 13 cells a wave
+    write_truth(tmp_path / "v.zarr", lambda x, t: np.sin(x @ k)[..., None] * [1.0, 0.0, 2.0], TIMES[:1])
+    turn = np.array([[np.cos(0.4), 0, -np.sin(0.4), 0]])
+    scale = np.array([[0.1, 0.02, 0.03]])
+    position = np.array([[0.05, 0.0, 1.2]])
+    mean, _ = dve.expected_velocity(TrueVelocity(tmp_path / "v.zarr"), 0, position, scale, turn)
+    width2 = ((k @ rotation_matrices(turn)[0] * scale[0]) ** 2).sum()
+    expected = np.exp(-width2 / 2) * np.sin(position[0] @ k)
+    np.testing.assert_allclose(mean[0], [expected, 0, 2 * expected], rtol=0.03)
+    assert abs(expected) < 0.95 * abs(np.sin(position[0] @ k)), "the damping is what is tested"
+
+
+def test_outside_the_box_the_truth_is_zero(tmp_path):
+    """A ball on the face x = low: 18 of its 27 nodes are not outside; of their weight 5/6, and so of a uniform flow."""
+    write_truth(tmp_path / "v.zarr", lambda x, t: np.broadcast_to([0.0, 0.0, 3.0], x.shape), TIMES[:1])
+    position = np.array([ORIGIN + [0, 0.8, 1.2], ORIGIN + [-5.0, 0.8, 1.2]])
+    turn = np.array([[1.0, 0, 0, 0]] * 2)
+    truth = TrueVelocity(tmp_path / "v.zarr")
+    mean, inside = dve.expected_velocity(truth, 0, position, np.full((2, 3), 0.1), turn)
+    np.testing.assert_allclose(inside, [5 / 6, 0], atol=1e-12)
+    np.testing.assert_allclose(mean, [[0, 0, 2.5], [0, 0, 0]], atol=1e-6)
+
+
+def test_what_cannot_be_scored_is_said(folder, tmp_path):
+    gaussians = random_gaussians(5)
+    gaussians.dynamic[:] = False
+    with pytest.raises(FileFormatError, match="no moving Gaussian"):
+        scored(cloud_of(gaussians, tmp_path / "still.npz"), folder)
+    gaussians.dynamic[:] = True
+    gaussians.t_mu[:], gaussians.t_sigma[:] = 500.0, 0.01
+    nothing = scored(cloud_of(gaussians, tmp_path / "late.npz"), folder)
+    assert nothing.dve is None and "same clock" in nothing.rows()[0][1]
+
+
+def test_a_true_velocity_of_zero_has_no_score(folder, tmp_path):
+    still = tmp_path / "data"
+    still.mkdir()
+    (still / "dataset.json").write_text((folder / "dataset.json").read_text())
+    write_truth(still / "velocity.zarr", lambda x, t: np.zeros(x.shape))
+    gaussians = random_gaussians(5)
+    gaussians.dynamic[:] = True
+    gaussians.t_mu[:], gaussians.t_sigma[:] = 0.02, 1.0
+    found = scored(cloud_of(gaussians, tmp_path / "result.npz"), still)
+    assert found.dve.l2 is None and found.dve.frames_scored == 0 and "zero" in found.warnings[0]
+    assert ("DVE L2", "undefined") in found.rows()
