@@ -1,8 +1,8 @@
 """Printable front and rails for the LED board, as STL: `python firmware/board/holder.py OUT [--marker-mm 55]`.
 
-front.stl takes the marker (a print on paper, glued into its recess) and 16 LEDs; rails.stl, printed twice and set end to end,
-takes the five strips in grooves. Places are those of the template gof_board, so `gof capture sync --template gof_board` reads
-the board. Plates are made of boxes on one grid of lines, some with a round hole: closed surfaces by construction.
+front.stl takes the marker (a print on paper, glued into its recess) and 16 LEDs; rails.stl, printed twice and set end
+to end, takes the five strips in grooves. Places are those of the template gof_board, so `gof capture sync --template
+gof_board` reads the board. Plates are made of boxes on one grid of lines, some with a round hole: closed surfaces by construction.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import argparse
 import json
 import struct
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ class Plate:
                     beside = self.height[i + di, j + dj] if inside else 0.0
                     if self.height[i, j] > beside:
                         cuts = levels[(levels >= beside) & (levels <= self.height[i, j])]
-                        for low, high in zip(cuts, cuts[1:], strict=False):
+                        for low, high in pairwise(cuts):
                             found += _wall(corners[k], corners[(k + 1) % 4], low, high)
         return np.array(found)
 
@@ -75,7 +76,7 @@ class Plate:
         for k in range(4):
             a, b = corners[k], corners[(k + 1) % 4]
             arc = [rim[(quarter * k + s) % ROUND] for s in range(quarter + 1)]
-            flat = [np.array([a, b, arc[-1]])] + [np.array([a, q, p]) for p, q in zip(arc, arc[1:], strict=False)]
+            flat = [np.array([a, b, arc[-1]])] + [np.array([a, q, p]) for p, q in pairwise(arc)]
             found += [_at(t, top) for t in flat] + [_at(t[::-1], 0.0) for t in flat]
         for p, q in zip(rim, np.roll(rim, -1, 0), strict=True):
             found += _wall(q, p, 0.0, top)

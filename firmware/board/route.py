@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,7 +17,7 @@ VIA_COST, TURN_COST = 12, 1
 
 @dataclass(frozen=True)
 class Copper:
-    """A track from a to b, or a round pad where they are equal: on `layers` (0 front, 1 back), half as wide as `half`."""
+    """A track from a to b, or a round pad where they are equal: on `layers` (0 front, 1 back), `half` to either side."""
 
     net: str
     a: tuple[float, float]
@@ -79,7 +80,7 @@ class Router:
             way = self._cheapest(reached, self._cell(goal.a), goal.layers, clear, clear_via)
             if way is None:
                 raise Unroutable(f"{net}: no way to the pad at {goal.a}")
-            for (a, la), (b, lb) in zip(way, way[1:], strict=False):
+            for (a, la), (b, lb) in pairwise(way):
                 if la != lb:
                     vias.append(self._place(a, at))
                 else:

@@ -107,7 +107,7 @@ def locate(summary: Summary, template: BoardTemplate, samples: int = 96) -> Boar
     snapped, found = bright_spots(high, led, radius=max(1.5, side / 14))
     led = np.where(found[:, None], snapped, led)
     margin = max(1.0, side / 30)
-    led_visible = inside(led, width, height, margin)
+    led_visible = in_picture(led, width, height, margin)
 
     strip, normal, strip_visible, offset = _find_strips(summary, template, H, samples)
     return BoardInImage(corners, H, led, led_visible, strip, strip_visible, normal, offset)
@@ -159,7 +159,7 @@ def project(H: np.ndarray, xy: np.ndarray) -> np.ndarray:
     return cv2.perspectiveTransform(np.asarray(xy, np.float64).reshape(1, -1, 2), H).reshape(np.shape(xy))
 
 
-def inside(points: np.ndarray, width: int, height: int, margin: float) -> np.ndarray:
+def in_picture(points: np.ndarray, width: int, height: int, margin: float) -> np.ndarray:
     """(...) bool: points (..., 2) in the picture, `margin` px from its border or more; False where NaN."""
     x, y = points[..., 0], points[..., 1]
     return (x >= margin) & (y >= margin) & (x <= width - margin) & (y <= height - margin)
@@ -217,7 +217,7 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
     flicker = summary.high.astype(np.float32) - summary.low
     height, width = flicker.shape
     comb = _predicted_comb(template, H, samples)
-    inside = inside(comb.middle, width, height, 2)
+    inside = in_picture(comb.middle, width, height, 2)
     if inside.sum() < samples / 4:
         raise BoardNotFound("the strips are outside the picture")
     stretch, shift = _fit_comb(flicker, comb)
@@ -225,7 +225,7 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
     for k in range(len(strip)):
         strip[k] += _towards_ridge(flicker, comb, strip[k])
     lit = sample(flicker, strip)
-    visible = inside(strip, width, height, 1.5) & (lit > 0.5 * np.median(lit[:, inside]))
+    visible = in_picture(strip, width, height, 1.5) & (lit > 0.5 * np.median(lit[:, inside]))
     return strip, comb.normal, visible, float(np.mean(shift) * comb.spacing.mean())
 
 
@@ -282,7 +282,7 @@ def _comb_score(flicker: np.ndarray, comb: _Comb, stretch: float) -> np.ndarray:
     means = []
     for part in (comb.teeth, comb.gaps):
         points = comb.at((part[:, None] * stretch + SHIFTS)[:, :, None])
-        inside = inside(points, width, height, 1)
+        inside = in_picture(points, width, height, 1)
         whole = inside.sum(0) >= MIN_TEETH
         means.append(np.where(whole, (sample(flicker, points) * inside).sum(0) / np.maximum(inside.sum(0), 1), np.nan))
     score = np.nan_to_num(means[0] - means[1], nan=0.0)
@@ -316,7 +316,7 @@ def _towards_ridge(flicker: np.ndarray, comb: _Comb, strip: np.ndarray) -> np.nd
     across = comb.spacing[:, None] * comb.normal
     ridge = np.clip(sample(flicker, strip + fine[:, None, None] * across) - 0.6 * flicker.max(), 0, None)
     weight = ridge.sum(0)
-    ok = inside(strip, width, height, 2) & (weight > 0)
+    ok = in_picture(strip, width, height, 2) & (weight > 0)
     if ok.sum() < 8:
         return np.zeros_like(strip)
     centre = (ridge * fine[:, None]).sum(0)[ok] / weight[ok]

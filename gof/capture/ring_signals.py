@@ -1,5 +1,5 @@
-"""Footage of a ring board -> brightness over time of its LEDs. The board may be carried about: it is found anew in every
-frame."""
+"""Footage of a ring board -> brightness over time of its LEDs. The board may be carried about: it is found anew in
+every frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.brightness import sample
-from gof.capture.locate import MARKER_CORNERS, bright_spots, inside, marker_in, project
+from gof.capture.locate import MARKER_CORNERS, bright_spots, in_picture, marker_in, project
 from gof.capture.ring_board import RingBoard
 from gof.footage import stored_frames
 
@@ -162,10 +162,10 @@ def _gathered(found: list[_Frame | None], board: RingBoard, size: tuple[int, int
         seen,
         led,
         led_px,
-        inside(led_px, *size, 1.0),
+        in_picture(led_px, *size, 1.0),
         counter,
         counter_px,
-        inside(counter_px, *size, 1.0),
+        in_picture(counter_px, *size, 1.0),
         np.concatenate([[False], (step < SAME * usual) & ~blinked]),
         size,
         float(np.nanmean([f.marker_px for f in frames])) if seen.any() else 0.0,
