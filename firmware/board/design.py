@@ -52,7 +52,7 @@ def output_name(gpio: int) -> str:
     return f"S{STRIP_PINS.index(gpio)}" if gpio in STRIP_PINS else f"G{GRAY_PINS.index(gpio)}"
 
 
-def through(number: object, x: float, y: float, net: str, size: float = 1.7, drill: float = 1.0) -> Pad:
+def through(number: object, x: float, y: float, net: str, size: float = 1.6, drill: float = 1.0) -> Pad:
     return Pad(str(number), (round(x, 4), round(y, 4)), (size, size), drill, net)
 
 
@@ -170,7 +170,7 @@ def power() -> list[Part]:
             "470 uF, 16 V, radial, 5 mm",
             (through(1, 74.93, 64.77, "VSTRIP", 1.8, 0.9), through(2, 80.01, 64.77, "GND", 1.8, 0.9)),
             (72.4, 62.2, 82.6, 67.4),
-            (("+", 71.4, 63.2),),
+            (("+", 71.2, 64.8),),
         ),
         Part(
             "C2",

@@ -1,4 +1,4 @@
-"""Fills the ground planes, runs KiCad's design rule check and plots Gerbers and drills: `python3 firmware/board/fabricate.py OUT`.
+"""Fills the ground planes, runs KiCad's design rule check, plots Gerbers: `python3 firmware/board/fabricate.py OUT`.
 
 Needs the Python that KiCad 6 brings its module pcbnew for (Debian: `apt install kicad`, then /usr/bin/python3).
 """

@@ -43,11 +43,12 @@ def pcb(parts: list[Part], nets: list[str], tracks: list[Copper], vias: list[tup
         out.append(
             f'  (footprint "gof:M3" (layer "F.Cu") (tstamp {name("hole", k)}) (at {x} {y})\n'
             "    (attr board_only exclude_from_pos_files exclude_from_bom)\n"
-            f'    (fp_text reference "H{k + 1}" (at 0 0) (layer "F.Fab") (effects (font (size 1 1) (thickness 0.15))))\n'
+            f'    (fp_text reference "H{k + 1}" (at 0 0) (layer "F.Fab") {FONT})\n'
             f'    (pad "" np_thru_hole circle (at 0 0) (size 3.2 3.2) (drill 3.2) (layers *.Cu *.Mask)))'
         )
     out.append(
-        f'  (gr_rect (start 0 0) (end {width} {height}) (layer "Edge.Cuts") (width 0.1) (fill none) (tstamp {name("edge")}))'
+        f'  (gr_rect (start 0 0) (end {width} {height}) (layer "Edge.Cuts") (width 0.1) (fill none)'
+        f" (tstamp {name('edge')}))"
     )
     out.append(text("gof LED board driver - none built yet", 34.0, 78.6, "title"))
     for k, piece in enumerate(tracks):
@@ -62,7 +63,8 @@ def pcb(parts: list[Part], nets: list[str], tracks: list[Copper], vias: list[tup
     )
     for layer in LAYERS.values():
         out.append(
-            f'  (zone (net {number["GND"]}) (net_name "GND") (layer "{layer}") (tstamp {name("zone", layer)}) (hatch edge 0.5)\n'
+            f'  (zone (net {number["GND"]}) (net_name "GND") (layer "{layer}") (tstamp {name("zone", layer)})\n'
+            "    (hatch edge 0.5)\n"
             "    (connect_pads (clearance 0.3)) (min_thickness 0.25)\n"
             "    (fill yes (thermal_gap 0.3) (thermal_bridge_width 0.5))\n"
             f"    (polygon (pts {corners})))"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
 from design import HOLES, NARROW, SIZE, WIDE, Part, nets, parts
 from kicad import pcb, schematic
 from route import Copper, route
@@ -35,14 +36,15 @@ def bill(found: list[Part]) -> str:
 
 
 def copper(found: list[Part]) -> list[Copper]:
-    """The pads as the router sees them: round, and on both sides where they are drilled."""
-    return [
-        Copper(
-            pad.net or f"free {part.ref} {pad.number}", pad.xy, pad.xy, max(pad.size) / 2, (0, 1) if pad.drill else (0,)
-        )
-        for part in found
-        for pad in part.pads
-    ]
+    """The pads as the router sees them: discs around them, on both sides where they are drilled."""
+    pads = []
+    for part in found:
+        for pad in part.pads:
+            round_ = pad.drill and pad is not part.pads[0]  # first pads are square
+            half = (max(pad.size) if round_ else float(np.hypot(*pad.size))) / 2
+            net = pad.net or f"free {part.ref} {pad.number}"
+            pads.append(Copper(net, pad.xy, pad.xy, half, (0, 1) if pad.drill else (0,)))
+    return pads
 
 
 def main() -> None:

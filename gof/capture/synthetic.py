@@ -182,7 +182,7 @@ def led_mask(centre, marker_px, shape, blur):
 
 
 def write_video(path: Path, pictures: Iterator[np.ndarray], codec: str = "mp4v") -> None:
-    """Encode grey or RGB pictures with OpenCV ("mp4v" is MPEG-4 at its default bit rate, "FFV1" in .avi is lossless)."""
+    """Encode grey or RGB pictures ("mp4v" is MPEG-4 at OpenCV's default bit rate, "FFV1" in .avi is lossless)."""
     import cv2
 
     writer = None

@@ -97,7 +97,10 @@ def test_times_in_rendered_footage(camera, board):
     assert (times.measured_us - shot.camera.times(40))[times.used].std() < 60
     assert times.used.mean() > 0.85 and times.count_agreement == 1 and len(times.count_candidates) == 1
     assert times.readout == shot.camera.readout and times.row_time_us == pytest.approx(shot.camera.row_time, rel=0.03)
-    assert times.exposure_us == pytest.approx(shot.camera.exposure, rel=0.25)
+    if shot.camera.exposure > BOARD.step_us:
+        assert times.exposure_us == pytest.approx(shot.camera.exposure, rel=0.25)
+    else:  # saturation makes it look shorter still
+        assert times.exposure_us < BOARD.step_us
     assert times.interval_us == pytest.approx(1e6 / shot.camera.fps, abs=1)
 
 
