@@ -92,12 +92,21 @@ def decode(signals: Signals, template: BoardTemplate, options: DecodeOptions) ->
     if shown.all() or not options.steady:
         return _decode_shown(signals, template, options)
     found = _decode_shown(only_frames(signals, shown), template, options)
+    return carried_over(found, shown)
+
+
+def carried_over(found: CameraTimes, shown: np.ndarray) -> CameraTimes:
+    """Times of all frames from those of the frames that show the board, by the camera's clock.
+
+    Args:
+        shown: (T,) bool.
+    """
     index, doubts = positions(shown, found.clock_index)
     start = found.time_us[0] - found.clock_index[0] * found.interval_us
     time = start + found.interval_us * index
     measured, used = time.copy(), np.zeros(len(time), bool)
     measured[shown], used[shown] = found.measured_us, found.used
-    sigma = np.hypot(_line_sigma(index, used, (measured - time)[used], len(time)), wander_us(shown, time))
+    sigma = np.hypot(line_sigma(index, used, (measured - time)[used], len(time)), wander_us(shown, time))
     sigma = np.hypot(sigma, found.systematic_us)
     hidden = int((~shown).sum())
     said = (
@@ -130,7 +139,7 @@ def _decode_shown(signals: Signals, template: BoardTemplate, options: DecodeOpti
     vote = _vote(template, counter_read, led_time, exposure, options.period_us)
 
     residual = (fused.measured_us - fused.time_us)[fused.used] if options.steady else np.zeros(1)
-    sigma = _line_sigma(index, fused.used, residual, len(index)) if options.steady else fit.sigma
+    sigma = line_sigma(index, fused.used, residual, len(index)) if options.steady else fit.sigma
     strips_of_use = max(1, np.isfinite(fit.centre_error).sum())
     systematic = float(np.nanstd(fit.centre_error) / np.sqrt(strips_of_use))
     shift = int(vote.candidates[0]) * options.period_us
@@ -357,7 +366,7 @@ def _interval(options: DecodeOptions, count: np.ndarray, bits: int, phase: np.nd
     return clock.estimate_interval(count, phase, options.period_us)
 
 
-def _line_sigma(index: np.ndarray, used: np.ndarray, residual: np.ndarray, count: int) -> np.ndarray:
+def line_sigma(index: np.ndarray, used: np.ndarray, residual: np.ndarray, count: int) -> np.ndarray:
     """Standard error of the fitted line at each frame."""
     n = max(int(used.sum()), 2)
     i = index - index[used].mean() if used.any() else index - index.mean()

@@ -7,19 +7,23 @@ import numpy as np
 from gof.capture.times import SyncedVideo, VideoTimes
 
 ROW_TIME_SPREAD = 0.05  # real clips of one mode agree to 0.02; 0.05 of 4 us are 50 us at the edge of 480 pixels
-MOST_RMS_US = 10.0  # the published clips, heavily compressed, have 2 to 5
-MOST_SYSTEMATIC_US = 10.0  # there 0.5 to 2.5
+MOST_US = 10.0  # rms and systematic error: the published clips, heavily compressed, have 2 to 5, and 0.5 to 2.5
 STANDS_OUT = 3.0  # times the other cameras' median
 RATE_SPREAD = 1e-3  # cameras of one nominal rate agree to 3e-5
 
 
-def doubts(cameras: list[SyncedVideo]) -> list[str]:
-    """One sentence per camera and doubt; none for a take that is in order."""
+def doubts(cameras: list[SyncedVideo], most_us: float = MOST_US) -> list[str]:
+    """One sentence per camera and doubt; none for a take that is in order.
+
+    Args:
+        most_us: rms and systematic error that the board's kind usually stays below.
+    """
     read = [(c.name, c.times) for c in cameras if c.times and c.times.clock == "board"]
     found = []
     for k, (name, times) in enumerate(read):
         others = [other for j, (_, other) in enumerate(read) if j != k]
-        found += [f"{name}: {text}" for text in _missing(times) + _odd_row_time(times, others) + _ragged(times, others)]
+        said = _missing(times) + _odd_row_time(times, others) + _ragged(times, others, most_us)
+        found += [f"{name}: {text}" for text in said]
     rates = [times.fps for _, times in read]
     if rates and max(rates) - min(rates) > RATE_SPREAD * min(rates):
         listed = ", ".join(f"{name} {times.fps:.2f}" for name, times in read)
@@ -62,18 +66,18 @@ def _odd_row_time(times: VideoTimes, others: list[VideoTimes]) -> list[str]:
     return found
 
 
-def _ragged(times: VideoTimes, others: list[VideoTimes]) -> list[str]:
+def _ragged(times: VideoTimes, others: list[VideoTimes], most: float) -> list[str]:
     found = []
     figures = (
-        ("rms", times.rms_us, MOST_RMS_US, "rms_us"),
-        ("systematic error", times.systematic_us, MOST_SYSTEMATIC_US, "systematic_us"),
+        ("rms", times.rms_us, "rms_us"),
+        ("systematic error", times.systematic_us, "systematic_us"),
     )
-    for what, value, most, field in figures:
+    for what, value, field in figures:
         usual = float(np.median([getattr(o, field) for o in others])) if others else 0.0
         if value > most or (others and value > max(most / 2, STANDS_OUT * usual)):
             beside = f", the others {usual:.1f}" if others else ""
             found.append(
-                f"its {what} is {value:.1f} us{beside}: the strips were not read cleanly (cut off, hidden, out of "
+                f"its {what} is {value:.1f} us{beside}: the board was not read cleanly (cut off, hidden, out of "
                 "focus, compressed?); look at its residuals"
             )
     return found

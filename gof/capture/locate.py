@@ -12,6 +12,7 @@ from gof.errors import GofError
 
 MIN_FLICKER = 12.0  # grey levels between strips and gaps; a codec's noise is a few
 MIN_TEETH = 3  # of the five strips in the picture, to tell teeth from gaps
+MARKER_CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)  # in marker sides
 SHIFTS = np.linspace(-1.6, 1.6, 129)  # spacings by which the strips may lie beside the marker's plane
 
 
@@ -86,25 +87,27 @@ def locate(summary: Summary, template: BoardTemplate, samples: int = 96) -> Boar
         raise BoardNotFound("no frames")
     height, width = summary.low.shape
     corners = find_marker(summary, template)
-    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
-    H, _ = cv2.findHomography(square, corners)
+    H, _ = cv2.findHomography(MARKER_CORNERS, corners)
     side = float(np.sqrt(abs(cv2.contourArea(corners.astype(np.float32)))))
 
     high = cv2.GaussianBlur(summary.high, (0, 0), max(0.5, side / 60)).astype(np.float32)
-    led = _project(H, template.led_xy)
-    snapped, found = _snap(high, led, radius=max(2.0, side / 8))
+    led = project(H, template.led_xy)
+    snapped, found = bright_spots(high, led, radius=max(2.0, side / 8))
     if found.sum() >= 4:
         # LEDs spread wider than the marker: they settle the homography. RANSAC drops reflections and dark LEDs.
         better, inlier = cv2.findHomography(
-            np.vstack([square, template.led_xy[found]]), np.vstack([corners, snapped[found]]), cv2.RANSAC, side / 25
+            np.vstack([MARKER_CORNERS, template.led_xy[found]]),
+            np.vstack([corners, snapped[found]]),
+            cv2.RANSAC,
+            side / 25,
         )
         if better is not None and inlier.sum() >= 6:
             H = better
-    led = _project(H, template.led_xy)
-    snapped, found = _snap(high, led, radius=max(1.5, side / 14))
+    led = project(H, template.led_xy)
+    snapped, found = bright_spots(high, led, radius=max(1.5, side / 14))
     led = np.where(found[:, None], snapped, led)
     margin = max(1.0, side / 30)
-    led_visible = _inside(led, width, height, margin)
+    led_visible = in_picture(led, width, height, margin)
 
     strip, normal, strip_visible, offset = _find_strips(summary, template, H, samples)
     return BoardInImage(corners, H, led, led_visible, strip, strip_visible, normal, offset)
@@ -115,29 +118,12 @@ def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
 
     Raises: BoardNotFound: it is in none of the pictures, at half, one or two times their size.
     """
-    import cv2
-
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    parameters.cornerRefinementWinSize = 3
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), parameters)
     median = np.median(summary.pictures, axis=0).astype(np.uint8)
     for scale in (1, 0.5, 2):  # reduced for blurred markers, enlarged for small ones
         for picture in (median, summary.high, *summary.pictures):
-            image = 255 - picture if template.inverted else picture
-            if scale != 1:
-                image = cv2.resize(
-                    image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
-                )
-            corners, ids, _ = detector.detectMarkers(image)
-            hits = (
-                [c[0] for c, i in zip(corners, ids.ravel(), strict=True) if i == template.marker_id]
-                if ids is not None
-                else []
-            )
-            if hits:
-                # OpenCV puts pixel centres at integers.
-                return (hits[0].astype(np.float64) + 0.5) / scale
+            corners = marker_in(picture, template.marker_id, template.inverted, scale)
+            if corners is not None:
+                return corners
     kind = "inverted " if template.inverted else ""
     raise BoardNotFound(
         f"marker {template.marker_id} ({kind}DICT_4X4_50) is not in the picture: is it whole, lit, and at least about "
@@ -145,18 +131,41 @@ def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
     )
 
 
-def _project(H: np.ndarray, xy: np.ndarray) -> np.ndarray:
+def marker_in(picture: np.ndarray, number: int, inverted: bool, scale: float = 1) -> np.ndarray | None:
+    """(4, 2) corners of the marker with this number in a grey (H, W) picture, looked for at `scale` times its size; in
+    continuous pixel coordinates of the picture as it is. None where it is not seen."""
+    import cv2
+
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    parameters.cornerRefinementWinSize = 3
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), parameters)
+    image = 255 - picture if inverted else picture
+    if scale != 1:
+        image = cv2.resize(
+            image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
+        )
+    corners, ids, _ = detector.detectMarkers(image)
+    if ids is None or number not in ids:
+        return None
+    # OpenCV puts pixel centres at integers.
+    return (corners[int(np.flatnonzero(ids.ravel() == number)[0])][0].astype(np.float64) + 0.5) / scale
+
+
+def project(H: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Points (..., 2) through a homography (3, 3)."""
     import cv2
 
     return cv2.perspectiveTransform(np.asarray(xy, np.float64).reshape(1, -1, 2), H).reshape(np.shape(xy))
 
 
-def _inside(points: np.ndarray, width: int, height: int, margin: float) -> np.ndarray:
+def in_picture(points: np.ndarray, width: int, height: int, margin: float) -> np.ndarray:
+    """(...) bool: points (..., 2) in the picture, `margin` px from its border or more; False where NaN."""
     x, y = points[..., 0], points[..., 1]
     return (x >= margin) & (y >= margin) & (x <= width - margin) & (y <= height - margin)
 
 
-def _snap(image: np.ndarray, points: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def bright_spots(image: np.ndarray, points: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Centroid of the bright spot within `radius` of each point; found False where it is no spot or at the border."""
     height, width = image.shape
     out, found = points.copy(), np.zeros(len(points), bool)
@@ -208,7 +217,7 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
     flicker = summary.high.astype(np.float32) - summary.low
     height, width = flicker.shape
     comb = _predicted_comb(template, H, samples)
-    inside = _inside(comb.middle, width, height, 2)
+    inside = in_picture(comb.middle, width, height, 2)
     if inside.sum() < samples / 4:
         raise BoardNotFound("the strips are outside the picture")
     stretch, shift = _fit_comb(flicker, comb)
@@ -216,14 +225,14 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
     for k in range(len(strip)):
         strip[k] += _towards_ridge(flicker, comb, strip[k])
     lit = sample(flicker, strip)
-    visible = _inside(strip, width, height, 1.5) & (lit > 0.5 * np.median(lit[:, inside]))
+    visible = in_picture(strip, width, height, 1.5) & (lit > 0.5 * np.median(lit[:, inside]))
     return strip, comb.normal, visible, float(np.mean(shift) * comb.spacing.mean())
 
 
 def _predicted_comb(template: BoardTemplate, H: np.ndarray, samples: int) -> _Comb:
     s = np.linspace(-0.04, 1.04, samples)
     ends = template.strip_ends
-    predicted = _project(H, ends[:, None, 0] + s[:, None] * (ends[:, None, 1] - ends[:, None, 0]))  # (S, J, 2)
+    predicted = project(H, ends[:, None, 0] + s[:, None] * (ends[:, None, 1] - ends[:, None, 0]))  # (S, J, 2)
     across = predicted[-1] - predicted[0]
     spacing = np.linalg.norm(across, axis=1) / (len(ends) - 1)
     along = np.gradient(predicted.mean(0), axis=0)
@@ -273,7 +282,7 @@ def _comb_score(flicker: np.ndarray, comb: _Comb, stretch: float) -> np.ndarray:
     means = []
     for part in (comb.teeth, comb.gaps):
         points = comb.at((part[:, None] * stretch + SHIFTS)[:, :, None])
-        inside = _inside(points, width, height, 1)
+        inside = in_picture(points, width, height, 1)
         whole = inside.sum(0) >= MIN_TEETH
         means.append(np.where(whole, (sample(flicker, points) * inside).sum(0) / np.maximum(inside.sum(0), 1), np.nan))
     score = np.nan_to_num(means[0] - means[1], nan=0.0)
@@ -307,7 +316,7 @@ def _towards_ridge(flicker: np.ndarray, comb: _Comb, strip: np.ndarray) -> np.nd
     across = comb.spacing[:, None] * comb.normal
     ridge = np.clip(sample(flicker, strip + fine[:, None, None] * across) - 0.6 * flicker.max(), 0, None)
     weight = ridge.sum(0)
-    ok = _inside(strip, width, height, 2) & (weight > 0)
+    ok = in_picture(strip, width, height, 2) & (weight > 0)
     if ok.sum() < 8:
         return np.zeros_like(strip)
     centre = (ridge * fine[:, None]).sum(0)[ok] / weight[ok]

@@ -13,9 +13,13 @@ WIDTH, HEIGHT, LEFT, RIGHT = 1100, 620, 80, 20
 COLOURS = ((40, 40, 220), (30, 140, 240), (60, 160, 60), (200, 120, 30), (170, 50, 150))  # BGR, strips in slot order
 
 
-def plot_camera(times: CameraTimes, title: str, slot: np.ndarray, period_us: float, path: Path) -> None:
+def plot_camera(times: CameraTimes, title: str, slot: np.ndarray | None, period_us: float, path: Path) -> None:
     """Write a PNG: measured minus fused time per frame (left-out frames hollow, at the border when beyond it), and
-    below it every strip's learned brightness over the board's period with its nominal slot."""
+    below it every strip's learned brightness over the board's period with its nominal slot.
+
+    Args:
+        slot: (S,) of the strips; None of a ring, whose one curve is its LEDs' brightness around the exposure's middle.
+    """
     import cv2
 
     image = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
@@ -56,15 +60,19 @@ def plot_camera(times: CameraTimes, title: str, slot: np.ndarray, period_us: flo
     top, bottom = 370, 575
     bins = times.curve.shape[1]
     grid = LEFT + (WIDTH - LEFT - RIGHT) * np.arange(bins) / bins
-    for k in np.argsort(slot):
-        s = int(slot[k])
+    for k in np.argsort(slot) if slot is not None else [0]:
+        s = int(slot[k]) if slot is not None else 0
         colour = COLOURS[s % len(COLOURS)]
         y = bottom - (bottom - top) * np.clip(times.curve[k], -0.1, 1.1)
         cv2.polylines(image, [np.stack([grid, y], 1).astype(np.int32)], False, colour, 2, cv2.LINE_AA)
+        if slot is None:
+            continue
         x0, x1 = (LEFT + (WIDTH - LEFT - RIGHT) * (s + a) / len(slot) for a in (0, 1))
         cv2.rectangle(image, (int(x0) + 1, bottom + 6), (int(x1) - 1, bottom + 12), colour, -1)
         text(f"slot {s}", (x0 + x1) / 2 - 20, bottom + 28, colour)
-    text(f"strip brightness over the board's period of {period_us / 1000:g} ms (bars: nominal slots)", LEFT, HEIGHT - 4)
+    what = "LEDs' brightness over a round" if slot is None else "strip brightness over the board's period"
+    bars = "exposure in the middle" if slot is None else "bars: nominal slots"
+    text(f"{what} of {period_us / 1000:g} ms ({bars})", LEFT, HEIGHT - 4)
     for i, fault in enumerate(times.faults):
         text(f"fault: {fault}", LEFT + 10, top - 6 + 18 * i, (0, 0, 200))
     write_picture(path, image)

@@ -37,6 +37,11 @@ class Signals:
     board: BoardInImage
     marker: np.ndarray | None = None
 
+    @property
+    def marker_px(self) -> float:
+        """Mean side of the marker."""
+        return float(np.linalg.norm(np.diff(self.board.corners, axis=0), axis=1).mean())
+
 
 def read_signals(
     video: Path, template: BoardTemplate, locate_frames: int = 160, memory: int = 2**28, progress=None

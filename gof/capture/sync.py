@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
-from gof.capture.doubts import doubts
+from gof.capture.doubts import MOST_US, doubts
 from gof.capture.flame_clock import estimate_times, read_light
 from gof.capture.plot import plot_camera
+from gof.capture.ring_board import RingBoard
+from gof.capture.ring_decode import decode_ring
+from gof.capture.ring_signals import read_ring_signals
 from gof.capture.sensors import Sensor
-from gof.capture.signals import Signals, read_signals
+from gof.capture.signals import read_signals
 from gof.capture.template import BoardTemplate
 from gof.capture.times import (
     CounterReading,
@@ -32,7 +35,7 @@ from gof.progress import progress_bar
 
 def synchronise(
     videos: list[Path],
-    template: BoardTemplate,
+    template: BoardTemplate | RingBoard,
     options: list[DecodeOptions],
     plots: Path | None = None,
     known: Sensor | None = None,
@@ -43,12 +46,14 @@ def synchronise(
     A video that cannot be decoded has an error instead of times, or estimated times.
 
     Args:
+        template: the board; a ring board's period is its own, whatever the options say.
         options: one per video.
         plots: folder for one picture of residuals per camera.
         known: gives the row time of pictures of any size.
         estimate: estimate the clock of a camera without the board from its flame.
     """
-    period_us = options[0].period_us
+    ring = isinstance(template, RingBoard)
+    period_us = template.period_us if ring else options[0].period_us
     names = distinct_names(videos)
     decoded: dict[str, _Decoded] = {}
     errors: dict[str, str] = {}
@@ -66,10 +71,15 @@ def synchronise(
             continue
         cameras.append(SyncedVideo(name, str(video), _describe(decoded[name], stated_fps(video))))
         if plots:
-            plot_camera(times[name], name, template.strip_slot, period_us, plots / f"residuals_{name}.png")
+            slot = None if ring else template.strip_slot
+            plot_camera(times[name], name, slot, period_us, plots / f"residuals_{name}.png")
     if estimate:
         cameras = _estimate_missing(cameras)
-    warnings = [*settled, *doubts(cameras), *chain.from_iterable(map(_said, cameras))]
+    warnings = [
+        *settled,
+        *doubts(cameras, RING_MOST * template.step_us if ring else MOST_US),
+        *chain.from_iterable(map(_said, cameras)),
+    ]
     return FrameTimesFile(template.name, period_us, tuple(cameras), _nearest(cameras), tuple(warnings))
 
 
@@ -98,28 +108,35 @@ def _estimate_missing(cameras: list[SyncedVideo]) -> list[SyncedVideo]:
     return found
 
 
+RING_MOST = 0.1  # of a ring's step: an rms or systematic error above it is worth a look
+
+
 @dataclass(frozen=True)
 class _Decoded:
-    """A video's signals and times, and the seconds it took to read them and to decode them."""
+    """A video's times, its size (width, height), the marker's mean side in px, and the seconds it took to read and to
+    decode them."""
 
-    signals: Signals
     times: CameraTimes
+    image_size: tuple[int, int]
+    marker_px: float
     read_s: float
     decode_s: float
 
 
 def _decode_video(
-    name: str, video: Path, template: BoardTemplate, options: DecodeOptions, known: Sensor | None
+    name: str, video: Path, template: BoardTemplate | RingBoard, options: DecodeOptions, known: Sensor | None
 ) -> _Decoded:
     start = time.perf_counter()
     frames = stated_frames(video) or 0
     with progress_bar(f"read {name}") as update:
-        signals = read_signals(video, template, progress=lambda done: update(done, max(done, frames)))
+        ring = isinstance(template, RingBoard)
+        read_video = read_ring_signals if ring else read_signals
+        signals = read_video(video, template, progress=lambda done: update(done, max(done, frames)))
     read = time.perf_counter()
     if known:  # sensors are wider than high: their rows are the shorter side, whichever way it is turned
         options = replace(options, row_time_us=known.image_row_time_us(min(signals.image_size)))
-    times = decode(signals, template, options)
-    return _Decoded(signals, times, read - start, time.perf_counter() - read)
+    times = (decode_ring if ring else decode)(signals, template, options)
+    return _Decoded(times, signals.image_size, signals.marker_px, read - start, time.perf_counter() - read)
 
 
 def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:
@@ -160,8 +177,7 @@ def _nearest(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:
 def _describe(found: _Decoded, container_fps: float | None) -> VideoTimes:
     """The figures in the precision that they have."""
     t = found.times
-    width, height = found.signals.image_size
-    corners = found.signals.board.corners
+    width, height = found.image_size
     repeated = np.concatenate([[False], np.diff(t.clock_index) == 0])
     missing = np.diff(t.clock_index) - 1
     per_frame = (t.time_us, t.sigma_us, t.measured_us, t.used)
@@ -186,7 +202,7 @@ def _describe(found: _Decoded, container_fps: float | None) -> VideoTimes:
         saturation=t.saturation,
         count=CounterReading(len(t.count_candidates), round(t.count_agreement, 5), t.count_readings),
         container_fps=container_fps,
-        marker_px=round(float(np.linalg.norm(np.diff(corners, axis=0), axis=1).mean()), 1),
+        marker_px=round(found.marker_px, 1),
         faults=tuple(t.faults),
         warnings=tuple(t.warnings),
         cost=DecodingCost(

@@ -118,7 +118,7 @@ def render(shot: SyntheticShot, template: BoardTemplate, frames: int) -> Iterato
     picture = cv2.GaussianBlur(picture, (0, 0), max(shot.blur_px, 0.3))
 
     lights = [_strip_mask(project, e, picture.shape, shot.blur_px) for e in template.strip_ends]
-    lights += [_led_mask(project(p), shot.marker_px, picture.shape, shot.blur_px) for p in template.led_xy]
+    lights += [led_mask(project(p), shot.marker_px, picture.shape, shot.blur_px) for p in template.led_xy]
     axis = 1 if shot.readout in ("left", "right") else 0  # array axis of the readout
     size = picture.shape[axis]
     sign = 1 if shot.readout in ("right", "down") else -1
@@ -174,7 +174,7 @@ def _strip_mask(project, ends, shape, blur):
     return np.exp(-0.5 * (across / sigma) ** 2) * inside, box
 
 
-def _led_mask(centre, marker_px, shape, blur):
+def led_mask(centre, marker_px, shape, blur):
     sigma = np.hypot(0.03 * marker_px, blur)
     box = _box(centre - 4 * sigma, centre + 4 * sigma, shape)
     yy, xx = np.mgrid[box] + 0.5
@@ -182,15 +182,15 @@ def _led_mask(centre, marker_px, shape, blur):
 
 
 def write_video(path: Path, pictures: Iterator[np.ndarray], codec: str = "mp4v") -> None:
-    """Encode grey pictures with OpenCV ("mp4v" is MPEG-4 at its default bit rate, "FFV1" in .avi is lossless)."""
+    """Encode grey or RGB pictures ("mp4v" is MPEG-4 at OpenCV's default bit rate, "FFV1" in .avi is lossless)."""
     import cv2
 
     writer = None
     for picture in pictures:
         if writer is None:
-            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 30, picture.shape[::-1])
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 30, picture.shape[1::-1])
             if not writer.isOpened():
                 raise OSError(f"{path}: OpenCV cannot write codec {codec}")
-        writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+        writer.write(picture[..., ::-1] if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
     if writer is not None:
         writer.release()

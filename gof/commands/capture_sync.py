@@ -11,10 +11,10 @@ import tyro
 from gof.capture.aligned import Codec, Layout, write_aligned
 from gof.capture.decode import DecodeOptions
 from gof.capture.doubts import missing_frames
+from gof.capture.ring_board import load_board
 from gof.capture.sensors import sensor
 from gof.capture.sync import synchronise
 from gof.capture.sync_report import write_report
-from gof.capture.template import BoardTemplate
 from gof.capture.times import FILE, FrameTimesFile, Readout, SyncedVideo
 from gof.errors import GofError
 from gof.options import require_all_positive, require_number, require_positive
@@ -35,9 +35,9 @@ class SyncConfig:
     overwrite: bool = False
     """Replace the times.json that is in the folder already."""
     template: str = "paper_rig"
-    """Board: gof_board, paper_rig, or a JSON file."""
+    """Board: gof_board, paper_rig, rocsync (never tried on footage of a real one), or a JSON file."""
     tick_us: float = 400.0
-    """Tick the board was set to; its period is 10 ticks."""
+    """Tick the board was set to; its period is 10 ticks. A RocSync board has one speed and needs none."""
     fps: list[float] | None = None
     """True capture rate, one for all or one per video; read from the counter when not given."""
     row_time_us: float | None = None
@@ -74,7 +74,7 @@ def main(argv: list[str]) -> int:
     if config.sensor and config.row_time_us is not None:
         raise GofError("give either --sensor or --row-time-us")
     known = sensor(config.sensor) if config.sensor else None
-    board = BoardTemplate.load(config.template)
+    board = load_board(config.template)
     result = synchronise(config.videos, board, options(config), config.out, known, config.estimate)
     if not any(camera.times for camera in result.cameras):
         raise GofError("no camera could be decoded: " + "; ".join(camera.error for camera in result.cameras))

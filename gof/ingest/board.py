@@ -6,11 +6,10 @@ from collections.abc import Collection
 
 import numpy as np
 
-from gof.capture.locate import BoardNotFound, Summary, find_marker, locate
+from gof.capture.locate import MARKER_CORNERS, BoardNotFound, Summary, find_marker, locate
 from gof.capture.template import BoardTemplate
 from gof.ingest.marked_points import MarkedPoint
 
-CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
 GROWN = 0.2  # of a marker side: what around the board's outline still belongs to it
 
 
@@ -27,7 +26,7 @@ def board_points(
     Returns:
         the points, and one note per camera that does not show the marker.
     """
-    corners = [MarkedPoint({}, np.append(marker_m * xy, 0.0)) for xy in CORNERS]
+    corners = [MarkedPoint({}, np.append(marker_m * xy, 0.0)) for xy in MARKER_CORNERS]
     leds = [MarkedPoint({}, np.append(marker_m * xy, 0.0), rough=True) for xy in template.led_xy]
     notes = []
     for camera, clip in enumerate(clips):
@@ -63,7 +62,7 @@ def board_region(
 
     region = np.zeros(shape, np.uint8)
     corners = [p for p in points if camera in p.pixels and not p.rough]
-    if len(corners) < len(CORNERS):
+    if len(corners) < len(MARKER_CORNERS):
         return region > 0
     pixels = np.array([p.pixels[camera] for p in corners])
     H, _ = cv2.findHomography(np.array([p.xyz[:2] / marker_m for p in corners]), pixels)
