@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof import ply
+from gof import extras, ply
 from gof.cameras import Camera
 from gof.errors import DataFormatError, GofError, MissingDependencyError
 from gof.files import atomic_path
@@ -26,13 +26,11 @@ def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
             f"{weights}: no config.json; give the folder of a Depth-Anything-V2 checkpoint in Hugging Face form, or "
             "leave it away: the stereo depth is then completed along the picture's edges"
         )
+    torch = extras.load("torch", "torch", "monocular depth")
     try:
-        import torch
         from transformers import AutoImageProcessor, AutoModelForDepthEstimation
     except ImportError as e:
-        raise MissingDependencyError(
-            "monocular depth needs torch and transformers: pip install torch transformers"
-        ) from e
+        raise MissingDependencyError("monocular depth needs transformers, too: pip install transformers") from e
     processor = AutoImageProcessor.from_pretrained(weights, local_files_only=True)
     model = AutoModelForDepthEstimation.from_pretrained(weights, local_files_only=True).eval()
     with torch.no_grad():
