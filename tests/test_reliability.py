@@ -85,12 +85,18 @@ def test_a_pipe_or_a_link_stands_in_place_of_a_file_and_goes_again(tmp_path):
         assert file.read_bytes() == b"good" and not file.is_symlink() and victim.read_bytes() == b"precious"
 
 
+@pytest.mark.long
 def test_rigs_that_cannot_be_are_doubted_and_the_good_one_is_not(tmp_path):
-    """Some of each kind of `malice.impossible`; accepting one is the campaign's failure "believed"."""
+    """Thirty of `malice.impossible`; accepting one is the campaign's failure "believed"."""
     form = formats()["a rig that cannot be"]
     form.write(tmp_path)
-    assert fuzz.verdict("a rig that cannot be", tmp_path) == ("accepted", "")
-    assert not form.read(tmp_path) and not form.believed
+    assert fuzz.verdict("a rig that cannot be", tmp_path) == ("accepted", "") and not form.believed
+    for number in range(30):
+        file, content = fuzz.injury("a rig that cannot be", form.files(tmp_path), 0, number)
+        good = file.read_bytes()
+        file.write_bytes(content)
+        assert fuzz.verdict("a rig that cannot be", tmp_path)[0] == "refused", (number, content[:300])
+        file.write_bytes(good)
 
 
 @pytest.mark.long

@@ -20,7 +20,7 @@ def formats() -> dict[str, Format]:
     grid, add_on = "velocity.zarr/**/*", (FileFormatError,)
     return {
         "a rig, doubted": Format(rig, _doubt, "**/*.[jp][sn]*"),
-        "a rig that cannot be": Format(rig, _doubt, "dataset.json", injury=impossible, believed=False),
+        "a rig that cannot be": Format(rig, _believe, "dataset.json", injury=impossible, believed=False),
         "dataset.json": Format(dataset, read_dataset, "dataset.json", share=2),
         "pictures .png": Format(dataset, read_dataset, "*/cam_0*/**/*.png"),
         "pictures .exr": Format(_exr, _read_exr, refusals=(OSError,), share=2),
@@ -315,3 +315,8 @@ def _doubt(folder: Path):
     from gof.reconstruct.sanity import doubts
 
     return [doubt.text for doubt in doubts(Dataset.open(folder))]
+
+
+def _believe(folder: Path) -> None:
+    if said := _doubt(folder):
+        raise GofError(f"{folder}: {said[0]}")
