@@ -122,13 +122,6 @@ def _workers(folder):
         pass
 
 
-def _blender(folder):
-    from gof_benchmark.generator.graph import cluster
-
-    with cluster(None, 1):
-        pass
-
-
 @pytest.mark.parametrize(
     ("use", "module", "extra"),
     [
@@ -152,12 +145,15 @@ def test_whoever_lacks_an_extra_is_told_its_command(use, module, extra, tmp_path
         use(tmp_path)
 
 
-def test_whoever_lacks_blender_is_told_before_anything_begins(tmp_path, monkeypatch):
+def test_whoever_lacks_blender_is_told_before_anything_begins(tmp_path, monkeypatch, capsys):
+    from gof.cli import main
+
     monkeypatch.setattr(extras.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(
-        MissingDependencyError, match=r'needs bpy: pip install "gaussians-on-fire\[blender\]" with Pyth'
-    ):
-        _blender(tmp_path)
+    assert main(["generate", "demo", "--preset", "toy", "--out", str(tmp_path / "out")]) == 1
+    assert (
+        'making a dataset needs bpy: pip install "gaussians-on-fire[blender]" with Python 3.11'
+        in capsys.readouterr().err
+    )
 
 
 def test_a_library_that_does_not_load_is_told_from_one_that_is_not_there(tmp_path, monkeypatch):

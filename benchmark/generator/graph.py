@@ -45,10 +45,8 @@ def cluster(scheduler: str | None, workers: int, tls: Path | None = None) -> Ite
         tls: folder with the cert.pem and key.pem that the scheduler asks for (docs/cluster.md).
     Raises:
         GofError: the scheduler does not answer, or the folder has no such files.
-        MissingDependencyError: distributed is not installed, or Blender where nobody else has it.
+        MissingDependencyError: distributed is not installed.
     """
-    if not scheduler:  # whose workers have Blender, where it is given
-        extras.require("bpy", "blender", "making a dataset")
     extras.load("distributed", "generate", "making a dataset")
     import dask
     from distributed import Client, Scheduler, SpecCluster, Worker

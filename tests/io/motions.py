@@ -1,5 +1,7 @@
 """Motions and worlds that the tests of importers know in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -34,3 +36,17 @@ def similarity(scale=2.5, seed=0):
     matrix[:3, :3] = scale * Rotation.random(random_state=seed).as_matrix()
     matrix[:3, 3] = [1, -2, 3]
     return matrix
+
+
+def trained(g, T):
+    """Gaussians in metres, as a trainer holds them after the similarity T (4, 4)."""
+    s = np.cbrt(np.linalg.det(T[:3, :3]))
+    turn = Rotation.from_matrix(T[:3, :3] / s)
+    rotation = (turn * Rotation.from_quat(g.rotation[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]]
+    return replace(
+        g,
+        position=g.position @ T[:3, :3].T + T[:3, 3],
+        velocity=g.velocity @ T[:3, :3].T,
+        scale=s * g.scale,
+        rotation=rotation,
+    )

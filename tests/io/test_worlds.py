@@ -18,7 +18,7 @@ from gof.io.importers.freetime import save as save_ftgs  # noqa: E402
 from gof.io.importers.normalisation import freetime_normalisation, gsplat_normalisation  # noqa: E402
 from tests.conftest import arc, random_gaussians  # noqa: E402
 from tests.io import lookalikes  # noqa: E402
-from tests.io.motions import moved_camera, similarity  # noqa: E402
+from tests.io.motions import moved_camera, similarity, trained  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -81,20 +81,6 @@ def test_gsplats_normalisation_has_the_properties_it_promises(colmap_scene):
         {k: np.linalg.inv(moved_camera(other, np.linalg.inv(p))) for k, p in poses.items()}, 2.5 * points
     )
     np.testing.assert_allclose(np.abs((2.5 * points) @ again[:3, :3].T + again[:3, 3]), np.abs(moved), atol=1e-9)
-
-
-def trained(g, T):
-    """Gaussians in metres, as a trainer holds them after the similarity T (4, 4)."""
-    s = np.cbrt(np.linalg.det(T[:3, :3]))
-    turn = Rotation.from_matrix(T[:3, :3] / s)
-    rotation = (turn * Rotation.from_quat(g.rotation[:, [1, 2, 3, 0]])).as_quat()[:, [3, 0, 1, 2]]
-    return replace(
-        g,
-        position=g.position @ T[:3, :3].T + T[:3, 3],
-        velocity=g.velocity @ T[:3, :3].T,
-        scale=s * g.scale,
-        rotation=rotation,
-    )
 
 
 def on_points(points):

@@ -23,7 +23,7 @@ from gof_benchmark.evidence.reliability.formats import formats
 
 MEMORY = 2**30  # bytes beyond what the reader's libraries take
 LIMIT_S = 10.0
-START_S = 120.0
+START_S = 600.0  # of a machine at its limit
 GOOD = ("accepted", "refused")
 STEP = 100  # inputs after which a campaign writes down how far it is
 
@@ -108,6 +108,7 @@ def examine(format_name: str, seed: int, numbers: range, progress: Path | None =
         theirs.close()
         state, words, answer = "hang", "", "its reader does not start"
         if not ours.poll(START_S) or (answer := ours.recv()) != "ready":
+            process.kill()
             raise RuntimeError(f"{format_name}: {answer}")
         try:
             while numbers and ours.poll(LIMIT_S):
