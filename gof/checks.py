@@ -106,7 +106,7 @@ def check_extras() -> Outcome:
     lacks = extras.missing()
     there = ", ".join(name for name, missing in lacks.items() if not missing) or "none"
     absent = "; ".join(f"{name} lacks {', '.join(missing)}" for name, missing in lacks.items() if missing)
-    return ("missing", f"{there}. {absent}: pip install 'gaussians-on-fire[NAME]'") if absent else ("ok", there)
+    return ("missing", f"{there}. {absent}: {extras.command('NAME')}") if absent else ("ok", there)
 
 
 def check_torch() -> Outcome:
@@ -118,7 +118,7 @@ def check_torch() -> Outcome:
     if done.returncode == 0:
         return "ok", done.stdout.strip()
     if "No module named 'torch'" in done.stderr:
-        return "missing", "pip install 'gaussians-on-fire[torch]', or a build of your own"
+        return "missing", f"{extras.command('torch')}, or a build of your own"
     return "broken", f"import torch fails: {last_line(done.stderr)}"
 
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import re
+import stat
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -59,18 +60,22 @@ def path_in(folder: Path, path: str) -> Path:
     """The file that a name out of a file means: in `folder`, also after links are followed. It need not exist.
 
     Raises:
-        DataFormatError: not names joined by "/", or it leads out of the folder.
+        DataFormatError: not names joined by "/", it leads out of the folder, or to a pipe or a device, which never end.
     """
     if not is_relative_path(path):
         raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there")
     try:
         inside = (folder / path).resolve().is_relative_to(folder.resolve())
+        plain = True
         with suppress(FileNotFoundError, NotADirectoryError):
-            (folder / path).stat()  # asks the file system whether there can be such a name
+            mode = (folder / path).stat().st_mode  # also asks the file system whether there can be such a name
+            plain = stat.S_ISREG(mode) or stat.S_ISDIR(mode)
     except (OSError, RuntimeError) as e:  # too long, links in a circle
         raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} cannot be the name of a file there ({e})") from e
     if not inside:
         raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} points outside that folder; is it a link?")
+    if not plain:
+        raise DataFormatError(f"{str(folder)!r}: {path[:80]!r} is a pipe or a device, not a file")
     return folder / path
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -12,6 +13,10 @@ import numpy as np
 
 from gof.errors import DataFormatError
 
+# numpy and zipfile meet damage with many kinds of error, among them NotImplementedError, UnicodeError, and for a header
+# that does not end, the tokenizer's own.
+DAMAGE = (zipfile.BadZipFile, zlib.error, tokenize.TokenError, EOFError, ValueError, OSError, RuntimeError)
+DAMAGE += (AttributeError, TypeError, KeyError, SyntaxError, OverflowError)
 EXPANSION, ALWAYS = 100, 2**26  # an archive may unpack to this many times its size, or to this many bytes
 
 
@@ -29,20 +34,7 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
             arrays = {name: data[name] for name in data.files}
     except DataFormatError:
         raise
-    # numpy and zipfile meet damage with many kinds of error, among them NotImplementedError and UnicodeError
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        EOFError,
-        ValueError,
-        OSError,
-        RuntimeError,
-        AttributeError,
-        TypeError,
-        KeyError,
-        SyntaxError,
-        OverflowError,
-    ) as e:
+    except DAMAGE as e:
         raise DataFormatError(
             f"{path}: not a readable npz without pickles ({e}); truncated, or not an npz at all?"
         ) from e
@@ -66,7 +58,7 @@ def read_npy(path: Path) -> np.ndarray:
             if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > path.stat().st_size:
                 raise ValueError(f"it announces shape {shape} of {dtype} in {path.stat().st_size} bytes")
         return np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError, SyntaxError, TypeError, RuntimeError, KeyError, OverflowError) as e:
+    except DAMAGE as e:
         raise DataFormatError(f"{path}: not a readable npy ({e})") from e
 
 

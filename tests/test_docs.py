@@ -51,6 +51,33 @@ def test_pictures_are_shown_somewhere():
         assert path.name in shown, path
 
 
+REVIEWS = {
+    "reliability": [*(f"H{n}" for n in range(1, 5)), *(f"M{n}" for n in range(1, 9)), *(f"L{n}" for n in range(1, 11))],
+    "importers": [str(n) for n in range(1, 20)],
+}
+
+
+@pytest.mark.parametrize("page", REVIEWS)
+def test_every_defect_of_the_reviews_has_its_row(page):
+    """With its tests, whose existence is asked for above, or in words why there is none; and the commit."""
+    lines = (ROOT / f"docs/{page}.md").read_text().splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("| no. |"))
+    rows = []
+    for line in lines[start + 2 :]:
+        if not line.startswith("| "):
+            break
+        rows.append([cell.strip() for cell in line.strip("|").split(" | ")])
+    assert {len(row) for row in rows} == {5}
+    listed = {number for row in rows for number in row[0].split(", ")}
+    assert set(REVIEWS[page]) <= listed
+    assert listed - set(REVIEWS[page]) == {"-"}, "rows without a number are siblings"
+    for number, _, became, tests, commit in rows:
+        assert re.search(r"`test_\w+`", tests) or tests in ("(words)", "there") or became.startswith("not "), number
+        assert commit in ("-", "with this row") or all(re.fullmatch("[0-9a-f]{7}", c) for c in commit.split(", ")), (
+            commit
+        )
+
+
 # ---------------------------------------------------------------- benchmark/evidence
 
 

@@ -11,6 +11,7 @@ import tarfile
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import gof
@@ -38,7 +39,7 @@ def test_starting_takes_no_fifth_of_a_second(code):
 
 def test_an_absent_library_is_named_with_its_extra():
     with pytest.raises(
-        MissingDependencyError, match=r"a picture needs nowhere: pip install 'gaussians-on-fire\[view\]'"
+        MissingDependencyError, match=r'a picture needs nowhere: pip install "gaussians-on-fire\[view\]"'
     ):
         extras.load("nowhere.at_all", "view", "a picture")
     assert extras.load("json", "view", "a picture") is json
@@ -48,6 +49,126 @@ def test_extras_know_what_they_lack(monkeypatch):
     needs = ["numpy>=1", "nothing-here>=1; extra == 'a'", "numpy; extra == 'b'", 'numpy[x]<9; extra == "a"']
     monkeypatch.setattr(importlib.metadata, "requires", lambda name: needs)
     assert extras.missing() == {"a": ["nothing-here"], "b": []}
+
+
+def _checkpoint(folder):
+    from gof.io.importers import read_result
+
+    (folder / "chkpnt7.pth").write_bytes(b"PK")
+    read_result(folder / "chkpnt7.pth")
+
+
+def _flip(folder):
+    from gof.evaluate.perceptual import flip
+
+    flip(np.zeros((40, 40, 3)), np.zeros((40, 40, 3)))
+
+
+def _lpips(folder):
+    from gof.evaluate.perceptual import lpips
+
+    lpips(np.zeros((40, 40, 3)), np.zeros((40, 40, 3)), folder)
+
+
+def _cgvqm(folder):
+    from gof.evaluate.video import available
+
+    available(folder)
+
+
+def _disparity(folder):
+    from gof.ingest.depth import monocular
+
+    (folder / "config.json").write_text("{}")
+    monocular(np.zeros((8, 8, 3), np.uint8), folder)
+
+
+def _board(folder):
+    from gof.capture.controller import candidate_ports
+
+    candidate_ports()
+
+
+def _poses(folder):
+    from gof.ingest.sfm import solve
+
+    solve([([], [])], [], [])
+
+
+def _viewer(folder):
+    from gof.report.viewer import Viewer
+
+    Viewer(folder)
+
+
+def _witness(folder):
+    from gof.render.mitsuba_scene import render_mitsuba
+    from tests.conftest import arc, random_gaussians
+
+    render_mitsuba(random_gaussians(3), arc(1)[0], 0.0)
+
+
+def _chart(folder):
+    from gof.evaluate.leaderboard import Row
+    from gof.evaluate.leaderboard_page import pareto_figures
+
+    pareto_figures([Row(name="ours", method="gof", l2=0.3, train_s=3.0)])
+
+
+def _workers(folder):
+    from gof_benchmark.generator.graph import cluster
+
+    with cluster("tcp://127.0.0.1:9", 1):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("use", "module", "extra"),
+    [
+        (_checkpoint, "torch", "torch"),
+        (_lpips, "torch", "torch"),
+        (_cgvqm, "torch", "torch"),
+        (_disparity, "torch", "torch"),
+        (_flip, "flip_evaluator", "scores"),
+        (_board, "serial", "capture"),
+        (_poses, "pycolmap", "views"),
+        (_viewer, "viser", "view"),
+        (_witness, "mitsuba", "mitsuba"),
+        (_chart, "plotly.graph_objects", "leaderboard"),
+        (_workers, "distributed", "generate"),
+    ],
+)
+def test_whoever_lacks_an_extra_is_told_its_command(use, module, extra, tmp_path, monkeypatch):
+    """Each extra that a command or a function can ask for; `fast` has its own test, in tests/render/test_backend.py."""
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingDependencyError, match=rf'needs .*pip install "gaussians-on-fire\[{extra}\]"'):
+        use(tmp_path)
+
+
+def test_whoever_lacks_blender_is_told_before_anything_begins(tmp_path, monkeypatch, capsys):
+    from gof.cli import main
+
+    monkeypatch.setattr(extras.importlib.util, "find_spec", lambda name: None)
+    assert main(["generate", "demo", "--preset", "toy", "--out", str(tmp_path / "out")]) == 1
+    assert (
+        'making a dataset needs bpy: pip install "gaussians-on-fire[blender]" with Python 3.11'
+        in capsys.readouterr().err
+    )
+
+
+def test_a_library_that_does_not_load_is_told_from_one_that_is_not_there(tmp_path, monkeypatch):
+    (tmp_path / "broken_library.py").write_text("raise ImportError('libx.so.1: cannot open shared object file')")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(MissingDependencyError, match=r"is there and does not load \(libx.so.1: cannot open.*\[view\]"):
+        extras.load("broken_library", "view", "a picture")
+
+
+@pytest.mark.checkout
+def test_no_message_names_an_extra_by_hand():
+    """One place writes the command, in the quotes that every system's command line knows."""
+    for path in [*(ROOT / "gof").rglob("*.py"), *(ROOT / "benchmark").rglob("*.py")]:
+        if path.name != "extras.py":
+            assert "gaussians-on-fire[" not in path.read_text(encoding="utf-8"), path
 
 
 # ---------------------------------------------------------------- as it says

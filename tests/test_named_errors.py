@@ -9,6 +9,7 @@ import resource
 import struct
 import subprocess
 import sys
+import zipfile
 import zlib
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from gof.evaluate.depth import read_depth
 from gof.evaluate.leaderboard import Row, collect, to_csv, to_markdown
 from gof.ingest.plates import read_plate
 from gof.lens import Lens
+from gof.npz import read_npy, read_npz
 from gof.reconstruct.background import plate_depths
 from tests.conftest import random_gaussians
 from tests.test_reliability import allocated
@@ -411,3 +413,16 @@ def test_a_damaged_picture_of_a_report_is_named(tmp_path, content):
     (tmp_path / "1.png").write_bytes(content)
     with pytest.raises(DataFormatError, match=r"1\.png: cannot be decoded"):
         data_uri(tmp_path / "1.png")
+
+
+def test_an_array_whose_header_does_not_end_is_named(tmp_path):
+    """numpy reads such headers with Python's tokenizer, whose error is of no kind that numpy's readers name."""
+    np.save(tmp_path / "000000.npy", np.ones((4, 4)))
+    data = (tmp_path / "000000.npy").read_bytes()
+    (tmp_path / "000000.npy").write_bytes(data.replace(b"}", b"("))
+    with pytest.raises(DataFormatError, match=r"000000\.npy: not a readable npy"):
+        read_npy(tmp_path / "000000.npy")
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("x.npy", data.replace(b"}", b"("))
+    with pytest.raises(DataFormatError, match=r"a\.npz: not a readable npz"):
+        read_npz(tmp_path / "a.npz")

@@ -125,6 +125,21 @@ def test_paths_stay_in_their_folder(inside, error, tmp_path):
             inside(folder, name)
 
 
+@pytest.mark.parametrize(
+    ("inside", "error"),
+    [(path_in, DataFormatError), (files_of_the_add_on.path_in, FileFormatError)],
+    ids=["gof", "add-on"],
+)
+def test_a_pipe_is_no_file(inside, error, tmp_path):
+    """Whoever opens one to read waits for somebody who writes: a command without an end."""
+    os.mkfifo(tmp_path / "000000.png")
+    (tmp_path / "link.png").symlink_to(tmp_path / "000000.png")
+    for name in ("000000.png", "link.png"):
+        with pytest.raises(error, match=rf"{name}.*a pipe or a device"):
+            inside(tmp_path, name)
+    assert inside(tmp_path, "absent.png") == tmp_path / "absent.png"
+
+
 # ---------------------------------------------------------------- datasets
 
 
@@ -244,6 +259,20 @@ def test_a_view_never_links_what_lies_outside(tmp_path):
     with pytest.raises(DataFormatError, match="outside"):
         dynerf.link_pictures(ViewSource.open(root), 0, 0)
     assert os.stat(secret).st_nlink == 1
+
+
+def test_no_grid_is_read_from_a_pipe(tmp_path):
+    from gof.fields import VelocityField, VelocitySequence
+
+    field = VelocityField.from_array(np.ones((4, 4, 4, 3)), (0, 0, 0), 0.5, 0.0)
+    VelocitySequence.create(tmp_path / "velocity.zarr", [field])
+    chunk = next(p for p in (tmp_path / "velocity.zarr/c").rglob("*") if p.is_file())
+    chunk.unlink()
+    os.mkfifo(chunk)
+    with pytest.raises(DataFormatError, match="a pipe or a device"):
+        VelocitySequence.open(tmp_path / "velocity.zarr").frame(0)
+    with pytest.raises(FileFormatError, match="a pipe or a device"):
+        velocity_reader.TrueVelocity(tmp_path / "velocity.zarr").sample(np.full((1, 3), 0.3), np.zeros(1))
 
 
 # ---------------------------------------------------------------- reports

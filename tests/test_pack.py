@@ -113,6 +113,26 @@ def test_strangers_archives_pass_one_gate(archive, tmp_path, change, named):
     assert not list((tmp_path / "out").iterdir()) and not (tmp_path / "evil").exists()
 
 
+@pytest.mark.parametrize("headers", [{"size": str(10**19)}, {"size": "-1"}, {"size": str(2**63 - 1)}])
+def test_sizes_that_lie_are_named(archive, tmp_path, headers):
+    """As `pax` headers, which have room for any number."""
+    with tarfile.open(tmp_path / "fire.tar", "w", format=tarfile.PAX_FORMAT) as tar:
+        for name in ("fire/a.png", "fire/b.png"):
+            member = tarfile.TarInfo(name)
+            member.pax_headers = headers
+            tar.addfile(member)
+    with pytest.raises(DataFormatError, match=r"fire\.tar"):
+        unpack(tmp_path / "fire.tar", tmp_path / "out")
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def test_a_checksum_file_that_is_no_text_is_a_wrong_one(archive, tmp_path):
+    shutil.copy(archive, tmp_path)
+    (tmp_path / f"{archive.name}.sha256").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(DataFormatError, match="is not as .* says"):
+        unpack(tmp_path / archive.name, tmp_path / "out")
+
+
 def test_what_is_there_is_not_replaced(archive, tmp_path):
     unpack(archive, tmp_path)
     with pytest.raises(GofError, match="exists"):

@@ -1,10 +1,12 @@
 """A slice of the fuzz campaign, the injuries themselves, and files made to harm."""
 
 import json
+import multiprocessing
 import re
 import resource
 import tracemalloc
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +18,8 @@ from gof.io.importers import read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
 from gof.io.importers.normalisation import world_from_training
 from gof_benchmark.evidence.reliability import damage, fuzz, kill
-from gof_benchmark.evidence.reliability.formats import finite, formats
+from gof_benchmark.evidence.reliability.format import finite
+from gof_benchmark.evidence.reliability.formats import formats
 from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.io import FileFormatError, gaussians_file
 from gof_blender.pure.spec import SceneSpec
@@ -37,9 +40,63 @@ def test_a_slice_of_the_campaign_has_no_failure():
 @pytest.mark.parametrize("name", ["result .npz", "velocity.zarr", "scene spec"])
 def test_an_input_is_the_same_again(tmp_path, name):
     formats()[name].write(tmp_path)
-    file = fuzz.injury(name, tmp_path, 1, 17)
-    assert file == fuzz.injury(name, tmp_path, 1, 17) != fuzz.injury(name, tmp_path, 1, 18)
+    files = formats()[name].files(tmp_path)
+    file = fuzz.injury(name, files, 1, 17)
+    assert file == fuzz.injury(name, files, 1, 17) != fuzz.injury(name, files, 1, 18)
     assert file[1] != file[0].read_bytes()
+
+
+def test_a_campaign_that_was_ended_goes_on_and_counts_the_same(tmp_path, monkeypatch):
+    """Verdicts of a stand-in for the reader: even numbers pass, the seventh fails."""
+    done = []
+
+    def work(format_name, seed, numbers, connection):
+        connection.send("ready")
+        for number in numbers:
+            done.append(number)
+            connection.send(("exception", "said") if number == 7 else ("accepted" if number % 2 else "refused", ""))
+
+    monkeypatch.setattr(fuzz, "work", work)
+    monkeypatch.setattr(fuzz, "STEP", 4)
+    monkeypatch.setattr(fuzz.multiprocessing, "get_context", lambda kind: multiprocessing.get_context("fork"))
+    at_once = fuzz.examine("scene spec", 0, range(20))
+    progress = tmp_path / "progress.json"
+    fuzz.examine("scene spec", 0, range(10), progress)
+    assert fuzz.examine("scene spec", 0, range(20), progress) == at_once
+    assert fuzz.examine("scene spec", 0, range(20), progress) == at_once, "nothing is left to do"
+    assert at_once.verdicts == {"accepted": 9, "refused": 10, "exception": 1} and at_once.failures[0][0] == 7
+    with pytest.raises(RuntimeError, match="another campaign"):
+        fuzz.examine("scene spec", 1, range(20), progress)
+
+
+def test_a_pipe_or_a_link_stands_in_place_of_a_file_and_goes_again(tmp_path):
+    victim, file = tmp_path / "victim", tmp_path / "a.png"
+    victim.write_bytes(b"precious")
+    file.write_bytes(b"good")
+    for content, seen in (
+        (damage.Instead("link", "victim"), Path.is_symlink),
+        (damage.Instead("pipe"), Path.is_fifo),
+        (damage.Instead("folder"), Path.is_dir),
+        (damage.Instead("nothing"), lambda path: not path.exists()),
+    ):
+        damage.put(file, content, tmp_path)
+        assert seen(file)
+        damage.put(file, b"good", tmp_path)
+        assert file.read_bytes() == b"good" and not file.is_symlink() and victim.read_bytes() == b"precious"
+
+
+@pytest.mark.long
+def test_rigs_that_cannot_be_are_doubted_and_the_good_one_is_not(tmp_path):
+    """Thirty of `malice.impossible`; accepting one is the campaign's failure "believed"."""
+    form = formats()["a rig that cannot be"]
+    form.write(tmp_path)
+    assert fuzz.verdict("a rig that cannot be", tmp_path) == ("accepted", "") and not form.believed
+    for number in range(30):
+        file, content = fuzz.injury("a rig that cannot be", form.files(tmp_path), 0, number)
+        good = file.read_bytes()
+        file.write_bytes(content)
+        assert fuzz.verdict("a rig that cannot be", tmp_path)[0] == "refused", (number, content[:300])
+        file.write_bytes(good)
 
 
 @pytest.mark.long

@@ -7,12 +7,13 @@ import importlib.util
 import tempfile
 from pathlib import Path
 
+from gof import extras
 from gof.checks import Check, Outcome, child, last_line
 from gof_blender.pure import spec
 from gof_blender.pure.clip import Clip
 from gof_blender.pure.spec import Domain, SceneSpec
 
-GENERATE = "for `gof generate` and `gof demo`: pip install 'gaussians-on-fire[blender]' with Python 3.11"
+GENERATE = f"for `gof generate` and `gof demo`: {extras.command('blender')}"
 SMALLEST = SceneSpec("doctor", clip=Clip(frames=1, warm_up_frames=2), domain=Domain(resolution=16), background="studio")
 
 

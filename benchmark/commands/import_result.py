@@ -9,6 +9,7 @@ from typing import Literal
 
 import tyro
 
+from gof import extras
 from gof.dataset import Dataset
 from gof.files import write_json
 from gof.gaussians import TransientGaussians
@@ -62,6 +63,7 @@ def main(argv: list[str]) -> int:
     }
     worker = [sys.executable, "-m", "gof_blender.worker.import_result"]
     worker += [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    extras.require("bpy", "blender", "gof import")
     cost = run_worker(worker, "import into Blender")
     names = [c.name for c in dataset.cameras]
     # Which truth the preview belongs to, for `gof report`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from gof import extras
 from gof.costs import StageLog
 from gof_benchmark.generator import graph, machine
 from gof_blender.pure.layout import Layout
@@ -17,9 +18,12 @@ def make(spec: SceneSpec, layout: Layout, log: StageLog, scheduler: str | None =
     Raises:
         GofError: memory or disk do not suffice, the scheduler does not answer, or a stage failed; what was finished is
             kept.
+        MissingDependencyError: Blender is not installed here, and no scheduler is given; or distributed is not.
     """
     if layout.description.exists():
         return
+    if not scheduler:  # whose workers have Blender, where it is given
+        extras.require("bpy", "blender", "making a dataset")
     if not layout.bake_marker.exists():
         machine.refuse_if_too_large(spec, layout.root)
     with graph.cluster(scheduler, workers) as client:

@@ -45,6 +45,7 @@ def cluster(scheduler: str | None, workers: int, tls: Path | None = None) -> Ite
         tls: folder with the cert.pem and key.pem that the scheduler asks for (docs/cluster.md).
     Raises:
         GofError: the scheduler does not answer, or the folder has no such files.
+        MissingDependencyError: distributed is not installed.
     """
     extras.load("distributed", "generate", "making a dataset")
     import dask

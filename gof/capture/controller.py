@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+from gof import extras
 from gof.capture.protocol import (
     VERSION,
     FrameReader,
@@ -20,7 +21,7 @@ from gof.capture.protocol import (
     decode_reply,
     encode_request,
 )
-from gof.errors import GofError, MissingDependencyError
+from gof.errors import GofError
 
 BAUD = 115200
 # Boards with USB of their own, then the USB-serial chips of common ESP32 boards: Espressif, CP210x, CH34x, FTDI.
@@ -193,11 +194,7 @@ def candidate_ports() -> list[str]:
 
 
 def _pyserial():
-    try:
-        import serial
-    except ImportError as e:
-        raise MissingDependencyError("the board's serial port needs pyserial: pip install pyserial") from e
-    return serial
+    return extras.load("serial", "capture", "the board's serial port")
 
 
 def _explain_open(port: str, error: Exception) -> str:

@@ -103,7 +103,7 @@ def unpack(archive: Path, out: Path, progress: Progress | None = None) -> Path:
     beside = archive.with_name(f"{archive.name}.sha256")
     if beside.is_file():
         with archive.open("rb") as file:
-            if beside.read_text(encoding="utf-8").split()[:1] != [_digest(file)]:
+            if beside.read_text(encoding="utf-8", errors="replace").split()[:1] != [_digest(file)]:
                 raise DataFormatError(f"{archive}: is not as {beside.name} says; download it again")
     try:
         with tarfile.open(archive, "r:") as tar:
@@ -123,7 +123,7 @@ def unpack(archive: Path, out: Path, progress: Progress | None = None) -> Path:
                 shutil.rmtree(draft, ignore_errors=True)
     except FileNotFoundError as e:
         raise DataFormatError(f"{archive}: no such file") from e
-    except (tarfile.TarError, EOFError) as e:
+    except (tarfile.TarError, EOFError, ValueError, OverflowError) as e:  # headers that lie bring the last two
         raise DataFormatError(f"{archive}: not a tar archive, or cut off ({e}); download it again") from e
     return target
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof import extras
 from gof.errors import DataFormatError, MissingDependencyError
 from gof.evaluate.image import _mean, _pair
 
@@ -32,12 +33,7 @@ def flip(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
         MissingDependencyError: flip-evaluator is not installed.
     """
     image, truth = _pair(image, truth)
-    try:
-        import flip_evaluator
-    except ImportError as e:
-        raise MissingDependencyError(
-            "FLIP needs the package flip-evaluator: pip install 'gaussians-on-fire[scores]'"
-        ) from e
+    flip_evaluator = extras.load("flip_evaluator", "scores", "FLIP")
     picture, reference = (np.ascontiguousarray(np.clip(p, 0, 1), np.float32) for p in (image, truth))
     error, _, _ = flip_evaluator.evaluate(reference, picture, "LDR", applyMagma=False, computeMeanError=False)
     return _mean(np.asarray(error, np.float64)[..., 0], mask)
@@ -57,11 +53,8 @@ def lpips(image: np.ndarray, truth: np.ndarray, weights: Path) -> float:
     image, truth = _pair(image, truth)
     if min(image.shape[:2]) < 32:
         raise DataFormatError(f"LPIPS needs pictures of at least 32 px on each side, got {image.shape[:2]}")
-    try:
-        import torch
-        from torch.nn import functional as F
-    except ImportError as e:
-        raise MissingDependencyError("LPIPS needs PyTorch: pip install 'gaussians-on-fire[torch]'") from e
+    torch = extras.load("torch", "torch", "LPIPS")
+    F = torch.nn.functional
     trunk, heads = _weights(Path(weights))
     with torch.no_grad():
         x = torch.tensor(np.stack([image, truth]).transpose(0, 3, 1, 2) * 2 - 1, dtype=torch.float32)

@@ -138,11 +138,7 @@ def _load(
     if align is None:
         return gaussians, origin
     found = align_cameras(read_cameras(align), {c.name: c.world_to_camera for c in dataset.cameras})
-    note = (
-        f"moved by the similarity of {align}: scale {found.scale:.4g}; cameras then "
-        f"{found.position_rms_m * 1000:.2g} mm (rms) and at most {found.rotation_max_deg:.2g} degrees off"
-    )
-    origin = replace(origin, notes=(*origin.notes, note), alignment=UsedAlignment.of(found))
+    origin = replace(origin, notes=(*origin.notes, found.in_words(align)), alignment=UsedAlignment.of(found))
     return gaussians.transformed(found.matrix), origin
 
 

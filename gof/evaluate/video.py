@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from gof import extras
 from gof.errors import DataFormatError, GofError, MissingDependencyError, require_finite
 from gof.evaluate.perceptual import load_weights
 
@@ -36,10 +37,7 @@ def available(weights: Path) -> list[str]:
     Raises:
         MissingDependencyError: none (names the files), or PyTorch is absent.
     """
-    try:
-        import torch  # noqa: F401
-    except ImportError as e:
-        raise MissingDependencyError("CGVQM needs PyTorch: pip install 'gaussians-on-fire[torch]'") from e
+    extras.load("torch", "torch", "CGVQM")
     found = [name for name, (file, _) in HEADS.items() if (weights / file).is_file()]
     if not found or not (weights / TRUNK).is_file():
         raise MissingDependencyError(

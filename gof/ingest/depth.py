@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gof import ply
+from gof import extras, ply
 from gof.cameras import Camera
 from gof.errors import DataFormatError, GofError, MissingDependencyError
 from gof.files import atomic_path
@@ -29,8 +29,7 @@ def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
             "leave it away: the stereo depth is then completed along the picture's edges"
         )
     processor, model = _network(Path(weights))
-    import torch
-
+    torch = extras.load("torch", "torch", "monocular depth")
     with torch.no_grad():
         out = model(**processor(images=picture, return_tensors="pt")).predicted_depth
     size = picture.shape[:2]
@@ -40,13 +39,11 @@ def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
 @cache
 def _network(weights: Path) -> tuple[Any, Any]:
     """What prepares pictures for the network, and the network."""
+    extras.load("torch", "torch", "monocular depth")  # transformers would name it in words of its own
     try:
-        import torch  # noqa: F401  (transformers would name it in words of its own)
         from transformers import AutoImageProcessor, AutoModelForDepthEstimation
     except ImportError as e:
-        raise MissingDependencyError(
-            "monocular depth needs torch and transformers: pip install torch transformers"
-        ) from e
+        raise MissingDependencyError("monocular depth needs transformers, too: pip install transformers") from e
     processor = AutoImageProcessor.from_pretrained(weights, local_files_only=True)
     return processor, AutoModelForDepthEstimation.from_pretrained(weights, local_files_only=True).eval()
 

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from gof import extras
 from gof.dataset.poses import FeatureFigures
-from gof.errors import GofError, MissingDependencyError
+from gof.errors import GofError
 from gof.lens import Lens
 
 GATE_PX = 3.0  # a match within this of its epipolar lines obeys the poses
@@ -67,13 +68,7 @@ def solve(
     Raises:
         MissingDependencyError: no pycolmap.
     """
-    try:
-        import pycolmap
-    except ImportError as e:
-        raise MissingDependencyError(
-            "camera poses need pycolmap: pip install 'gaussians-on-fire[views]'; or give known poses with --cameras"
-        ) from e
-
+    pycolmap = extras.load("pycolmap", "views", "finding the cameras (known ones can be given with --cameras)")
     pycolmap.logging.minloglevel = 2
     found = []
     with tempfile.TemporaryDirectory() as folder:

@@ -17,6 +17,7 @@ from pathlib import Path
 import drjit as dr
 import numpy as np
 
+from gof import extras
 from gof.errors import GofError
 
 BACKEND = os.environ.get("GOF_RENDER_BACKEND", "llvm")
@@ -65,7 +66,7 @@ def _obstacle_to_native() -> str | None:
         import llvmlite.binding
         import numba
     except ImportError as e:
-        return f"numba is not installed ({e}). Run: pip install 'gaussians-on-fire[fast]'"
+        return f"numba is not installed ({e}). Run: {extras.command('fast')}"
     if numba.config.DISABLE_JIT:
         return "NUMBA_DISABLE_JIT is set"
     if platform.machine() == "x86_64" and not llvmlite.binding.get_host_cpu_features().get("fma"):

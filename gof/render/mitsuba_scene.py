@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from gof import extras
 from gof.cameras import Camera
-from gof.errors import DataFormatError, MissingDependencyError
+from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.harmonics import C0
 
@@ -20,10 +21,7 @@ DILATION_SIGMA_PX = 0.3**0.5  # a Gaussian pixel filter this wide does what the 
 
 
 def _mitsuba():
-    try:
-        import mitsuba as mi
-    except ImportError as e:
-        raise MissingDependencyError("the Mitsuba reference needs the package mitsuba") from e
+    mi = extras.load("mitsuba", "mitsuba", "the Mitsuba reference")
     if mi.variant() is None:
         mi.set_variant("llvm_ad_rgb")
     return mi

@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from gof import extras
 from gof.cameras import Camera
 from gof.errors import DataFormatError, MissingDependencyError, require_finite
 from gof.render.backend import Array3f, Array4f, Float, floats
@@ -20,7 +21,7 @@ try:
     import torch
 except ImportError as e:
     raise MissingDependencyError(
-        "gof.render.rasterize works on torch tensors; install torch, or use render_splats without it"
+        f"gof.render.rasterize works on torch tensors: {extras.command('torch')}; or use render_splats without it"
     ) from e
 
 RENDER_MODES = {

@@ -9,8 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from gof import extras
 from gof.dataset import Dataset
-from gof.errors import GofError, MissingDependencyError
+from gof.errors import GofError
 from gof.gaussians import MovingGaussians, TransientGaussians
 from gof.harmonics import plain_color
 from gof.io.importers import ImportOptions, read_result
@@ -66,10 +67,7 @@ class Viewer:
     """
 
     def __init__(self, path: Path, dataset: Dataset | None = None, host: str = "127.0.0.1", port: int = 8080):
-        try:
-            import viser
-        except ImportError as e:
-            raise MissingDependencyError("gof view needs viser: pip install 'gaussians-on-fire[view]'") from e
+        viser = extras.load("viser", "view", "gof view")
         _require_address(host, port)
         self.path = path
         self.dataset = dataset

@@ -84,6 +84,25 @@ def test_broken_description(tmp_path, change, message):
         TrueVelocity(tmp_path / "velocity.zarr")
 
 
+def test_nothing_of_a_store_is_a_link_to_elsewhere(tmp_path):
+    """Its bytes would be shown as velocities; inside the store a link may stand."""
+    store, point = write(tmp_path / "velocity.zarr", grid=(4, 4, 4)), (matrix() @ [2, 2, 2, 1])[None, :3]
+    chunk = store / "c" / "0" / "0" / "0" / "0" / "0"
+    expected = TrueVelocity(store).sample(point, np.array([0.0]))[0]
+    chunk.rename(store / "moved")
+    chunk.symlink_to(store / "moved")
+    np.testing.assert_array_equal(TrueVelocity(store).sample(point, np.array([0.0]))[0], expected)
+    (store / "moved").rename(tmp_path / "moved")
+    chunk.unlink()
+    chunk.symlink_to(tmp_path / "moved")
+    with pytest.raises(FileFormatError, match="points outside"):
+        TrueVelocity(store).sample(point, np.array([0.0]))
+    (store / "zarr.json").rename(tmp_path / "zarr.json")
+    (store / "zarr.json").symlink_to(tmp_path / "zarr.json")
+    with pytest.raises(FileFormatError, match="points outside"):
+        TrueVelocity(store)
+
+
 def test_damaged_chunk_and_other_folders(tmp_path):
     store = write(tmp_path / "velocity.zarr", grid=(4, 4, 4))
     chunk = store / "c" / "0" / "0" / "0" / "0" / "0"

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from gof.commands.convert import main
-from gof.errors import DataFormatError
+from gof.dataset import Dataset
+from gof.errors import DataFormatError, GofError
 from gof.io.importers import ImportOptions, read_result
 from gof.trajectory import Trajectory
+from tests.conftest import random_gaussians
+from tests.io.motions import moved_camera, similarity, trained
 
 lookalikes = pytest.importorskip("tests.io.lookalikes", reason="PyTorch writes the look-alikes")
 
@@ -49,3 +52,21 @@ def test_clip_of_an_ftgs_ply(tmp_path, gaussians):
     gaussians.save(tmp_path / "g.npz")  # some are always on
     with pytest.raises(DataFormatError, match="--start and --end"):
         main([str(tmp_path / "g.npz"), str(tmp_path / "g.ftgs.ply")])
+
+
+def test_convert_moves_a_result_into_a_datasets_world(tmp_path, tiny_dataset, capsys):
+    """A method that trained in a world of its own, 2.5 times as large, turned and moved, with its cameras beside it."""
+    g, T = random_gaussians(30), similarity()
+    trained(g, T).save(tmp_path / "theirs.npz")
+    ours = {c.name: c.world_to_camera for c in Dataset.open(tiny_dataset).cameras}
+    theirs = {name: np.linalg.inv(moved_camera(T, np.linalg.inv(pose))).tolist() for name, pose in ours.items()}
+    (tmp_path / "cameras.json").write_text(json.dumps(theirs))
+    files = [str(tmp_path / "theirs.npz"), str(tmp_path / "ours.npz")]
+    assert main([*files, "--align", str(tmp_path / "cameras.json"), "--dataset", str(tiny_dataset)]) == 0
+    back = read_result(tmp_path / "ours.npz").gaussians
+    for name in ("position", "velocity", "scale", "opacity", "t_mu"):
+        np.testing.assert_allclose(getattr(back, name), getattr(g, name), atol=2e-5)
+    assert "moved by the similarity of" in capsys.readouterr().out
+    for half in (["--align", str(tmp_path / "cameras.json")], ["--dataset", str(tiny_dataset)]):
+        with pytest.raises(GofError, match="go together"):
+            main([files[0], str(tmp_path / "x.npz"), *half])

@@ -64,7 +64,7 @@ def test_what_stands_in_the_way_of_native_kernels(monkeypatch):
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
     assert find() == "NUMBA_DISABLE_JIT is set"
     monkeypatch.setitem(sys.modules, "numba", None)
-    assert "pip install 'gaussians-on-fire[fast]'" in find()
+    assert 'pip install "gaussians-on-fire[fast]"' in find()
     monkeypatch.setattr(backend, "BACKEND", "cuda")
     assert "GOF_RENDER_BACKEND" in find()
 

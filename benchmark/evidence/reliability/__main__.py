@@ -23,13 +23,14 @@ class Fuzz:
     only: tuple[str, ...] = ()
     """Names of formats; default: all."""
     out: Path = Path("out/reliability")
-    """Folder for the inputs that failed."""
+    """Folder for the inputs that failed, and for how far the campaign is: ended and begun again, it goes on. Choose
+    another one after a change of the code."""
 
     def run(self) -> int:
         from gof_benchmark.evidence.reliability import fuzz
 
         begin = time.perf_counter()
-        tallies = fuzz.campaign(self.count, self.seed, self.jobs, self.only)
+        tallies = fuzz.campaign(self.count, self.seed, self.jobs, self.only, self.out / "progress")
         for tally in tallies:
             fuzz.keep(tally, self.seed, self.out)
         print(fuzz.table(tallies))

@@ -5,11 +5,15 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import os
 import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -48,77 +52,41 @@ STRINGS = (
     "ü",
 )
 VALUES = (*NUMBERS, *STRINGS, None, True, [], {}, [[]], [1, "a", None], {"name": 3})
-# Parts of names that lead somewhere, or act somewhere: on disks, in shells, terminals, tables and pages.
-NAME_PARTS = (
-    "..",
-    ".",
-    "",
-    "~",
-    "link",
-    "secret.png",
-    "outside",
-    "dataset",
-    "cameras",
-    "cam_0",
-    "tmp",
-    "dev",
-    "zero",
-    "etc",
-    "passwd",
-    "gof-escaped",
-    "CON",
-    "nul.png",
-    "COM1",
-    "C:",
-    "a\\b",
-    "..\\..\\x",
-    "a\0b",
-    "a\nb",
-    "\r",
-    "\x1b]0;owned\x07",
-    "\x9b2J",
-    "\u202egnp",
-    "\ud800",
-    "\udcff",
-    "-rf",
-    "--overwrite",
-    "=HYPERLINK(1)",
-    "+1",
-    "@SUM(A1)",
-    "\t=1",
-    "[/b]",
-    "[link=file:///etc/passwd]",
-    "<script>alert(1)</script>",
-    "{frame:0999999999d}",
-    "{frame:06d}",
-    "{0.__class__}",
-    "%s",
-    "*",
-    "|",
-    "x" * 300,
-    "trailing. ",
-)
-NAMES = (
-    "/dev/zero",
-    "/dev/stdin",
-    "/proc/self/environ",
-    "/etc/passwd",
-    "/tmp/gof-escaped",
-    "../outside/secret.png",
-    "../../outside/secret.png",
-    "link/secret.png",
-    "../gof-escaped",
-    "secret.png",
-    "a/" * 3000,
-)
 TYPES = ("<f2", "<f8", ">f4", "<i8", "|u1", "|b1", "<c8", "<U4", "|S3", "<M8[s]", "|V7", "|O")
 SHAPES = ((), (0,), (1,), (10**18, 3), (2**28, 3), (2**63, 2**63), (3, 0, 2**62), (2,) * 40)
 
 
-Injury = Callable[[bytes, np.random.Generator], bytes]
+@dataclass(frozen=True)
+class Instead:
+    """What stands where a file was: a "link", a "folder", a "pipe", or "nothing"."""
+
+    kind: Literal["link", "folder", "pipe", "nothing"]
+    target: str = ""  # of a link: absolute, or from the sample's folder
 
 
-def damaged(name: str, data: bytes, rng: np.random.Generator, injury: Injury | None = None) -> bytes:
+def put(file: Path, content: bytes | Instead, root: Path) -> None:
+    """Give a file another content, or put something else in its place; what it led to stays as it was.
+
+    Args:
+        root: the sample's folder.
+    """
+    if file.is_dir() and not file.is_symlink():
+        file.rmdir()
+    file.unlink(missing_ok=True)
+    if isinstance(content, bytes):
+        file.write_bytes(content)
+    elif content.kind == "link":
+        file.symlink_to(root / content.target)
+    elif content.kind == "folder":
+        file.mkdir()
+    elif content.kind == "pipe":
+        os.mkfifo(file)
+
+
+Injury = Callable[[bytes, np.random.Generator], "bytes | Instead"]
+
+
+def damaged(name: str, data: bytes, rng: np.random.Generator, injury: Injury | None = None) -> bytes | Instead:
     """A copy of a file's content with one to three injuries, or with one of a kind that is asked for.
 
     Those that keep the format's checksums right come as often as others.
@@ -176,26 +144,6 @@ def text(data: bytes, rng: np.random.Generator) -> bytes:
         words[rng.integers(len(words))][0] if rng.random() < 0.5 else str(NUMBERS[rng.integers(len(NUMBERS))]).encode()
     )
     return data[: word.start()] + other + data[word.end() :]
-
-
-def renamed(data: bytes, rng: np.random.Generator) -> bytes:
-    """A text somewhere inside JSON becomes a name that leads or acts somewhere."""
-    root = [json.loads(data)]
-    places = [place for place in _places(root) if isinstance(place[0][place[1]], str)]
-    for at in rng.choice(len(places), rng.integers(1, 3)):
-        node, key = places[at]
-        parts = [NAME_PARTS[i] for i in rng.integers(len(NAME_PARTS), size=rng.integers(1, 5))]
-        name = NAMES[rng.integers(len(NAMES))] if rng.random() < 0.3 else "/".join(parts)
-        node[key] = name + ("", "", ".png", "{frame:06d}.png")[rng.integers(4)]
-    return json.dumps(root[0]).encode()
-
-
-def _places(node: list | dict) -> Iterator[tuple[list | dict, int | str]]:
-    """Every (container, key) inside."""
-    for key in list(node) if isinstance(node, dict) else range(len(node)):
-        yield node, key
-        if isinstance(node[key], (list, dict)):
-            yield from _places(node[key])
 
 
 def _json(data: bytes, rng: np.random.Generator) -> bytes:

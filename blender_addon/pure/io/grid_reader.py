@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from . import FileFormatError
+from .files import path_in
 
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side that are believed
 CODECS = ({"bytes"}, {"bytes", "gzip"})
@@ -37,13 +38,13 @@ class StoredGrid:
         dtype: of the stored numbers.
 
     Raises:
-        FileFormatError: not such a store, or one compressed in another way.
+        FileFormatError: not such a store, or one compressed in another way, or parts of it are links to elsewhere.
     """
 
     def __init__(self, path: Path, quantity: str, units: str | None = None, components: tuple[int, ...] = (3,)):
         self.path, self._components = path, components
         try:
-            description = json.loads((path / "zarr.json").read_bytes())
+            description = json.loads(path_in(path, "zarr.json").read_bytes())
             attributes, shape = description["attributes"], tuple(description["shape"])
             codecs = {codec["name"] for codec in description["codecs"]}
             chunks = tuple(description["chunk_grid"]["configuration"]["chunk_shape"])
@@ -83,7 +84,7 @@ class StoredGrid:
         """
         out = np.zeros((*(stop - start), *self._components), np.float32)
         for chunk in product(*(range(a // n, -(-b // n)) for a, b, n in zip(start, stop, self._chunk, strict=True))):
-            file = self.path.joinpath("c", str(frame), *map(str, chunk), *("0" for _ in self._components))
+            file = path_in(self.path, "/".join(["c", *map(str, (frame, *chunk)), *("0" for _ in self._components)]))
             if not file.exists():
                 continue  # all zero
             values = self._decode(file)

@@ -23,6 +23,13 @@ class Alignment:
     position_rms_m: float
     rotation_max_deg: float
 
+    def in_words(self, source: Path) -> str:
+        """What was done by the cameras of `source`, and what is left."""
+        return (
+            f"moved by the similarity of {source}: scale {self.scale:.4g}; cameras then "
+            f"{self.position_rms_m * 1000:.2g} mm (rms) and at most {self.rotation_max_deg:.2g} degrees off"
+        )
+
 
 def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) -> Alignment:
     """Least-squares similarity of source cameras to target cameras of the same name (Umeyama 1991, with orientations).

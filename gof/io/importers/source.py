@@ -12,7 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gof.errors import DataFormatError, GofError, MissingDependencyError
+from gof import extras
+from gof.errors import DataFormatError, GofError
 from gof.gaussians import MovingGaussians
 from gof.npz import ALWAYS, read_npz
 from gof.options import require_number, require_positive
@@ -100,12 +101,7 @@ class Source:
             MissingDependencyError: torch is not installed.
             DataFormatError: not a torch file, or it holds objects that only executing it could make.
         """
-        try:
-            import torch
-        except ImportError as e:
-            raise MissingDependencyError(
-                f"{self.path}: reading a checkpoint needs PyTorch; pip install 'gaussians-on-fire[torch]'"
-            ) from e
+        torch = extras.load("torch", "torch", f"{self.path}: reading a checkpoint")
         scalar = np.core.multiarray.scalar
         dtypes = [type(np.dtype(kind)) for kind in ("f2", "f4", "f8", "i4", "i8", "bool")]
         # a numpy number (3DGS saves spatial_lr_scale as one) under its names of numpy 1 and 2
