@@ -94,7 +94,7 @@ def test_a_capture_far_from_zero_is_measured_from_the_datum(tmp_path):
     from tests.reconstruct.rising_flame import write_flame
 
     folder = moved_copy(
-        write_flame(tmp_path / "near", frames=3, late={1: 0.01}), tmp_path / "far", Datum((5e5, 5e6, 100), 1.7e9)
+        write_flame(tmp_path / "near", frames=6, late={1: 0.01}), tmp_path / "far", Datum((5e5, 5e6, 100), 1.7e9)
     )
     dataset = Dataset.open(folder)
     there = DatasetDescription.read(folder).measured_from(tuple(dataset.datum.numbers()))
