@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from gof.datum import Datum
 from gof.errors import DataFormatError, NonFiniteError
 from gof.files import is_name
 
@@ -111,6 +112,14 @@ class Camera:
         d_uv[:, 0, 2] = -xyz[:, 0] / z**2
         d_uv[:, 1, 2] = -xyz[:, 1] / z**2
         return self.K[:2, :2] @ d_uv @ self.world_to_camera[:3, :3]
+
+    def measured_from(self, datum: Datum) -> Camera:
+        """The same camera in a world whose zero is the datum's place."""
+        if not any(datum.position):
+            return self
+        pose = self.world_to_camera.copy()
+        pose[:3, 3] += pose[:3, :3] @ datum.position
+        return replace(self, world_to_camera=pose)
 
     def scaled(self, width: int, height: int) -> Camera:
         """The same camera for an image resampled to width x height (row time per image line scales with it)."""

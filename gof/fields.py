@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from gof.datum import Datum
 from gof.errors import DataFormatError
 from gof.zarr_array import ZarrArray
 
@@ -157,6 +159,15 @@ class VelocitySequence:
             DataFormatError: not a zarr array, wrong schema or version, missing attribute, times not increasing.
         """
         return cls(open_array(path))
+
+    def measured_from(self, datum: Datum) -> VelocitySequence:
+        """The same store in a world and on a clock whose zeros are the datum's."""
+        moved = copy(self)
+        moved.times_s = self.times_s - datum.time_s
+        moved.index_to_world = self.index_to_world.copy()
+        moved.index_to_world[:3, 3] -= datum.position
+        moved._cached = None
+        return moved
 
     @classmethod
     def create(cls, path: str | Path, fields: Iterable[VelocityField], dtype: str = "float32") -> VelocitySequence:

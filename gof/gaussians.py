@@ -17,6 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from gof import results
+from gof.datum import Datum
 from gof.errors import DataFormatError, GofError, require_finite
 from gof.similarity import transformed_splats
 
@@ -43,13 +44,16 @@ class MovingGaussians(Protocol):
     def transformed(self, matrix: np.ndarray) -> MovingGaussians:
         """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay."""
 
+    def measured_from(self, datum: Datum) -> MovingGaussians:
+        """The same ones with places and times from another datum; where nobody says from which, as they are."""
+
     def save(self, path: str | Path, source: str = "") -> Path:
         """Write a file that `gof.io.importers.read_result` reads."""
 
 
 @dataclass
 class TransientGaussians:
-    """N Gaussians in activated values, float32, world frame (Z up, metres, seconds).
+    """N Gaussians in activated values, float32, world frame (Z up, metres, seconds), measured from `datum`.
 
     Args:
         position: (N, 3) centre at time t_mu, m.
@@ -65,6 +69,8 @@ class TransientGaussians:
             and light move as one, at `velocity`.
         velocity_sd: (N,) m/s, >= 0, standard deviation of each component of the gas' velocity; inf = nobody says.
             None is inf for all.
+        datum: the place in the world and the time on the clock, both float64, that positions and t_mu count from. None:
+            nobody says; they are taken to be measured as those are that they are used with.
 
     Raises:
         DataFormatError: shapes disagree, or a value is outside its range (names the parameter and rows).
@@ -82,6 +88,7 @@ class TransientGaussians:
     dynamic: np.ndarray
     gas_velocity: np.ndarray | None = None
     velocity_sd: np.ndarray = None  # never None once constructed
+    datum: Datum | None = None
 
     def __post_init__(self):
         if self.velocity_sd is None:
@@ -139,7 +146,7 @@ class TransientGaussians:
 
     def __getitem__(self, index) -> TransientGaussians:
         """A subset by boolean mask, slice or index array (N',)."""
-        return TransientGaussians(**{name: values[index] for name, values in self.arrays().items()})
+        return TransientGaussians(**{name: values[index] for name, values in self.arrays().items()}, datum=self.datum)
 
     def at(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
         """State at one time: position (N, 3) m and opacity (N,) in [0, 1]; static Gaussians do not change."""
@@ -150,8 +157,8 @@ class TransientGaussians:
         return position.astype(np.float32), (self.opacity * window).astype(np.float32)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The fields by name; without `gas_velocity` where there is none."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        """The arrays by name; without `gas_velocity` where there is none."""
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "datum"}
         return {name: value for name, value in values.items() if name != "gas_velocity" or value is not None}
 
     @property
@@ -178,6 +185,8 @@ class TransientGaussians:
     def transformed(self, matrix: np.ndarray) -> TransientGaussians:
         """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay.
 
+        It maps places as they are measured here; of the other world nobody says a datum.
+
         Raises:
             GofError: not a similarity (sheared, mirrored or singular).
         """
@@ -194,23 +203,34 @@ class TransientGaussians:
             scale=scale,
             rotation=rotation,
             color=color,
+            datum=None,
         )
+
+    def measured_from(self, datum: Datum) -> TransientGaussians:
+        """The same ones with places and times from another datum; where nobody says from which, as they are."""
+        if self.datum is None or self.datum == datum:
+            return replace(self, datum=datum)
+        x, y, z, t = self.datum.numbers() - datum.numbers()
+        return replace(self, position=self.position + np.array([x, y, z]), t_mu=self.t_mu + np.float64(t), datum=datum)
 
     @classmethod
     def concatenate(cls, parts: list[TransientGaussians]) -> TransientGaussians:
-        """All Gaussians of several sets; colour layouts must agree."""
+        """All Gaussians of several sets, measured from the first datum there is; colour layouts must agree."""
+        datum = next((part.datum for part in parts if part.datum is not None), None)
+        if datum is not None:
+            parts = [part.measured_from(datum) for part in parts]
         if any(part.gas_velocity is not None for part in parts):
             parts = [replace(part, gas_velocity=part.moving_gas) for part in parts]
         names = parts[0].arrays()
-        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}, datum=datum)
 
     def save(self, path: str | Path, source: str = "") -> Path:
-        """Write `.ply` (3DGS attributes plus time and velocity) or `.npz` (schema gof-linear/1), by suffix.
+        """Write `.ply` (3DGS attributes plus time and velocity) or `.npz` (schema gof-linear), by suffix.
 
         Raises:
             DataFormatError: unknown suffix.
         """
-        return results.save(self.arrays(), Path(path), source)
+        return results.save(self.arrays(), Path(path), source, self.datum)
 
     @classmethod
     def load(cls, path: str | Path) -> TransientGaussians:
@@ -222,6 +242,7 @@ class TransientGaussians:
         """
         path = Path(path)
         try:
-            return cls(**results.load(path))
+            arrays, datum = results.load(path)
+            return cls(**arrays, datum=datum)
         except GofError as e:
             raise e if str(path) in str(e) else type(e)(f"{path}: {e}") from e

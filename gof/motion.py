@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.datum import Datum
 from gof.errors import DataFormatError, GofError, NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.trajectory import Trajectory
@@ -102,6 +103,10 @@ class Motion:
     def transformed(self, matrix: np.ndarray) -> Motion:
         """In another world, by a similarity (4, 4)."""
         return replace(self, matrix=np.asarray(matrix) @ (np.eye(4) if self.matrix is None else self.matrix))
+
+    def measured_from(self, datum: Datum) -> Motion:
+        """Itself: the function is asked in the times, and answers in the places, of whoever uses it."""
+        return self
 
     def save(self, path: str | Path, source: str = "") -> Path:
         """Sample it at `times_s` and write an npz (gof-trajectory/1), with its velocities."""

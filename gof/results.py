@@ -5,6 +5,9 @@ logit, f_dc/f_rest are SH coefficients (f_rest channel-major). Our additions are
 (m/s), is_dynamic; where the gas has another velocity than its light, gas_vx, gas_vy, gas_vz (m/s); and v_sd (m/s) where
 something is known of how sure the velocity is. The npz holds activated values.
 Neither ever contains a pickle.
+
+Where places and times are measured from a datum (`gof.datum`), the files name it and are of version 2, so that a reader
+that knows none refuses them instead of misplacing a flame by kilometres.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.datum import Datum
 from gof.errors import DataFormatError
 from gof.files import atomic_path
 from gof.harmonics import plain_color
@@ -22,16 +26,21 @@ from gof.ply import Ply, splat_columns, write
 Arrays = dict[str, np.ndarray]  # the fields of `gof.gaussians.TransientGaussians` by name
 
 NPZ_SCHEMA = "gof-linear/1"
+NPZ_MEASURED = "gof-linear/2"  # from a datum
+PLY_VERSION, PLY_MEASURED = "gof-transient 1", "gof-transient 2"
+PLY_DATUM = "datum x y z t:"
 PLY_COMMENTS = [
-    "gof-transient 1",
     "units: metres, seconds, m/s; world frame, Z up",
     "x(t) = (x,y,z) + (t - t_mu) (vx,vy,vz); opacity(t) = sigmoid(opacity) exp(-0.5 ((t - t_mu)/t_sigma)^2)",
     "scale_* = ln(std-dev); rot_* = wxyz; static Gaussians (is_dynamic 0) ignore time and velocity",
 ]
 
 
-def save(arrays: Arrays, path: Path, source: str = "") -> Path:
+def save(arrays: Arrays, path: Path, source: str = "", datum: Datum | None = None) -> Path:
     """Write by suffix, atomically. `source` (how it was made) goes into the file. Returns `path`.
+
+    Args:
+        datum: what places and times are measured from; None: nobody says.
 
     Raises:
         DataFormatError: unknown suffix.
@@ -40,12 +49,12 @@ def save(arrays: Arrays, path: Path, source: str = "") -> Path:
     if path.suffix not in writers:
         raise DataFormatError(f"{path}: unknown suffix; use one of {sorted(writers)}")
     with atomic_path(path) as temporary:
-        writers[path.suffix](arrays, temporary, source)
+        writers[path.suffix](arrays, temporary, source, datum)
     return path
 
 
-def load(path: Path) -> Arrays:
-    """Read by suffix.
+def load(path: Path) -> tuple[Arrays, Datum | None]:
+    """Read by suffix: the arrays, and what they are measured from, where the file says so.
 
     Raises:
         DataFormatError: unknown suffix, no such file, another version, a field missing, or a damaged file.
@@ -72,26 +81,32 @@ _NPZ_FIELDS = {
 }
 
 
-def _save_npz(arrays: Arrays, path: Path, source: str) -> None:
+def _save_npz(arrays: Arrays, path: Path, source: str, datum: Datum | None) -> None:
     stored = {key: arrays[name] for key, name in _NPZ_FIELDS.items()}
     if "gas_velocity" in arrays:
         stored["v_gas"] = arrays["gas_velocity"]
     stored |= _velocity_sd(arrays)
     stored["rgb" if arrays["color"].ndim == 2 else "sh"] = arrays["color"]
-    np.savez(path, schema=np.array(NPZ_SCHEMA), source=np.array(source), **stored)
+    if datum:
+        stored["datum"] = datum.numbers()
+    np.savez(path, schema=np.array(NPZ_MEASURED if datum else NPZ_SCHEMA), source=np.array(source), **stored)
 
 
-def _load_npz(path: Path) -> Arrays:
+def _load_npz(path: Path) -> tuple[Arrays, Datum | None]:
     data = read_npz(path)
     schema = str(data.get("schema", "none"))
-    if schema != NPZ_SCHEMA:
-        raise DataFormatError(f"{path}: schema is '{schema[:40]}', this version reads '{NPZ_SCHEMA}'")
+    if schema not in (NPZ_SCHEMA, NPZ_MEASURED):
+        raise DataFormatError(
+            f"{path}: schema is '{schema[:40]}', this version reads '{NPZ_SCHEMA}' and '{NPZ_MEASURED}'"
+        )
     color = "rgb" if "rgb" in data else "sh"
-    missing = [key for key in (*_NPZ_FIELDS, color) if key not in data]
+    needed = (*_NPZ_FIELDS, color, *(["datum"] if schema == NPZ_MEASURED else []))
+    missing = [key for key in needed if key not in data]
     if missing:
         raise DataFormatError(f"{path}: fields {missing} are missing")
     known = {name: data[key] for key, name in (("v_gas", "gas_velocity"), ("v_sd", "velocity_sd")) if key in data}
-    return {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]} | known
+    arrays = {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]} | known
+    return arrays, Datum.from_numbers(data["datum"], path) if schema == NPZ_MEASURED else None
 
 
 def _velocity_sd(arrays: Arrays) -> Arrays:
@@ -105,7 +120,7 @@ def _velocity_sd(arrays: Arrays) -> Arrays:
 _GAS = ("gas_vx", "gas_vy", "gas_vz")
 
 
-def _save_ply(arrays: Arrays, path: Path, source: str) -> None:
+def _save_ply(arrays: Arrays, path: Path, source: str, datum: Datum | None) -> None:
     moving = {
         "t_mu": arrays["t_mu"],
         "t_sigma": arrays["t_sigma"],
@@ -115,14 +130,22 @@ def _save_ply(arrays: Arrays, path: Path, source: str) -> None:
     }
     if "gas_velocity" in arrays:
         moving |= {name: arrays["gas_velocity"][:, i] for i, name in enumerate(_GAS)}
-    write(path, splat_columns(arrays) | moving, PLY_COMMENTS + ([f"source: {source}"] if source else []))
+    comments = [PLY_VERSION, *PLY_COMMENTS]
+    if datum:
+        comments = [PLY_MEASURED, " ".join([PLY_DATUM, *map(repr, datum.numbers().tolist())]), *PLY_COMMENTS]
+    write(path, splat_columns(arrays) | moving, comments + ([f"source: {source}"] if source else []))
 
 
-def _load_ply(path: Path) -> Arrays:
+def _load_ply(path: Path) -> tuple[Arrays, Datum | None]:
     ply = Ply.read(path)
     version = [c for c in ply.comments if c.startswith("gof-transient")]
-    if version and version[0] != PLY_COMMENTS[0]:
-        raise DataFormatError(f"{path}: written as '{version[0]}', this version reads '{PLY_COMMENTS[0]}'")
+    if version and version[0] not in (PLY_VERSION, PLY_MEASURED):
+        raise DataFormatError(
+            f"{path}: written as '{version[0]}', this version reads '{PLY_VERSION}' and '{PLY_MEASURED}'"
+        )
+    measured = [c.removeprefix(PLY_DATUM).split() for c in ply.comments if c.startswith(PLY_DATUM)]
+    if (PLY_MEASURED in version) != (len(measured) == 1):
+        raise DataFormatError(f"{path}: the comment '{PLY_DATUM}' belongs to '{PLY_MEASURED}', once")
     missing = [name for name in ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic") if not ply.has(name)]
     if missing:
         raise DataFormatError(
@@ -135,7 +158,7 @@ def _load_ply(path: Path) -> Arrays:
     known = {"velocity_sd": ply.columns("v_sd")[:, 0]} if ply.has("v_sd") else {}
     if all(ply.has(name) for name in _GAS):
         known["gas_velocity"] = ply.columns(*_GAS)
-    return (
+    arrays = (
         splats
         | known
         | {
@@ -145,3 +168,4 @@ def _load_ply(path: Path) -> Arrays:
             "dynamic": ply.columns("is_dynamic")[:, 0] != 0,
         }
     )
+    return arrays, Datum.from_numbers(measured[0], path) if measured else None

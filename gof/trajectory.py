@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.datum import Datum
 from gof.errors import DataFormatError, require_finite
 from gof.files import atomic_path
 from gof.gaussians import TransientGaussians
@@ -182,6 +183,10 @@ class Trajectory:
         if self.velocity is not None:
             states["velocity"] = (self.velocity.reshape(-1, 3) @ np.asarray(matrix)[:3, :3].T).reshape(shape)
         return Trajectory(**states)
+
+    def measured_from(self, datum: Datum) -> Trajectory:
+        """Themselves: their file says nothing of a datum."""
+        return self
 
     def save(self, path: str | Path, source: str = "") -> Path:
         """Write an npz (schema gof-trajectory/1), atomically."""

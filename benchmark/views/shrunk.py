@@ -54,7 +54,7 @@ def shrink(root: Path, out: Path, longest_side: int) -> None:
     entries = []
     for number, (camera, entry) in enumerate(zip(dataset.cameras, dataset.description.cameras, strict=True)):
         factor = longest_side / max(camera.width, camera.height)
-        small = camera.scaled(round(camera.width * factor), round(camera.height * factor))
+        small = entry.camera().scaled(round(camera.width * factor), round(camera.height * factor))
         for kind in ("rgb", "static", "mask", "board_mask"):
             if getattr(entry, kind) is not None:
                 _shrink_pictures(dataset, number, kind, out, (small.width, small.height))

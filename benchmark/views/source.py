@@ -33,7 +33,7 @@ class ViewSource:
         """Raises DataFormatError if the folder holds no finished dataset."""
         dataset = Dataset.open(root)
         entries = dataset.description.cameras
-        all_cameras = replace(dataset, cameras=[entry.camera() for entry in entries])
+        all_cameras = replace(dataset, cameras=dataset.description.cameras_from(dataset.datum, "train", "eval"))
         return cls(all_cameras, tuple(entry.role == "train" for entry in entries))
 
     def pictures(self) -> Iterator[tuple[int, int, bool]]:

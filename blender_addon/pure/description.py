@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -112,6 +112,18 @@ class DatasetDescription:
         except FileFormatError as error:
             raise FileFormatError(f"{error}; choose the folder of a finished dataset") from None
 
+    def measured_from(self, datum: tuple[float, float, float, float]) -> DatasetDescription:
+        """The same cameras and times where the datum, x, y, z (m) and t (s), is the zero of world and clock."""
+        cameras = tuple(_measured_from(entry, datum) for entry in self.cameras)
+        return replace(self, cameras=cameras, time_s=tuple(time_s - datum[3] for time_s in self.time_s))
+
     def write(self, folder: Path) -> None:
         """Write `folder/dataset.json`. Written last, it says that the dataset is complete."""
         write_record(folder / FILE, self)
+
+
+def _measured_from(entry: CameraEntry, datum: tuple[float, float, float, float]) -> CameraEntry:
+    turned = [sum(a * x for a, x in zip(row, datum[:3], strict=False)) for row in entry.world_to_camera[:3]]
+    rows = [(*row[:3], row[3] + moved) for row, moved in zip(entry.world_to_camera, turned, strict=False)]
+    own = entry.time_s and tuple(time_s - datum[3] for time_s in entry.time_s)
+    return replace(entry, world_to_camera=(*rows, *entry.world_to_camera[3:]), time_s=own)

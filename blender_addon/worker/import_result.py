@@ -112,12 +112,15 @@ class CapturedScene:
         bpy.context.scene.frame_set(math.floor(at), subframe=at - math.floor(at))
 
 
-def read_scene(dataset: Path) -> GeneratedScene | CapturedScene:
-    """What is known of a dataset's scene. Raises FileFormatError as `read_spec`, but not for a capture."""
+def read_scene(dataset: Path, datum: tuple[float, float, float, float]) -> GeneratedScene | CapturedScene:
+    """What is known of a dataset's scene, a capture's measured from the datum: Blender knows float32 alone.
+
+    Raises FileFormatError as `read_spec`, but not for a capture.
+    """
     description = DatasetDescription.read(dataset)
     if description.spec:
         return GeneratedScene(read_spec(dataset))
-    return CapturedScene(description, dataset)
+    return CapturedScene(description.measured_from(datum), dataset)
 
 
 def import_into_scene(cloud: gaussians_file.GaussianCloud, spec: SceneSpec, mode: str):
@@ -158,7 +161,7 @@ def run(args: argparse.Namespace) -> None:
     outputs = [path for path in (args.blend, args.preview) if path is not None]
     _check_outputs(outputs, args.overwrite)
     cloud = gaussians_file.load(args.result)
-    scene = read_scene(args.dataset)
+    scene = read_scene(args.dataset, cloud.datum)
     _check_view(args, scene)
     for path in outputs:
         path.parent.mkdir(parents=True, exist_ok=True)

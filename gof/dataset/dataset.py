@@ -12,6 +12,7 @@ import numpy as np
 
 from gof.cameras import Camera
 from gof.dataset.description import FILE, CameraEntry, DatasetDescription
+from gof.datum import Datum
 from gof.errors import DataFormatError
 from gof.fields import VelocitySequence
 from gof.files import path_in, stamp
@@ -24,6 +25,9 @@ SEEN = ("rgb", "static", "mask", "board_mask")  # kinds of files that are made s
 @dataclass(frozen=True)
 class Dataset:
     """A capture or a benchmark scene. Frames and cameras are numbered from 0; images are read when asked for.
+
+    A world or a clock far from zero (UTM coordinates, Unix time) is measured from `datum`: cameras, times and the true
+    velocity alike. `description` says what the file says.
 
     Attributes:
         path: the folder.
@@ -46,13 +50,19 @@ class Dataset:
         """
         folder = Path(folder)
         description = DatasetDescription.read(folder)
-        cameras = [entry.camera() for entry in description.cameras if entry.role == "train"]
-        return cls(folder, description, cameras, np.asarray(description.time_s, np.float64))
+        datum = description.datum
+        times_s = np.asarray(description.time_s, np.float64) - datum.time_s
+        return cls(folder, description, description.cameras_from(datum, "train"), times_s)
 
     def evaluation_view(self) -> Dataset | None:
         """The same dataset seen by its cameras of role "eval", for novel views; None when it has none."""
-        cameras = [entry.camera() for entry in self.description.cameras if entry.role == "eval"]
+        cameras = self.description.cameras_from(self.datum, "eval")
         return replace(self, cameras=cameras) if cameras else None
+
+    @cached_property
+    def datum(self) -> Datum:
+        """What places and times are measured from; zeros unless float32 would round them as they are."""
+        return self.description.datum
 
     @property
     def train_frames(self) -> list[int]:
@@ -75,7 +85,7 @@ class Dataset:
         clock.
         """
         own = self._entry(camera).time_s
-        return self.times_s if own is None else np.asarray(own, np.float64)
+        return self.times_s if own is None else np.asarray(own, np.float64) - self.datum.time_s
 
     def name(self, camera: int, kind: str, frame: int = 0) -> str:
         """Name of a camera's file for a frame, relative to the dataset.
@@ -149,7 +159,7 @@ class Dataset:
         """
         if self.description.velocity is None:
             raise DataFormatError(f"{self.path}: has no ground-truth velocity (a real capture?)")
-        return VelocitySequence.open(path_in(self.path, self.description.velocity))
+        return VelocitySequence.open(path_in(self.path, self.description.velocity)).measured_from(self.datum)
 
     def _entry(self, camera: int) -> CameraEntry:
         name = self.cameras[camera].name

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from gof.cameras import Camera
+from gof.datum import Datum
 from gof.errors import DataFormatError
 from gof.files import is_relative_path
 from gof.records import read_record, write_record
@@ -122,6 +123,16 @@ class DatasetDescription:
     def in_metres(self) -> bool:
         """Whether lengths are metres; poses solved without any known length have a unit of their own, and say so."""
         return str(self.provenance.get("scale", METRES)).startswith(METRES)
+
+    @property
+    def datum(self) -> Datum:
+        """What whoever computes in float32 measures places and times from; zeros where the dataset lies near zero."""
+        centres = [camera.position for camera in self.cameras_from(Datum(), "train")]
+        return Datum.of(np.array(centres), np.array(self.time_s))
+
+    def cameras_from(self, datum: Datum, *roles: str) -> list[Camera]:
+        """The cameras of these roles, in file order, measured from the datum."""
+        return [entry.camera().measured_from(datum) for entry in self.cameras if entry.role in roles]
 
     @property
     def is_filmed(self) -> bool:

@@ -12,12 +12,14 @@ with d_i the Mahalanobis distance.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gof.dataset import Dataset
+from gof.datum import Datum
 from gof.errors import DataFormatError
 from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.sparse_grid import StoredField
@@ -79,6 +81,14 @@ class FlameGrid:
                 f"{self._array.shape}"
             )
 
+    def measured_from(self, datum: Datum) -> FlameGrid:
+        """The same flame in a world and on a clock whose zeros are the datum's."""
+        moved = copy(self)
+        moved.times_s = self.times_s - datum.time_s
+        moved.index_to_world = self.index_to_world.copy()
+        moved.index_to_world[:3, 3] -= datum.position
+        return moved
+
     def places(self, time_s: float, count: int, rng: np.random.Generator) -> np.ndarray:
         """(count, 3) world m, drawn evenly from the emission of the stored frame at `time_s`; (0, 3) without flame.
 
@@ -109,7 +119,7 @@ class FlameGrid:
 def flame_grid(dataset: Dataset) -> FlameGrid | None:
     """The true flame of a dataset; None where it has no such grid. Raises DataFormatError as `FlameGrid`."""
     path = dataset.path / "grids" / "flame.zarr"
-    return FlameGrid(path) if path.exists() else None
+    return FlameGrid(path).measured_from(dataset.datum) if path.exists() else None
 
 
 def velocity_at(points: np.ndarray, gaussians: MovingGaussians, time_s: float) -> tuple[np.ndarray, np.ndarray]:

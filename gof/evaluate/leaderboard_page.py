@@ -45,7 +45,7 @@ def stream_plots(
     out = []
     for result in results:
         try:
-            state = read_again(result).state_at(time_s)
+            state = read_again(result).measured_from(dataset.datum).state_at(time_s)
             if not (state.dynamic & (state.at(time_s)[1] > 0)).any():
                 raise GofError(f"no dynamic Gaussian lives at {time_s:g} s")
             images = {kind: _uri(picture) for kind, picture in plots(state, time_s, truth).items()}

@@ -89,7 +89,7 @@ def evaluate(
             gradients = _gradients(gaussians, dataset, sequence.times_s, progress)
         scores = replace(
             scores,
-            dve=_velocity_score(sequence, order, opacity, emission, gradients),
+            dve=_velocity_score(sequence, dataset.datum.time_s, order, opacity, emission, gradients),
             controls={name: _control_score(name, control) for name, control in sequence.controls.items()},
             warnings=(*partly, *sanity_warnings(sequence)),
         )
@@ -127,13 +127,13 @@ def _load(
             clip_s=(float(dataset.times_s[0]), float(dataset.times_s[-1])),
         )
         imported = read_result(result, options)
-        gaussians, notes = imported.gaussians, list(imported.notes)
+        gaussians, notes = imported.gaussians.measured_from(dataset.datum), list(imported.notes)
         if options.world is not None and options.world.is_dir() and align is None:
             ours = {c.name: c.world_to_camera for c in dataset.cameras}
             notes.append(require_same_world(read_cameras(options.world), ours, options.world))
         origin = Origin(imported.method, tuple(notes), str(imported.path), UsedOptions.of(options))
     else:
-        gaussians = result
+        gaussians = result.measured_from(dataset.datum)
         origin = Origin("memory")
     if align is None:
         return gaussians, origin
@@ -253,6 +253,7 @@ def _control_score(name: str, control: DVESequence) -> ControlScore:
 
 def _velocity_score(
     sequence: DVESequence,
+    zero_s: float,
     order: int,
     opacity: Opacity,
     emission: EmissionFigures | None,
@@ -264,7 +265,7 @@ def _velocity_score(
     return VelocityScore(
         **_clip_figures(sequence),
         **skills,
-        frames=tuple(FrameScore(t, f.l2, f.cos_sim, f.n, f.undefined) for t, f in frames),
+        frames=tuple(FrameScore(t + zero_s, f.l2, f.cos_sim, f.n, f.undefined) for t, f in frames),
         inside=Agreement.of(sequence.inside),
         fluctuation=sequence.fluctuation,
         within_sd=sequence.within_sd,

@@ -144,13 +144,13 @@ def picture_file(run: Path, camera: str, frame: int) -> Path:
 
 def write_pictures(run: Run, dataset: Dataset) -> None:
     """Draw a run's held-out frames with our renderer, for methods whose own it is."""
-    gaussians = read_again(run)
+    gaussians = read_again(run, dataset)
     for shown in draw(gaussians, dataset, run.result, run.scores.import_.over_plates, dataset.test_frames):
         path = picture_file(run.folder, dataset.cameras[shown.camera].name, shown.frame)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_picture(path, np.rint(shown.image[..., ::-1] * 255).astype(np.uint8))
 
 
-def read_again(run: Run) -> MovingGaussians:
-    """The Gaussians of a run, read as its scores say. Raises DataFormatError: they are damaged."""
-    return read_result(run.result, run.options).gaussians
+def read_again(run: Run, dataset: Dataset) -> MovingGaussians:
+    """The Gaussians of a run, read as its scores say, beside the dataset. Raises DataFormatError: they are damaged."""
+    return read_result(run.result, run.options).gaussians.measured_from(dataset.datum)

@@ -106,7 +106,7 @@ def _run(
     absent = [MADE_FROM] * (not (run.folder / MADE_FROM).is_file()) + pictures
     said = f"{', '.join(absent[:3])}{' ...' if len(absent) > 3 else ''} not there" if absent else "all there"
     yield Finding(name, "files", "refused" if absent else "ok", said)
-    gaussians = read_again(run)
+    gaussians = read_again(run, dataset)
     yield _clock(gaussians, dataset, name)
     yield from _frames(run, dataset, submission, name)
     if not pictures:

@@ -12,6 +12,7 @@ import numpy as np
 from gof.capture.template import BoardTemplate
 from gof.dataset import Dataset
 from gof.dataset.description import METRES
+from gof.datum import Datum
 from gof.errors import DataFormatError, GofError
 from gof.ingest import sfm
 from gof.ingest.board import board_points, board_region
@@ -103,7 +104,8 @@ class Rig:
                     f"the footage {lens.K[0, 0]:.0f} px; give both clips the same --fov or --cameras"
                 )
         plates = [np.uint8(np.rint(255 * dataset.static(c))) for c in range(len(lenses))]
-        poses = np.array([camera.world_to_camera for camera in dataset.cameras])
+        world = dataset.description.cameras_from(Datum(), "train")  # as the file has it: a new dataset's is the same
+        poses = np.array([camera.world_to_camera for camera in world])
         return cls(folder, poses, str(dataset.description.provenance.get("scale", METRES)), plates)
 
 

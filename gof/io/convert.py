@@ -58,7 +58,8 @@ def convert(
     if sequence:
         if not frame_time_s:
             raise DataFormatError(f"{out}: a folder of PLYs needs --frame-time, the seconds from one file to the next")
-        return ply_frames.save(gaussians, out, *_clip(gaussians, out, start_s, end_s), frame_time_s)
+        notes = ply_frames.save(gaussians, out, *_clip(gaussians, out, start_s, end_s), frame_time_s)
+        return [*_measured(gaussians), *notes]
     gaussians.save(out, source)
     return []
 
@@ -75,11 +76,19 @@ def _save_ftgs(
         frames = round((end_s - start_s) / frame_time_s) + 1
     start_s, end_s = _clip(gaussians, out, start_s, end_s)
     freetime.save(gaussians, out, start_s, end_s, frames)
-    return freetime.losses(gaussians, start_s, end_s)
+    return [*_measured(gaussians), *freetime.losses(gaussians, start_s, end_s)]
+
+
+def _measured(gaussians: TransientGaussians) -> list[str]:
+    """What a format without a datum leaves out."""
+    if not gaussians.datum:
+        return []
+    x, y, z, t = gaussians.datum.numbers().tolist()
+    return [f"places count from ({x:.12g}, {y:.12g}, {z:.12g}) m and times from {t:.12g} s; the file cannot say so"]
 
 
 def _save_instant(gaussians: TransientGaussians, out: Path, time_s: float | None, source: str) -> list[str]:
-    notes = []
+    notes = _measured(gaussians)
     if time_s is None:
         moving = gaussians.t_mu[gaussians.dynamic]
         time_s = float(np.median(moving)) if len(moving) else 0.0

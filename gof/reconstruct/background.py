@@ -138,7 +138,7 @@ def still_gaussians(
             progress,
         )
         figures.update(gaussians=len(gaussians), steps=options.steps)
-    return gaussians
+    return gaussians.measured_from(dataset.datum)
 
 
 def add_flame(background: TransientGaussians, flame: Path, out: Path) -> None:
@@ -163,7 +163,7 @@ def plate_depths(dataset: Dataset, plates: Sequence[np.ndarray], weights: Path |
     if len(plates) < 2:
         raise GofError(f"{dataset.path}: one camera has no stereo depth; give depth/{files[0].name}")
     poses = Poses.read(dataset.path)
-    points = np.zeros((0, 3)) if poses is None else poses.points_array()
+    points = np.zeros((0, 3)) if poses is None else poses.points_array() - dataset.datum.position
     pictures = [np.uint8(np.rint(255 * plate)) for plate in plates]
     partial = stereo_depth(pictures, dataset.cameras, points)
     return [depth_maps.whole_depth(d, picture, weights) for d, picture in zip(partial, pictures, strict=True)]

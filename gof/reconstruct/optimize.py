@@ -157,7 +157,7 @@ class _Flame:
         # where density control clones Gaussians.
         gas_velocity = seeds.gas_velocity if schedule.gas_apart else None
         known = {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
-        self._gas = {} if schedule.density_control else known
+        self._kept = {"datum": seeds.datum} | ({} if schedule.density_control else known)
         self.start_s = float(observation.camera_time_s.min())
         plates = surroundings.unknowns()
         raw = to_raw(seeds, self.voxel_size, self.start_s) | plates
@@ -193,7 +193,7 @@ class _Flame:
     def state(self) -> tuple[TransientGaussians, list[np.ndarray]]:
         """See `Surroundings.result`."""
         gaussians = from_raw(self.optimizer, self.voxel_size, self.start_s)
-        return self.surroundings.result(replace(gaussians, **self._gas), self.optimizer)
+        return self.surroundings.result(replace(gaussians, **self._kept), self.optimizer)
 
 
 class _TrainingPictures:

@@ -94,12 +94,11 @@ def _lenses(dataset: Dataset) -> Iterator[Doubt]:
 
 
 def _clocks(dataset: Dataset) -> Iterator[Doubt]:
-    start = f"{dataset.times_s[0]:.12g}"
     yield from _digits(
         "the dataset's clock",
         dataset.times_s,
         dataset.frame_time_s,
-        f"Subtract {start} s from every time in dataset.json, and from the velocity store's",
+        "The clip is too long for its frames: cut it into parts",
     )
     clocks = [dataset.camera_times_s(c) for c in range(len(dataset.cameras))]
     for number, (camera, own) in enumerate(zip(dataset.cameras, clocks, strict=True)):
@@ -128,7 +127,7 @@ def _clocks(dataset: Dataset) -> Iterator[Doubt]:
 
 
 def _digits(what: str, values: np.ndarray, least: float, remedy: str) -> Iterator[Doubt]:
-    """Clocks and worlds far from zero, where a result in float32 would be rounded to nothing."""
+    """Clips too long and flames too far from the cameras, where a result in float32 would be rounded to nothing."""
     try:
         require_digits(what, values, least, remedy)
     except GofError as e:
@@ -203,7 +202,7 @@ def _poses(views: list[_View]) -> Iterator[Doubt]:
         "the flame's place in the world",
         np.stack([low, high]),
         float((high - low).max()) / FINEST,
-        f"Subtract ({', '.join(f'{x:.7g}' for x in middle)}) from every place: of the poses, and of the velocity store",
+        "Places are measured from amid the cameras: these stand too far from so small a flame",
     )
     ray = [(middle - camera.position) / max(np.linalg.norm(middle - camera.position), 1e-30) for camera in cameras]
     angle = max(

@@ -157,7 +157,7 @@ def make_seeds(
     with run.log.measure("seeds") as figures:
         t_sigma = lifetime_s(field, dt) if method.seeding.short_lives else LIFETIME_FRAMES[1] * dt
         seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng)
-        seeds = ablations.change_seeds(settings.ablation, seeds, rng)
+        seeds = ablations.change_seeds(settings.ablation, seeds, rng).measured_from(run.dataset.datum)
         seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
     shown = (seeds, list(observation.plate)) if still is None else (TransientGaussians.concatenate([still, seeds]), [])

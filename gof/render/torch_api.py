@@ -11,7 +11,7 @@ import numpy as np
 from gof import extras
 from gof.cameras import Camera
 from gof.errors import DataFormatError, MissingDependencyError, require_finite
-from gof.render.backend import Array3f, Array4f, Float, floats
+from gof.render.backend import Array3f, Array4f, Float, floats, opaque
 from gof.render.blend import MAX_ALPHA
 from gof.render.harmonics import harmonics_color
 from gof.render.rasterizer import render_splats
@@ -97,7 +97,9 @@ def rasterize(
     Raises:
         NonFiniteError (a ValueError), DataFormatError: named argument and rows, or shape.
 
-    Results are float32 on the CPU whatever the inputs are; gradients have their tensor's type and device.
+    Results are float32 on the CPU whatever the inputs are; gradients have their tensor's type and device. Places are
+    taken from each camera's centre in float64 first: a world far from zero (UTM coordinates) costs no digits where
+    means and viewmats are float64. What float32 inputs have rounded away is lost.
     """
     if render_mode not in RENDER_MODES or rasterize_mode not in ("classic", "antialiased"):
         raise DataFormatError(
@@ -232,10 +234,16 @@ def _tensor(planes: list[Float], shape: tuple) -> torch.Tensor:
     return out
 
 
-def _eye(world_to_camera: list[Float]) -> Array3f:
-    """Centre of a camera: -R^T t of its row-major 3x4 matrix."""
+def _eye(world_to_camera: list[Float], zero: np.ndarray) -> Array3f:
+    """Centre of a camera whose t + R zero stands in its row-major 3x4 matrix, counted from zero (3,).
+
+    It is -R^T t - zero, entry by entry as matrices that are no longer rotations have it: R^T R zero comes in with its
+    derivative only, for its value has no digits left where zero is large.
+    """
     R, t = world_to_camera, [world_to_camera[k] for k in (3, 7, 11)]
-    return Array3f(*(-sum(R[4 * i + k] * t[i] for i in range(3)) for k in range(3)))
+    moved = [sum(R[4 * i + k] * opaque(zero[k]) for k in range(3)) for i in range(3)]
+    back = [sum(R[4 * i + k] * moved[i] for i in range(3)) for k in range(3)]
+    return Array3f(*(-sum(R[4 * i + k] * t[i] for i in range(3)) + (back[k] - dr.detach(back[k])) for k in range(3)))
 
 
 class _Rasterize(torch.autograd.Function):
@@ -253,8 +261,12 @@ class _Rasterize(torch.autograd.Function):
             "opacities": opacities,
             "colors": colors,
         }
-        leaves = {name: _columns(t) for name, t in inputs.items() if t is not None}
-        view = viewmat.detach().to("cpu", torch.float64).numpy()
+        # From the camera's centre: float32 has no digits left for pixels where the world's zero is far away (UTM).
+        view = viewmat.detach().to("cpu", torch.float64).numpy().copy()
+        ctx.centre = -view[:3, :3].T @ view[:3, 3]
+        view[:3, 3] += view[:3, :3] @ ctx.centre
+        drawn = inputs | {"means": means.detach().to("cpu", torch.float64) - torch.from_numpy(ctx.centre)}
+        leaves = {name: _columns(t) for name, t in drawn.items() if t is not None}
         leaves["viewmat"] = [dr.opaque(Float, float(v)) for v in view[:3].reshape(-1)]
         if background is not None:
             leaves["background"] = [dr.opaque(Float, float(v)) for v in background.detach().reshape(-1)]
@@ -270,7 +282,7 @@ class _Rasterize(torch.autograd.Function):
         if options.sh_degree is not None:
             d = colors.shape[-1]
             coefficients = [color[k * d : (k + 1) * d] for k in range(colors.shape[-2])]
-            color = harmonics_color(coefficients, position, _eye(leaves["viewmat"]), options.sh_degree)
+            color = harmonics_color(coefficients, position, _eye(leaves["viewmat"], ctx.centre), options.sh_degree)
         shape = (Array4f(*leaves["quats"]), Array3f(*leaves["scales"])) if covars is None else (None, None)
         splats = Splats(position, *shape, leaves["opacities"][0], color, leaves.get("covars"))
         frame = render_splats(
@@ -314,6 +326,7 @@ class _Rasterize(torch.autograd.Function):
             elif name == "viewmat":
                 grad = torch.zeros(4, 4)
                 grad[:3] = _tensor([dr.grad(v) for v in ctx.leaves[name]], (1, 12)).reshape(3, 4)
+                grad[:3, :3] += torch.outer(grad[:3, 3], torch.from_numpy(ctx.centre).float())  # t + R centre is drawn
                 out.append(grad.to(like))
             else:
                 out.append(_tensor([dr.grad(v) for v in ctx.leaves[name]], tuple(like.shape)).to(like))

@@ -52,7 +52,7 @@ def build_report(
     Raises:
         DataFormatError: a picture or a file cannot be read.
     """
-    gaussians = TransientGaussians.load(result)
+    gaussians = TransientGaussians.load(result).measured_from(dataset.datum)
     progress = progress or (lambda *a, **k: None)
     camera = len(dataset.cameras) // 2 if camera is None else camera
     plates = [background(dataset, number, result) for number in range(len(dataset.cameras))]

@@ -191,7 +191,8 @@ class Viewer:
     def _read(self) -> MovingGaussians:
         self._file = newest(self.path)
         self._stamp = _stamp(self._file)
-        return read_result(self._file, ImportOptions()).gaussians
+        gaussians = read_result(self._file, ImportOptions()).gaussians
+        return gaussians if self.dataset is None else gaussians.measured_from(self.dataset.datum)
 
 
 def _how_sure(doubt: np.ndarray) -> str:

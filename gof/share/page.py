@@ -10,7 +10,7 @@ import base64
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +74,7 @@ def share_page(
     if len(set(names)) < len(names):
         raise GofError(f"two results are called {names}; give each a name of its own with --names")
     progress = progress or (lambda *a, **k: None)
+    results = _measured_alike(results, dataset)
     first_s, last_s = _span(results, dataset)
     middle, reach = middle_of(results[0].gaussians, (first_s + last_s) / 2)
     views = _views(dataset)
@@ -115,6 +116,14 @@ def share_page(
         temporary.write_text(html, encoding="utf-8")
     notes = [f"recorded: {said}"] if views else ["no --dataset: no cameras, recorded pictures or true velocity in it"]
     return Shared(out, out.stat().st_size, [len(text) for text in texts], agreement, notes)
+
+
+def _measured_alike(results: list[Opened], dataset: Dataset | None) -> list[Opened]:
+    """All from the dataset's datum; without one, from the first result's."""
+    datum = results[0].gaussians.datum if dataset is None else dataset.datum
+    if datum is None:
+        return results
+    return [replace(result, gaussians=result.gaussians.measured_from(datum)) for result in results]
 
 
 def assemble(content: dict[str, Any], title: str) -> str:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.datum import Datum
 from gof.gaussians import TransientGaussians
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io.cloud import SH_C0
@@ -65,6 +66,42 @@ def test_reads_the_velocity_of_the_gas(tmp_path, suffix):
     cloud = load(apart.save(tmp_path / f"two{suffix}"))
     assert np.array_equal(cloud.gas_velocity, gas) and np.array_equal(cloud.velocity, together.velocity)
     assert np.array_equal(cloud.moving_gas, apart.moving_gas)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".ply"])
+def test_reads_the_datum_that_places_and_times_count_from(tmp_path, suffix):
+    datum = Datum((498_000.0, 5_213_000.5, 431.0), 1_732_300_000.25)
+    cloud = load(replace(gaussians(), datum=datum).save(tmp_path / f"far{suffix}"))
+    assert cloud.datum == tuple(datum.numbers())
+    np.testing.assert_allclose(cloud.position, gaussians().position, atol=1e-6)
+    assert load(gaussians().save(tmp_path / f"near{suffix}")).datum == (0, 0, 0, 0)
+
+
+def test_a_broken_datum_is_named(tmp_path):
+    path = replace(gaussians(), datum=Datum((5e5, 0.0, 0.0))).save(tmp_path / "a.npz")
+    content = dict(np.load(path))
+    for wrong in ([1.0, 2.0], [1.0, 2.0, np.nan, 0.0], ["a", "b", "c", "d"]):
+        np.savez(tmp_path / "b.npz", **content | {"datum": np.array(wrong)})
+        with pytest.raises(FileFormatError, match=r"b\.npz.*datum"):
+            load(tmp_path / "b.npz")
+
+
+def test_a_capture_far_from_zero_is_measured_from_the_datum(tmp_path):
+    """Blender knows float32 alone: its cameras stand where the library's do."""
+    from gof.dataset import Dataset
+    from gof_benchmark.evidence.far_from_zero import moved_copy
+    from gof_blender.pure.description import DatasetDescription
+    from tests.reconstruct.rising_flame import write_flame
+
+    folder = moved_copy(
+        write_flame(tmp_path / "near", frames=6, late={1: 0.01}), tmp_path / "far", Datum((5e5, 5e6, 100), 1.7e9)
+    )
+    dataset = Dataset.open(folder)
+    there = DatasetDescription.read(folder).measured_from(tuple(dataset.datum.numbers()))
+    np.testing.assert_allclose(there.time_s, dataset.times_s, atol=1e-9)
+    np.testing.assert_allclose(there.cameras[1].time_s, dataset.camera_times_s(1), atol=1e-9)
+    for entry, camera in zip(there.cameras, dataset.cameras, strict=True):
+        np.testing.assert_allclose(entry.world_to_camera, camera.world_to_camera, atol=1e-8)
 
 
 def test_reads_big_endian_doubles(tmp_path):

@@ -100,6 +100,30 @@ def test_autograd_equals_central_differences(degree):
         np.testing.assert_allclose(got, want, atol=3e-3 * np.abs(want).max(), err_msg=name)
 
 
+@pytest.mark.parametrize("degree", [None, 2])
+def test_a_world_far_from_zero_is_drawn_as_around_zero(degree):
+    """UTM coordinates: nothing is lost where places come in float64."""
+    cams, g = two_cameras(), gaussians(15, 3, 0.12)
+    if degree is not None:
+        g["color"] = np.random.default_rng(0).normal(0, 0.3, (15, 9, 3))
+    drawn = []
+    for shift in (np.zeros(3), np.array([5e5, 5e6, 100.0])):
+        views = np.stack([c.world_to_camera for c in cams])
+        views[:, :3, 3] -= views[:, :3, :3] @ shift
+        double = {name: torch.tensor(value, dtype=torch.float64) for name, value in zip(NAMES, g.values(), strict=True)}
+        double["means"] += torch.tensor(shift)
+        double["viewmats"] = torch.tensor(views)
+        for tensor in double.values():
+            tensor.requires_grad_()
+        Ks = torch.tensor(np.stack([c.K for c in cams]))
+        colors, alphas, _ = rasterize(**double, Ks=Ks, width=40, height=30, sh_degree=degree)
+        (colors.sum() + (alphas**2).sum()).backward()
+        moves = double["viewmats"].grad[:, :3, 3]
+        drawn.append([colors.detach(), double["means"].grad, double["quats"].grad, moves])
+    for near, far in zip(*drawn, strict=True):
+        assert (near - far).abs().max() < 2e-5 * near.abs().max()
+
+
 @pytest.mark.long
 def test_optimisation_with_torch_adam_recovers_a_picture():
     cams, g = two_cameras()[:1], gaussians(30, 5, 0.1)

@@ -15,7 +15,7 @@ SH_C0 = 0.5 / np.sqrt(np.pi)  # the constant spherical harmonic; display colour 
 
 @dataclass(frozen=True)
 class GaussianCloud:
-    """N transient Gaussians, activated, float32; world frame of the dataset (Z up, metres, seconds).
+    """N transient Gaussians, activated, float32; world frame of the dataset (Z up, metres, seconds), from the datum.
 
     x(t) = position + (t - t_mu) velocity and alpha(t) = opacity exp(-0.5 ((t - t_mu) / t_sigma)^2); rows that are not
     dynamic ignore time. Where begin and end are given, a row is seen while begin <= t < end only.
@@ -34,6 +34,12 @@ class GaussianCloud:
     velocity_sd: np.ndarray | None = None  # (N,) m/s of each component, inf = nobody says; None: nobody says of any
     begin: np.ndarray | None = None  # (N,) s
     end: np.ndarray | None = None  # (N,) s
+    datum: tuple[float, float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )  # x, y, z (m), t (s): what places and t_mu count from
 
     def __len__(self) -> int:
         return len(self.position)
@@ -75,7 +81,7 @@ def checked(values: dict[str, np.ndarray], path: Path) -> GaussianCloud:
     vectors = dict.fromkeys(("position", "velocity", "gas_velocity"), (3,))
     widths = vectors | {"scale": (3,), "rotation": (4,), "color": (3,)}
     for field in fields(GaussianCloud):
-        if field.name not in values:
+        if field.name not in values or field.name == "datum":
             continue
         array = values[field.name]
         if array.shape != (n, *widths.get(field.name, ())):

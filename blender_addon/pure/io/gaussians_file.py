@@ -1,6 +1,7 @@
 """Reader of reconstructions, with numpy only.
 
-- `result.npz` (schema gof-linear/1) and `result.ply` of this project;
+- `result.npz` (schema gof-linear) and `result.ply` of this project, with the datum that their places and times are
+  measured from, where they name one;
 - FTGS-PLY version 1 (FreeTimeGS): time runs from 0 to 1 over the clip;
 - a 3DGS PLY (a still), or numbered ones (one per frame; what deformation methods export).
 
@@ -20,7 +21,8 @@ from . import FileFormatError, ftgs_file, npz_file, ply_sequence
 from .cloud import SH_C0, GaussianCloud, checked, splats
 from .ply_file import PlyVertices, columns
 
-NPZ_SCHEMA = "gof-linear/1"
+NPZ_SCHEMA, NPZ_MEASURED = "gof-linear/1", "gof-linear/2"  # around zero; from a datum
+PLY_DATUM = "datum x y z t:"
 NPZ_NAMES = {
     "position": "x0",
     "velocity": "v",
@@ -100,7 +102,7 @@ def files_of(source: str | Path | Sequence[Path]) -> list[Path]:
 def _read_npz(path: Path, step: int) -> dict[str, np.ndarray]:
     found = npz_file.arrays(path)
     schema = str(found.get("schema", "none"))
-    if schema != NPZ_SCHEMA:
+    if schema not in (NPZ_SCHEMA, NPZ_MEASURED):
         raise FileFormatError(f"{path}: schema is '{schema}', expected '{NPZ_SCHEMA}'; write it with `gof convert`")
     missing = [key for key in NPZ_NAMES.values() if key not in found]
     if not {"rgb", "sh"} & set(found):
@@ -118,7 +120,19 @@ def _read_npz(path: Path, step: int) -> dict[str, np.ndarray]:
         values["velocity_sd"] = found[UNSURE]
     if GAS[0] in found:
         values["gas_velocity"] = found[GAS[0]]
-    return {field: array[::step] if array.ndim else array for field, array in values.items()}
+    measured = {"datum": _datum(found.get("datum"), path)} if schema == NPZ_MEASURED else {}
+    return measured | {field: array[::step] if array.ndim else array for field, array in values.items()}
+
+
+def _datum(numbers: object, path: Path) -> tuple[float, float, float, float]:
+    """x, y, z (m) and t (s), float64. Raises FileFormatError: they are not four finite numbers."""
+    try:
+        x, y, z, t = np.asarray(numbers, np.float64).reshape(4).tolist()
+    except (TypeError, ValueError):
+        raise FileFormatError(f"{path}: 'datum' must be four numbers: x, y, z (m) and t (s)") from None
+    if not np.isfinite([x, y, z, t]).all():
+        raise FileFormatError(f"{path}: 'datum' holds NaN or Inf")
+    return x, y, z, t
 
 
 def _count_npz(path: Path) -> int:
@@ -146,6 +160,9 @@ def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:
         values["velocity_sd"] = columns(rows, UNSURE)[:, 0]
     if all(ply.has(name) for name in GAS[1]):
         values["gas_velocity"] = columns(rows, *GAS[1])
+    said = [comment.removeprefix(PLY_DATUM).split() for comment in ply.comments if comment.startswith(PLY_DATUM)]
+    if said:
+        values["datum"] = _datum(said[0], path)
     try:
         return values | {
             "velocity": columns(rows, "vx", "vy", "vz"),

@@ -104,7 +104,7 @@ def _require_digits(gaussians: MovingGaussians) -> None:
         return
     moving = gaussians[gaussians.dynamic]
     lives = moving.t_sigma[np.isfinite(moving.t_sigma)]
-    remedy = "Keep clock and world near zero; what was rounded off is lost"
+    remedy = "Keep clock and world near zero, or name a datum (docs/formats.md); what was rounded off is lost"
     if len(lives):
         require_digits("the result's clock", moving.t_mu, float(np.median(lives)), remedy, most=ROUNDED)
     require_digits("the result's world", moving.position, float(np.median(moving.scale)), remedy, most=ROUNDED)
