@@ -54,7 +54,7 @@ def read_npy(path: Path) -> np.ndarray:
     """
     try:
         with open(path, "rb") as file:
-            shape, dtype = _header(file)
+            shape, dtype = _header(file, path.stat().st_size)
             if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > path.stat().st_size:
                 raise ValueError(f"it announces shape {shape} of {dtype} in {path.stat().st_size} bytes")
         return np.load(path, allow_pickle=False)
@@ -62,9 +62,16 @@ def read_npy(path: Path) -> np.ndarray:
         raise DataFormatError(f"{path}: not a readable npy ({e})") from e
 
 
-def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+def _header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type of the npy of `size` bytes. Raises ValueError: its header announces to be longer than that."""
     version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    short = version == (1, 0)
+    begin = file.tell()
+    length = int.from_bytes(file.read(2 if short else 4), "little")
+    if length > size:
+        raise ValueError(f"its header announces {length} bytes, it has {size}")
+    file.seek(begin)
+    read = np.lib.format.read_array_header_1_0 if short else np.lib.format.read_array_header_2_0
     shape, _, dtype = read(file)
     return shape, dtype
 
@@ -78,7 +85,7 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
         )
     for member in members:
         with archive.open(member) as file:
-            shape, dtype = _header(file)
+            shape, dtype = _header(file, member.file_size)
         if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
             raise DataFormatError(
                 f"{path}: '{member.filename}' announces shape {shape} of {dtype}, the file holds {member.file_size} "

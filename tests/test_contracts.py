@@ -24,6 +24,7 @@ GOLDEN = Path(__file__).parent / "golden"
 SHIPPED = {
     "gof-sensors": ROOT / "gof/capture/sensors.json",
     "gof-led-board": ROOT / "gof/capture/gof_board.json",
+    "gof-ring-board": ROOT / "gof/capture/rocsync.json",
     "gof-suite": ROOT / "benchmark/suite/gof_bench_1.json",
     "gof-suite-truth": ROOT / "benchmark/suite/truth.json",
 }

@@ -33,6 +33,17 @@ WRONG = {  # command and what it needs, by option: values that it cannot have
         "--time-zero": NO[:3],
     },
     "leaderboard RESULT": {"--time": NO[:3]},
+    "video RESULT --out OUT.webm": {
+        "--slow": NO,
+        "--seconds": NO,
+        "--stop": NO[:3],
+        "--degrees": NO[:3],
+        "--reduced": NO,
+        "--fps": NO,
+        "--frame-time": NO,
+        "--time-unit": NO,
+        "--time-zero": NO[:3],
+    },
     "view RESULT": {"--port": ("-1", "65536", "1000000")},
     "report DATASET --dataset DATASET": {"--camera": ("-1", "99")},
     "reconstruct DATASET --out OUT": {

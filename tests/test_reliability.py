@@ -58,7 +58,8 @@ def test_a_campaign_that_was_ended_goes_on_and_counts_the_same(tmp_path, monkeyp
 
     monkeypatch.setattr(fuzz, "work", work)
     monkeypatch.setattr(fuzz, "STEP", 4)
-    monkeypatch.setattr(fuzz.multiprocessing, "get_context", lambda kind: multiprocessing.get_context("fork"))
+    fork = multiprocessing.get_context("fork")
+    monkeypatch.setattr(fuzz.multiprocessing, "get_context", lambda kind: fork)
     at_once = fuzz.examine("scene spec", 0, range(20))
     progress = tmp_path / "progress.json"
     fuzz.examine("scene spec", 0, range(10), progress)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from .io import FileFormatError
-from .io.records import read_record, write_record
+from .io.records import read_record
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,6 @@ class Scores:
             return read_record(cls, path)
         except FileFormatError as error:
             raise FileFormatError(f"{error}; was it written by gof of another version?") from None
-
-    def write(self, path: Path) -> None:
-        """Write a scores.json."""
-        write_record(path, self)
 
     def rows(self) -> list[tuple[str, str]]:
         """Names and values for people."""

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from ..pure import dve
 from ..pure.io import FileFormatError, gaussians_file
+from ..pure.io.records import write_record
 from ..pure.scores import Scores
 from .reporter import Reporter, leave, run_alone
 
@@ -34,7 +35,7 @@ def main(argv: list[str] | None = None) -> int:
         for done, total, so_far in dve.score(cloud, args.dataset):
             scores = so_far
             progress(done, total)
-        scores.write(args.out)
+        write_record(args.out, scores)
     except (FileFormatError, OSError) as error:
         print(f"score: {error}", file=sys.stderr)
         return 2

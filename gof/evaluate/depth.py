@@ -53,6 +53,17 @@ def rmse_depth(depth: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = N
     return DepthScore(float(np.sqrt(w @ (t - scale * d - shift) ** 2)), scale, shift, len(d))
 
 
+def rmse_to_map(
+    depth: np.ndarray, folder: Path, camera: str, frame: int, mask: np.ndarray | None = None
+) -> DepthScore | None:
+    """`rmse_depth` against the map of a camera's frame in a folder. Raises: as both, naming the file."""
+    truth = read_depth(folder, camera, frame)
+    try:
+        return rmse_depth(depth, truth, mask)
+    except GofError as e:
+        raise type(e)(f"{folder}: camera '{camera}', frame {frame}: {e}") from e
+
+
 def read_depth(folder: Path, camera: str, frame: int) -> np.ndarray:
     """`folder/camera/000000.npy`, (H, W): a predicted or true depth map.
 

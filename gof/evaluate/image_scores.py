@@ -14,7 +14,7 @@ from gof.cameras import sizes_px
 from gof.dataset import Dataset
 from gof.errors import MissingDependencyError
 from gof.evaluate import perceptual
-from gof.evaluate.depth import read_depth, rmse_depth
+from gof.evaluate.depth import read_depth, rmse_to_map
 from gof.evaluate.image import psnr, ssim, temporal_l2
 from gof.evaluate.published import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
 from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore, PublishedFigures
@@ -245,7 +245,7 @@ def _picture_score(
         figures["temporal_l2_plate"] = None if change is None else 1.0  # a still picture's, by definition
     if extras.depth is not None:
         seen = _both(_both(frame.alpha > VISIBLE, mask), board)
-        found = rmse_depth(frame.depth, read_depth(extras.depth, camera, frame.number), seen)
+        found = rmse_to_map(frame.depth, extras.depth, camera, frame.number, seen)
         figures["rmse_depth"] = None if found is None else found.rmse
     # identical pictures have an infinite PSNR, for which JSON has no number
     finite = {name: value for name, value in figures.items() if value is not None and np.isfinite(value)}

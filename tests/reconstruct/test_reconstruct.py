@@ -144,10 +144,10 @@ def test_interrupted_optimisation_resumes_from_its_checkpoint(rising_flame, tmp_
 
 def test_training_seconds_survive_a_kill(rising_flame, tmp_path, monkeypatch):
     """A clock that is 1000 s later at every step: what the checkpoint had cost is counted, what was lost is not."""
-    from gof.reconstruct import curve, optimize, surroundings
+    from gof.reconstruct import curve, optimize, stages, surroundings
 
     now, steps = [0.0], []
-    for module in (pipeline, curve):
+    for module in (stages, curve):
         monkeypatch.setattr(module.time, "perf_counter", lambda: now[0])
     monkeypatch.setattr(optimize, "CHECKPOINT_EVERY", 20)
     monkeypatch.setattr(optimize, "EVALUATE_AT", ())

@@ -267,12 +267,10 @@ def _read_poses(folder: Path):
 
 
 def _read_depth(folder: Path):
-    from gof.evaluate.depth import read_depth, rmse_depth
+    from gof.evaluate.depth import read_depth, rmse_to_map
 
-    first, second = (read_depth(folder, camera, 0) for camera in ("cam_0", "cam_1"))
-    if first.shape != second.shape:
-        raise GofError(f"{folder}: shapes differ")
-    return first, second, rmse_depth(first, second)
+    first = read_depth(folder, "cam_0", 0)
+    return first, rmse_to_map(first, folder, "cam_1", 0)
 
 
 def _read_fire(folder: Path):

@@ -169,36 +169,22 @@ def impossible(data: bytes, rng: np.random.Generator) -> bytes:
     cameras = about["cameras"]
     one = cameras[rng.integers(len(cameras))]
     much = float(10.0 ** rng.uniform(3, 9))
-    match rng.integers(8):
+    match rng.integers(6):
         case 0:
             one["K"][0][0] = one["K"][1][1] = one["K"][0][0] * much ** int(rng.choice([-1, 1]))
         case 1:
             one["row_time_s"] = -abs(one["row_time_s"]) * much if rng.random() < 0.5 else much
         case 2:
             one["time_s"] = [t + rng.choice([-1, 1]) * rng.uniform(20, 1e6) for t in one["time_s"]]
-        case 3:  # Unix time
-            start = rng.uniform(1e9, 2e9)
-            about["time_s"] = [t + start for t in about["time_s"]]
-            for camera in cameras:
-                camera["time_s"] = [t + start for t in camera["time_s"]]
-        case 4:  # metres of a map
-            _move(cameras, rng.uniform(1e5, 1e7, 3) * rng.choice([-1, 1], 3))
-        case 5:  # one place for all
+        case 3:  # one place for all
             for camera in cameras:
                 camera["world_to_camera"] = cameras[0]["world_to_camera"]
-        case 6:
+        case 4:
             one["world_to_camera"] = np.linalg.inv(one["world_to_camera"]).tolist()
-        case 7:  # OpenGL's axes
+        case 5:  # OpenGL's axes
             for camera in cameras:
                 camera["world_to_camera"] = (np.diag([1.0, -1, -1, 1]) @ camera["world_to_camera"]).tolist()
     return json.dumps(about).encode()
-
-
-def _move(cameras: list[dict], by: np.ndarray) -> None:
-    for camera in cameras:
-        pose = np.array(camera["world_to_camera"])
-        pose[:3, 3] -= pose[:3, :3] @ by
-        camera["world_to_camera"] = pose.tolist()
 
 
 def _places(node: list | dict) -> Iterator[tuple[list | dict, int | str]]:

@@ -180,7 +180,8 @@ def _submission(folder: Path) -> None:
 def _open_submission(folder: Path):
     """What `gof benchmark check` reads before it draws."""
     from gof.dataset.leaks import MadeFrom
-    from gof.evaluate.submission import Run, Submission, picture_file, read_again
+    from gof.evaluate.submission import Run, Submission, picture_file
+    from gof.io.importers import read_result
 
     submission = Submission.open(folder / "dataset")
     found = []
@@ -188,7 +189,8 @@ def _open_submission(folder: Path):
         for place in folders:
             run = Run.open(place, scene)
             assert run.result.resolve().is_relative_to(folder.resolve() / "dataset"), "a result outside was opened"
-            found.append((read_again(run), MadeFrom.read(place), str(picture_file(place, "cam_0", 0))))
+            gaussians = read_result(run.result, run.options).gaussians
+            found.append((gaussians, MadeFrom.read(place), str(picture_file(place, "cam_0", 0))))
     _require_apart(folder)
     return submission.name, found
 
