@@ -38,6 +38,7 @@ from gof.npz import read_npz
 
 META = "meta.npz"
 ZOOM = 1.03  # of their undistorted camera, so that no black borders are left
+MOST_PIXELS = 100_000  # of a picture's side: more is no picture
 TURNS = {  # camera axes of the turned picture, from those of the stored one
     "none": np.eye(3),
     "clockwise": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
@@ -81,13 +82,16 @@ class Meta:
                 raise DataFormatError(f"{path}: '{name}' holds NaN or Inf")
             return value
 
+        size = field("image_size", cameras, 2)
+        if (size < 1).any() or (size > MOST_PIXELS).any():
+            raise DataFormatError(f"{path}: 'image_size' is {size.tolist()}, expected 1 to {MOST_PIXELS} pixels a side")
         return cls(
             path,
             field("times", cameras, -1),
             float(field("led_time_origin_us", 1)[0]),
             field("camera_matrix", cameras, 3, 3),
             field("dist_coeffs", cameras, -1),
-            field("image_size", cameras, 2).astype(int),
+            size.astype(int),
             field("R", cameras, 3, 3),
             field("t", cameras, 3),
             field("points3D", -1, 3) if "points3D" in arrays else np.zeros((0, 3)),
