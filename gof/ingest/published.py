@@ -38,6 +38,7 @@ from gof.npz import read_npz
 
 META = "meta.npz"
 ZOOM = 1.03  # of their undistorted camera, so that no black borders are left
+DISTORTIONS = 4, 5, 8, 12, 14  # numbers that OpenCV's models of a lens have
 MOST_PIXELS = 100_000  # of a picture's side: more is no picture
 TURNS = {  # camera axes of the turned picture, from those of the stored one
     "none": np.eye(3),
@@ -67,7 +68,7 @@ class Meta:
         """Raises DataFormatError: absent, damaged, a field is missing, of another shape, or not finite."""
         path = folder / META
         arrays = read_npz(path)
-        cameras = len(arrays.get("times", ()))
+        cameras = len(np.atleast_1d(arrays.get("times", ())))
 
         def field(name: str, *shape: int) -> np.ndarray:
             if name not in arrays:
@@ -85,12 +86,17 @@ class Meta:
         size = field("image_size", cameras, 2)
         if (size < 1).any() or (size > MOST_PIXELS).any():
             raise DataFormatError(f"{path}: 'image_size' is {size.tolist()}, expected 1 to {MOST_PIXELS} pixels a side")
+        distortion = field("dist_coeffs", cameras, -1)
+        if distortion.shape[1] not in DISTORTIONS:
+            raise DataFormatError(
+                f"{path}: 'dist_coeffs' has {distortion.shape[1]} numbers, OpenCV's have {DISTORTIONS}"
+            )
         return cls(
             path,
             field("times", cameras, -1),
             float(field("led_time_origin_us", 1)[0]),
             field("camera_matrix", cameras, 3, 3),
-            field("dist_coeffs", cameras, -1),
+            distortion,
             size.astype(int),
             field("R", cameras, 3, 3),
             field("t", cameras, 3),
