@@ -122,6 +122,8 @@ class Meta:
         K, distortion = self.camera_matrix[camera], self.dist_coeffs[camera]
         tight, _ = cv2.getOptimalNewCameraMatrix(K, distortion, (width, height), 0)
         focal = ZOOM * max(tight[0, 0], tight[1, 1])
+        if not (np.isfinite(focal) and focal > 0):
+            raise DataFormatError(f"{self.path}: no camera without distortion fits 'camera_matrix' of camera {camera}")
         return Lens(width, height, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]))
 
 
