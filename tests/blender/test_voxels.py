@@ -83,7 +83,7 @@ def test_files_are_where_blender_has_the_cloud(tmp_path):
     pytest.importorskip("bpy", reason="the operator needs Blender")
     one = cloud()
     TransientGaussians(
-        **{k: v for k, v in vars(one).items() if v is not None and k not in ("begin", "end", "velocity_sd")}
+        **{k: v for k, v in vars(one).items() if v is not None and k not in ("begin", "end", "velocity_sd", "datum")}
     ).save(tmp_path / "one.npz")
     found = in_blender(
         """
