@@ -92,7 +92,7 @@ class TransientGaussians:
 
     def __post_init__(self):
         if self.velocity_sd is None:
-            self.velocity_sd = np.full(len(self.position), np.inf)
+            self.velocity_sd = np.full(np.shape(self.position)[:1], np.inf)
         for name, values in self.arrays().items():
             kind = bool if name == "dynamic" else np.float32
             try:

@@ -117,6 +117,8 @@ def test_shapes_must_agree():
     values = {f: getattr(random_gaussians(5), f) for f in FIELDS}
     with pytest.raises(DataFormatError, match="'t_mu' has shape"):
         TransientGaussians(**values | {"t_mu": np.zeros(4)})
+    with pytest.raises(DataFormatError, match="has shape"):
+        TransientGaussians(**values | {"position": np.array(1.0)})
     with pytest.raises(DataFormatError, match="'color' has shape"):
         TransientGaussians(**values | {"color": np.zeros((5, 5, 3))})
 

@@ -71,7 +71,7 @@ def description_lines(dataset: Dataset, total: int) -> dict[str, str]:
 
 
 def _quoted(text: str) -> str:
-    return json.dumps(text)  # a JSON string is a YAML string
+    return json.dumps(text).replace("<", "\\u003c")  # a JSON string is a YAML string; no tag on a host's page
 
 
 def _plain(text: str) -> str:

@@ -79,9 +79,12 @@ def read_spent(path: Path) -> Spent | None:
     if not path.exists():
         return None
     try:
-        return Spent(*map(float, _read(path)["spent"]))
+        spent = Spent(*map(float, _read(path)["spent"]))
     except (KeyError, TypeError, ValueError) as e:
         raise DataFormatError(f"{path}: not a checkpoint of this version ({e}); {REMEDY}") from e
+    if not (0 <= spent.stage_s < np.inf and 0 <= spent.fitting_s < np.inf):
+        raise DataFormatError(f"{path}: says that its steps took {spent.stage_s} and {spent.fitting_s} s; {REMEDY}")
+    return spent
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
