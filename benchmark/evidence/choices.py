@@ -87,13 +87,14 @@ class Row:
     cos_sim: float
     fluctuation_l2: float | None
     fluctuation_cos_sim: float | None
-    psnr_flame: float
-    psnr: float
+    psnr_flame: float | None
+    psnr: float | None
 
     def __str__(self) -> str:
-        numbers = (self.l2, self.cos_sim, self.fluctuation_l2, self.fluctuation_cos_sim)
-        cells = ["-" if value is None else f"{value:.3f}" for value in numbers]
-        return f"| {self.name} | {' | '.join(cells)} | {self.psnr_flame:.2f} | {self.psnr:.2f} |"
+        velocities = (self.l2, self.cos_sim, self.fluctuation_l2, self.fluctuation_cos_sim)
+        cells = ["-" if value is None else f"{value:.3f}" for value in velocities]
+        cells += ["-" if value is None else f"{value:.2f}" for value in (self.psnr_flame, self.psnr)]
+        return f"| {self.name} | {' | '.join(cells)} |"
 
 
 def main(argv: list[str] | None = None) -> None:

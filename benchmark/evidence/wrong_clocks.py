@@ -53,16 +53,15 @@ class Row:
     shift_frames: list[float]
     l2: float
     cos_sim: float
-    psnr_flame: float
-    psnr: float
-    psnr_flame_believed: float
+    psnr_flame: float | None
+    psnr: float | None
+    psnr_flame_believed: float | None
 
     def __str__(self) -> str:
         shifts = ", ".join(f"{shift:+.2f}" for shift in self.shift_frames)
-        return (
-            f"| {self.error:g} | {shifts} | {self.l2:.3f} | {self.cos_sim:.3f} | {self.psnr_flame:.2f} | "
-            f"{self.psnr_flame_believed:.2f} | {self.psnr:.2f} |"
-        )
+        pictures = (self.psnr_flame, self.psnr_flame_believed, self.psnr)
+        cells = ["-" if value is None else f"{value:.2f}" for value in pictures]
+        return f"| {self.error:g} | {shifts} | {self.l2:.3f} | {self.cos_sim:.3f} | {' | '.join(cells)} |"
 
 
 def main(argv: list[str] | None = None) -> None:
