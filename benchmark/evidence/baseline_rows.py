@@ -72,7 +72,7 @@ class BaselineRows:
 class Training:
     """Command lines, run in turn, of which the one with `--curve` trains; what comes out, and how it is added.
 
-    `options`: of `gof benchmark add`.
+    `result`: where several files match its name, the one of the last step.   `options`: of `gof benchmark add`.
     """
 
     commands: tuple[tuple[str, ...], ...]
@@ -146,7 +146,10 @@ OptimizationParams: {{iterations: {steps}, position_lr_init: 0.00016, position_t
 
 
 def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
-    """Its `default_keyframe_small`; starting points by its own script."""
+    """Its `default_keyframe_small`; starting points by its own script.
+
+    It writes nothing at a step whose frame it was not given (one in eight is held out), hence the last eight steps.
+    """
     count, steps, view = len(Dataset.open(data).times_s), config.steps, data / "freetimegs"
     script = "src/combine_frames_fast_keyframes.py"
     start = (f"{config.freetime}/{script}", "--input-dir", f"{view}/triangulation", "--output-path", f"{out}/start.npz")
@@ -154,10 +157,11 @@ def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
     train = ("-m", "gof", "baseline", "--method", "freetime", "--without-lpips", "--curve", f"{out}/curve.csv")
     train += (f"{config.freetime}/src/simple_trainer_freetime_4d_pure_relocation.py", "default_keyframe_small")
     train += ("--data-dir", f"{view}", "--init-npz-path", f"{out}/start.npz", "--result-dir", f"{out}/model")
-    train += ("--start-frame", "0", "--end-frame", f"{count}", "--max-steps", f"{steps}", "--save-steps", f"{steps}")
+    train += ("--start-frame", "0", "--end-frame", f"{count}", "--max-steps", f"{steps}", "--save-steps")
+    train += tuple(f"{step}" for step in range(steps - 7, steps + 1))
     train += ("--eval-steps", "10000000", "--lambda-perc", "0", "--disable-viewer", "--render-traj-n-frames", "2")
     options = ("--trained-on", "train", "--time-unit", f"{duration(data)}", "--world", f"{view}/sparse/0")
-    return Training((start, train), out / f"model/ckpts/ckpt_{steps - 1}.pt", options)
+    return Training((start, train), out / "model/ckpts/ckpt_*.pt", options)
 
 
 OTHERS = {"wu": wu, "yang": yang, "freetime": freetime}
@@ -194,7 +198,7 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
     for path, text in training.settings.items():
         path.write_text(text)
     costs = [measured([f"{config.python}", *words], here / "log.txt") for words in training.commands]
-    add(training.result, data, folder, (*training.options, "--curve", f"{here}/curve.csv"), here / "log.txt", costs)
+    add(last_of(training.result), data, folder, (*training.options, "--curve", f"{here}/curve.csv"), here / "log.txt", costs)
     log = (here / "log.txt").read_text().splitlines()
     said = next(line for line in log if line.startswith("gof baseline: ")).removeprefix("gof baseline: ")
     head, _, licence = said.rpartition("; licence: ")
@@ -206,6 +210,11 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
         "licence": licence,
     }
     say(folder.parent, about | {"given": GIVEN["others"], "prior": []})
+
+
+def last_of(result: Path) -> Path:
+    """The file of that name, or of the files that match it the one that was written last."""
+    return max(result.parent.glob(result.name), key=lambda path: path.stat().st_mtime_ns, default=result)
 
 
 def train_ours(config: BaselineRows, name: str, data: Path, out: Path, seed: int) -> None:

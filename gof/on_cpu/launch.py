@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import runpy
 import subprocess
 import sys
@@ -55,6 +56,7 @@ def export(method: Method, script: Path, model: Path, dataset: Path, out: Path) 
 def _begin(method: Method, script: Path, mode: ProcessorForCuda) -> None:
     if not script.is_file():
         raise GofError(f"{script}: no such script; give the path of a script in your checkout")
+    os.environ.setdefault("MPLBACKEND", "agg")  # matplotlib asks tkinter for a window otherwise, and it may be unused
     replace_cuda(mode)
     prepare(method)
     sys.path[0] = str(script.parent.resolve())
