@@ -144,30 +144,22 @@ class FlowPrior:
             GofError: the result is not finite.
         """
         flame = several_flames(field)
-        found = [self._corrected_flame(_alone(field, flame == k), metres) for k in range(flame.max() + 1)]
-        frames = [
-            replace(
-                frame,
-                velocity=np.choose(flame[:, None], [frames[f].velocity for frames in found]),
-                velocity_sd=np.choose(flame, [frames[f].velocity_sd for frames in found]),
-            )
-            for f, frame in enumerate(field.frames)
-        ]
+        apart = {k: FlameDescriber.of(_alone(field, flame == k)) for k in range(flame.max() + 1)}
+        flames = {k: describer for k, describer in apart.items() if describer is not None}
+        clues = [PaceClues.of(describer.axis, describer.log_light) for describer in flames.values()]
+        energy = [float(describer.axis.mean_light.sum()) * describer.axis.seen_speed**2 for describer in flames.values()]
+        paces = self.pace.side_by_side(clues, energy, metres)
+        frames = []
+        for f, frame in enumerate(field.frames):  # all features of a clip at once would take gigabytes
+            velocity, sd = np.zeros(frame.velocity.shape), np.full(len(flame), np.inf)
+            for (k, describer), pace in zip(flames.items(), paces, strict=True):
+                gas, doubt = self._gas(describer, pace, f)
+                velocity[flame == k], sd[flame == k] = gas[flame == k], doubt[flame == k]
+            frames.append(replace(frame, velocity=velocity, velocity_sd=sd))
         return replace(field, frames=tuple(frames))
 
-    def _corrected_flame(self, field: FlowField, metres: bool) -> tuple[FrameField, ...]:
-        """The frames of a field that has a single flame."""
-        describer = FlameDescriber.of(field)
-        if describer is None:
-            unsure = np.full(len(field.voxels.center), np.inf)
-            return tuple(
-                replace(frame, velocity=np.zeros_like(frame.velocity), velocity_sd=unsure) for frame in field.frames
-            )
-        pace = self.pace.of(PaceClues.of(describer.axis, describer.log_light), metres)
-        # frame by frame: all features of a clip at once would take gigabytes
-        return tuple(self._corrected(describer, pace, f) for f in range(len(field.frames)))
-
-    def _corrected(self, describer: FlameDescriber, pace: float, f: int) -> FrameField:
+    def _gas(self, describer: FlameDescriber, pace: float, f: int) -> tuple[np.ndarray, np.ndarray]:
+        """Velocity (V, 3) of the gas in frame f and its standard deviation (V,), m/s."""
         features, vectors = describer.describe(f)
         x = (features - self.mean) / self.deviation
         members = np.einsum("mvk,vki->mvi", evaluate_network(self.velocity, x), vectors)
@@ -175,7 +167,7 @@ class FlowPrior:
         velocity = pace * members.mean(0, dtype=np.float64)
         if not (np.isfinite(velocity).all() and np.isfinite(sd).all()):
             raise GofError("the flow prior gave NaN or Inf; are velocity and emission finite?")
-        return replace(describer.field.frames[f], velocity=velocity, velocity_sd=sd.astype(np.float64))
+        return velocity, sd.astype(np.float64)
 
 
 def _alone(field: FlowField, own: np.ndarray) -> FlowField:

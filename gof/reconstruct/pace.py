@@ -130,6 +130,23 @@ class Pace:
         weights = self.metric if metres else self.unitless
         return clues.seen * float(np.exp(weights @ [1, *clues.logs]))
 
+    def side_by_side(self, clues: Sequence[PaceClues], energy: Sequence[float], metres: bool = True) -> list[float]:
+        """Mean speeds of the gas of flames that burn side by side, m/s.
+
+        The same fuel burns in the same air, so their gas is the same multiple of what buoyancy would make of each of
+        them: the mean, in logarithms, of what each says by itself. Only the ratio of their lengths enters, which needs
+        no metres. A single flame: what it says by itself.
+
+        Args:
+            energy: how much each counts, >= 0 and not all 0: its light times the square of its seen speed. A flame of
+                smooth sheets is hardly seen to move, and says little of its pace.
+        """
+        buoyant = np.array([flame.buoyant for flame in clues])
+        alone = np.array([self.of(flame, metres) for flame in clues])
+        if len(clues) < 2 or not (buoyant > 0).all():
+            return alone.tolist()
+        return (buoyant * np.exp(np.average(np.log(alone / buoyant), weights=energy))).tolist()
+
     @classmethod
     def fit(cls, clues: Sequence[PaceClues], speed: Sequence[float]) -> Pace:
         """The line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""

@@ -108,6 +108,35 @@ def test_without_metres_the_unit_of_length_does_not_matter(size):
     assert pace.of(larger, metres=False) / size == pytest.approx(same, rel=1e-6)
 
 
+def side_by_side(first: FlowField, second: FlowField, evidence: tuple[float, float], metres: bool) -> list[float]:
+    pace = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5]), np.array([0.5, 0.0, -0.4, 0.3, -0.5]))
+    alone = [pace.of(clues_of(flame), metres) for flame in (first, second)]
+    together = pace.side_by_side([clues_of(first), clues_of(second)], evidence, metres)
+    return [*alone, *together]
+
+
+@pytest.mark.parametrize("metres", [True, False])
+def test_gas_beside_other_gas_goes_with_the_root_of_its_flame_s_height(metres):
+    """Buoyancy: a flame of four times the height, all its lengths, twice the speed, whatever each is seen to do."""
+    tall, short = column(1.6, seen=0.9, radius_m=0.08), column(0.4, seen=0.2, radius_m=0.02)
+    *alone, of_tall, of_short = side_by_side(tall, short, (1.0, 1.0), metres)
+    assert of_tall / of_short == pytest.approx(2, rel=1e-3)
+    assert of_tall * of_short == pytest.approx(alone[0] * alone[1], rel=1e-9)
+
+
+def test_of_flames_side_by_side_the_one_that_is_seen_to_move_is_believed():
+    tall, short = column(1.6, seen=0.9, radius_m=0.08), column(0.4, seen=0.2, radius_m=0.02)
+    *alone, of_tall, of_short = side_by_side(tall, short, (1.0, 0.0), True)
+    assert of_tall == pytest.approx(alone[0], rel=1e-9)
+    assert of_short == pytest.approx(alone[0] / 2, rel=1e-3)
+
+
+def test_one_flame_says_its_pace_by_itself():
+    pace, clues = Pace(np.ones(5), np.ones(5)), clues_of(column())
+    assert pace.side_by_side([clues], [3.0]) == [pace.of(clues)]
+    assert pace.side_by_side([], []) == []
+
+
 def rising(z, t):
     return 1.5 + np.sin(2 * np.pi * (z - 0.4 * t) / 0.3)
 

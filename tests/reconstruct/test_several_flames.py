@@ -65,13 +65,17 @@ def test_nothing_that_shines_or_moves_is_one_flame():
         assert (several_flames(dead) == 0).all()
 
 
-def test_a_flame_is_corrected_as_if_it_burnt_alone():
-    """What its neighbour does, twice as fast and half as bright, changes nothing but the smoothing across the gap."""
+def test_a_flame_is_corrected_as_if_it_burnt_alone_but_for_its_pace():
+    """What its neighbour does, twice as fast and half as bright, changes nothing but its pace, all over the flame."""
     prior = FlowPrior.load()
     own, other = (-0.2, 1.0, 1.0), (0.2, 0.5, 2.0)
     together, alone = prior.correct(burning(own, other)), prior.correct(burning(own))
     core = np.hypot(together.voxels.center[:, 0] + 0.2, together.voxels.center[:, 1]) < 0.06
+    paces = []
     for found, expected in zip(together.frames, alone.frames, strict=True):
-        speed = np.linalg.norm(expected.velocity[core], axis=-1).mean()
-        assert np.abs(found.velocity[core] - expected.velocity[core]).mean() < 0.03 * speed
-        np.testing.assert_allclose(found.velocity_sd[core], expected.velocity_sd[core], rtol=0.2)
+        speed, found_speed = (np.linalg.norm(frame.velocity[core], axis=-1).mean() for frame in (expected, found))
+        paces.append(found_speed / speed)
+        assert np.abs(found.velocity[core] / paces[-1] - expected.velocity[core]).mean() < 0.03 * speed
+        np.testing.assert_allclose(found.velocity_sd[core] / paces[-1], expected.velocity_sd[core], rtol=0.2)
+    np.testing.assert_allclose(paces, paces[0], rtol=0.02)
+    assert 1 < paces[0] < 2  # as the two say together, and the other one is faster
