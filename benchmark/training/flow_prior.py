@@ -25,13 +25,14 @@ import torch
 import tyro
 
 from gof.dataset import Dataset
+from gof.errors import GofError
 from gof.files import atomic_path
 from gof.progress import progress_bar
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
 from gof.reconstruct.observation import observe
 from gof.reconstruct.pace import Pace, PaceClues
-from gof.reconstruct.several_flames import several_flames
+from gof.reconstruct.several_flames import alone, several_flames
 from gof_benchmark.field_score import best_constant, buoyant_law, fluctuation_cos_sim, mean_per_height, score, within
 from gof_benchmark.preview_field import open_small, preview_field
 
@@ -106,39 +107,53 @@ class Samples:
 
 @dataclass(frozen=True)
 class Flame:
-    """One dataset as the prior sees it.
+    """One flame as the prior sees it.
+
+    Attributes:
+        pace: true mean speed of its gas, weighted by light, m/s.
+    """
+
+    clues: PaceClues
+    pace: float
+    samples: Samples
+
+    @classmethod
+    def of(cls, field: FlowField, truth: np.ndarray) -> Flame:
+        """From a field with no other flame's light, and its true velocity (F, V, 3). Raises GofError: nothing moves."""
+        describer = FlameDescriber.of(field)
+        if describer is None:
+            raise GofError("a flame in which nothing moves cannot be trained on")
+        pace = mean_speed(truth, field.emission)
+        samples = Samples.of(describer, truth / pace, np.random.default_rng(0))
+        return cls(PaceClues.of(describer.axis, describer.log_light), pace, samples)
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One dataset: a flame, or several side by side.
 
     Attributes:
         burns: which fire it shows; two datasets may show the same grids of another solver.
         solver: "openfoam" or "mantaflow".
-        pace: true mean speed of its gas, weighted by light, m/s.
-        alone: whether it is one flame; several have an axis each, and are scored but not trained on.
     """
 
     burns: str
     solver: str
     dataset: Dataset
     field: FlowField
-    clues: PaceClues
-    pace: float
-    alone: bool
-    samples: Samples
+    flames: tuple[Flame, ...]
 
     @classmethod
-    def of(cls, path: Path) -> Flame:
+    def of(cls, path: Path) -> Clip:
         dataset = open_small(path)
         field = preview_field(observe(dataset))
-        describer = FlameDescriber.of(field)
-        assert describer is not None, f"{path}: nothing moves"
         fire = json.loads((path / "spec.json").read_text(encoding="utf-8"))["fire"]
         solver = "openfoam" if "grids" in fire else "mantaflow"
         burns = Path(fire["grids"]).parent.name if "grids" in fire else path.name
         truth = np.stack([dataset.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames])
-        pace = mean_speed(truth, field.emission)
-        clues = PaceClues.of(describer.axis, describer.log_light)
-        samples = Samples.of(describer, truth / pace, np.random.default_rng(0))
-        alone = several_flames(field).max() == 0
-        return cls(burns, solver, dataset, field, clues, pace, alone, samples)
+        own = several_flames(field)
+        flames = tuple(Flame.of(alone(field, own == k), truth) for k in range(own.max() + 1))
+        return cls(burns, solver, dataset, field, flames)
 
 
 HEADER = """\
@@ -153,7 +168,8 @@ class Row:
 
     Attributes:
         seen, found: L2, CosSim, speed; fluctuation CosSim (found only).
-        pace: estimated over true.    within: share of the light within a standard deviation.
+        pace: estimated over true, of several flames the geometric mean.
+        within: share of the light within a standard deviation.
         controls: L2, CosSim of the mean per height, the best constant, the buoyant law.
     """
 
@@ -164,14 +180,14 @@ class Row:
     controls: tuple[tuple[float, ...], ...]
 
     @classmethod
-    def of(cls, flame: Flame, prior: FlowPrior) -> Row:
-        seen, dataset = flame.field, flame.dataset
+    def of(cls, clip: Clip, prior: FlowPrior) -> Row:
+        seen, dataset = clip.field, clip.dataset
         found = prior.correct(seen)
         controls = mean_per_height(seen, dataset), best_constant(seen, dataset), buoyant_law(seen)
         return cls(
             astuple(score(seen, dataset)),
             (*astuple(score(found, dataset)), fluctuation_cos_sim(found, dataset)),
-            prior.pace.of(flame.clues) / flame.pace,
+            float(np.exp(np.mean(pace_error(clip, prior.pace)))),
             within(found, dataset),
             tuple(astuple(score(control, dataset))[:2] for control in controls),
         )
@@ -189,6 +205,12 @@ class Row:
 
         own = f"{listed(self.seen)} | {listed(self.found)} | {self.pace:.2f} | {self.within:.2f}"
         return f"{own} | {' | '.join(map(listed, self.controls))}"
+
+
+def pace_error(clip: Clip, pace: Pace, metres: bool = True) -> np.ndarray:
+    """Log of estimated over true pace of each flame."""
+    found = pace.side_by_side([flame.clues for flame in clip.flames], metres)
+    return np.log(found) - np.log([flame.pace for flame in clip.flames])
 
 
 def mean_speed(velocity: np.ndarray, emission: np.ndarray) -> float:
@@ -319,71 +341,72 @@ def main(argv: list[str] | None = None) -> None:
     everything = []
     with progress_bar("motion") as progress:
         for path in paths:
-            everything.append(Flame.of(path))
+            everything.append(Clip.of(path))
             progress(len(everything), len(paths))
-    flames = [flame for flame in everything if flame.solver != config.without and flame.alone]
+    clips = [clip for clip in everything if clip.solver != config.without]
 
     print(HEADER)
     rows = []
 
-    def show(name: str, flame: Flame, prior: FlowPrior) -> None:
-        rows.append(Row.of(flame, prior))
+    def show(name: str, clip: Clip, prior: FlowPrior) -> None:
+        rows.append(Row.of(clip, prior))
         print(f"| `{name}` | {rows[-1]} |", flush=True)
 
-    others = [[other for other in flames if other.burns != flame.burns] for flame in flames]
-    without = [LeftOut.of(flame, known) for flame, known in zip(flames, others, strict=True)]
-    errors = {flame.dataset.path: left.error for flame, left in zip(flames, without, strict=True)}
+    others = [[other for other in clips if other.burns != clip.burns] for clip in clips]
+    without = [LeftOut.of(clip, known) for clip, known in zip(clips, others, strict=True)]
+    errors = {clip.dataset.path: left.errors for clip, left in zip(clips, without, strict=True)}
 
-    def doubt_of(known: list[Flame], scaling: Scaling) -> Network:
-        return train_doubt(scaling, [f.samples for f in known], [errors[f.dataset.path] for f in known])
+    def doubt_of(known: list[Clip], scaling: Scaling) -> Network:
+        return train_doubt(scaling, samples_of(known), [error for clip in known for error in errors[clip.dataset.path]])
 
-    for flame, known, left in zip(flames, others, without, strict=True):
+    for clip, known, left in zip(clips, others, without, strict=True):
         doubt = doubt_of(known, left.scaling)
-        show(flame.dataset.path.name, flame, prior_of(left.scaling, left.velocity, doubt, left.pace))
+        show(clip.dataset.path.name, clip, prior_of(left.scaling, left.velocity, doubt, left.pace))
     print(f"| mean | {Row.mean(rows)} |")
     for metres in (True, False):
-        spread = pace_spread(flames, without, metres)
+        off = [pace_error(clip, left.pace, metres) for clip, left in zip(clips, without, strict=True)]
         unit = "in metres" if metres else "unit unknown"
+        spread = np.sqrt(np.mean(np.square(np.concatenate(off))))
         print(f"pace of flames left out, {unit}: {spread:.0%} off (RMS of the log)")
-    scaling, velocity = train_velocity([flame.samples for flame in flames])
-    prior = prior_of(scaling, velocity, doubt_of(flames, scaling), fitted_pace(flames))
-    for flame in everything:
-        if flame.solver == config.without or not flame.alone:
-            show(flame.dataset.path.name, flame, prior)
+    scaling, velocity = train_velocity(samples_of(clips))
+    prior = prior_of(scaling, velocity, doubt_of(clips, scaling), fitted_pace(clips))
+    for clip in everything:
+        if clip.solver == config.without:
+            show(clip.dataset.path.name, clip, prior)
     for path in config.test:
-        show(str(path), Flame.of(path), prior)
+        show(str(path), Clip.of(path), prior)
     with atomic_path(config.out) as temporary:
         prior.save(temporary)
     print(f"pace: metric {prior.pace.metric.round(2)}, unitless {prior.pace.unitless.round(2)}")
     print(f"weights -> {config.out}")
 
 
-def fitted_pace(flames: list[Flame]) -> Pace:
+def samples_of(clips: list[Clip]) -> list[Samples]:
+    return [flame.samples for clip in clips for flame in clip.flames]
+
+
+def fitted_pace(clips: list[Clip]) -> Pace:
+    flames = [flame for clip in clips for flame in clip.flames]
     return Pace.fit([flame.clues for flame in flames], [flame.pace for flame in flames])
-
-
-def pace_spread(flames: list[Flame], without: list[LeftOut], metres: bool) -> float:
-    """RMS of the log of estimated over true pace, each flame's by a line that was not fitted to it."""
-    pairs = zip(flames, without, strict=True)
-    off = [np.log(left.pace.of(flame.clues, metres) / flame.pace) for flame, left in pairs]
-    return float(np.sqrt(np.mean(np.square(off))))
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What is learned of a flame from others alone, and how wrong it is there; error as `held_out_error`."""
+    """What is learned of a clip from others alone, and how wrong it is there; errors as `held_out_error`, by flame."""
 
     pace: Pace
     scaling: Scaling
     velocity: Network
-    error: torch.Tensor
+    errors: tuple[torch.Tensor, ...]
 
     @classmethod
-    def of(cls, flame: Flame, others: list[Flame]) -> LeftOut:
+    def of(cls, clip: Clip, others: list[Clip]) -> LeftOut:
         pace = fitted_pace(others)
-        scaling, velocity = train_velocity([other.samples for other in others])
-        error = held_out_error(scaling, velocity, flame.samples, pace.of(flame.clues) / flame.pace)
-        return cls(pace, scaling, velocity, error)
+        scaling, velocity = train_velocity(samples_of(others))
+        ratios = np.exp(pace_error(clip, pace))
+        pairs = zip(clip.flames, ratios.tolist(), strict=True)
+        errors = tuple(held_out_error(scaling, velocity, flame.samples, ratio) for flame, ratio in pairs)
+        return cls(pace, scaling, velocity, errors)
 
 
 if __name__ == "__main__":

@@ -28,10 +28,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from gof.errors import DataFormatError, GofError
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
-from gof.reconstruct.flow_field import FlowField, FrameField
+from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.log_light import LogLight, slope
 from gof.reconstruct.pace import Pace, PaceClues
-from gof.reconstruct.several_flames import several_flames
+from gof.reconstruct.several_flames import alone, several_flames
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
 FEATURES = (
@@ -144,11 +144,10 @@ class FlowPrior:
             GofError: the result is not finite.
         """
         flame = several_flames(field)
-        apart = {k: FlameDescriber.of(_alone(field, flame == k)) for k in range(flame.max() + 1)}
+        apart = {k: FlameDescriber.of(alone(field, flame == k)) for k in range(flame.max() + 1)}
         flames = {k: describer for k, describer in apart.items() if describer is not None}
         clues = [PaceClues.of(describer.axis, describer.log_light) for describer in flames.values()]
-        energy = [float(describer.axis.mean_light.sum()) * describer.axis.seen_speed**2 for describer in flames.values()]
-        paces = self.pace.side_by_side(clues, energy, metres)
+        paces = self.pace.side_by_side(clues, metres)
         frames = []
         for f, frame in enumerate(field.frames):  # all features of a clip at once would take gigabytes
             velocity, sd = np.zeros(frame.velocity.shape), np.full(len(flame), np.inf)
@@ -168,12 +167,6 @@ class FlowPrior:
         if not (np.isfinite(velocity).all() and np.isfinite(sd).all()):
             raise GofError("the flow prior gave NaN or Inf; are velocity and emission finite?")
         return velocity, sd.astype(np.float64)
-
-
-def _alone(field: FlowField, own: np.ndarray) -> FlowField:
-    """The field with no other light than that of some voxels (V,) bool."""
-    frames = [replace(frame, emission=np.where(own, frame.emission, 0)) for frame in field.frames]
-    return replace(field, frames=tuple(frames))
 
 
 def _network(data: dict[str, np.ndarray], name: str) -> Network:

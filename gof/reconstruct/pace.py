@@ -42,6 +42,7 @@ class PaceClues:
         carried: speed along the axis at which the texture of the light is carried, m/s.
         slenderness: the flame's radius over its length.
         texture: slope of the moving texture along the axis over its slope across; 0 for upright sheets.
+        energy: how much there is to see of it, > 0: its light times the square of its seen speed, in any unit.
     """
 
     seen: float
@@ -49,6 +50,7 @@ class PaceClues:
     carried: float
     slenderness: float
     texture: float
+    energy: float
 
     @classmethod
     def of(cls, axis: FlameAxis, log_light: LogLight) -> PaceClues:
@@ -58,6 +60,7 @@ class PaceClues:
             carried=carried_speed(axis, log_light),
             slenderness=axis.radius / axis.length,
             texture=texture_along(axis, log_light),
+            energy=float(axis.mean_light.sum()) * axis.seen_speed**2,
         )
 
     @property
@@ -130,22 +133,20 @@ class Pace:
         weights = self.metric if metres else self.unitless
         return clues.seen * float(np.exp(weights @ [1, *clues.logs]))
 
-    def side_by_side(self, clues: Sequence[PaceClues], energy: Sequence[float], metres: bool = True) -> list[float]:
+    def side_by_side(self, clues: Sequence[PaceClues], metres: bool = True) -> list[float]:
         """Mean speeds of the gas of flames that burn side by side, m/s.
 
         The same fuel burns in the same air, so their gas is the same multiple of what buoyancy would make of each of
-        them: the mean, in logarithms, of what each says by itself. Only the ratio of their lengths enters, which needs
+        them: the mean, in logarithms, of what each says by itself, weighted by its energy, because a flame of smooth
+        sheets is hardly seen to move and says little of its pace. Only the ratio of their lengths enters, which needs
         no metres. A single flame: what it says by itself.
-
-        Args:
-            energy: how much each counts, >= 0 and not all 0: its light times the square of its seen speed. A flame of
-                smooth sheets is hardly seen to move, and says little of its pace.
         """
         buoyant = np.array([flame.buoyant for flame in clues])
-        alone = np.array([self.of(flame, metres) for flame in clues])
+        apart = np.array([self.of(flame, metres) for flame in clues])
         if len(clues) < 2 or not (buoyant > 0).all():
-            return alone.tolist()
-        return (buoyant * np.exp(np.average(np.log(alone / buoyant), weights=energy))).tolist()
+            return apart.tolist()
+        energy = [flame.energy for flame in clues]
+        return (buoyant * np.exp(np.average(np.log(apart / buoyant), weights=energy))).tolist()
 
     @classmethod
     def fit(cls, clues: Sequence[PaceClues], speed: Sequence[float]) -> Pace:

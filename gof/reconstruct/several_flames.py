@@ -6,6 +6,8 @@ What lies between two flames is not the core of anything.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 
@@ -33,6 +35,12 @@ def several_flames(field: FlowField) -> np.ndarray:
         return np.zeros(len(cell), np.int64)
     nearest = distance_transform_edt(flames == 0, return_distances=False, return_indices=True)
     return flames[tuple(nearest)][tuple(cell.T)] - 1
+
+
+def alone(field: FlowField, own: np.ndarray) -> FlowField:
+    """The field with no other light than that of some voxels (V,) bool."""
+    frames = [replace(frame, emission=np.where(own, frame.emission, 0)) for frame in field.frames]
+    return replace(field, frames=tuple(frames))
 
 
 def _seen_along(field: FlowField, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

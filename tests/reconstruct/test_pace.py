@@ -1,5 +1,7 @@
 """How fast a flame is as a whole, on flames whose every number is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,7 +82,7 @@ def test_a_steady_flame_says_nothing_of_its_texture():
 def test_a_line_is_found_again():
     """Flames that obey a line exactly, and one far from them that obeys it too."""
     flames = [
-        PaceClues(seen, seen * law, seen * carried, slenderness, texture)
+        PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0)
         for seen, law, carried, slenderness, texture in np.random.default_rng(0).uniform(
             [0.1, 2, 0.2, 0.05, 0.3], [3, 8, 1, 0.3, 1.5], (30, 5)
         )
@@ -89,7 +91,7 @@ def test_a_line_is_found_again():
     true = [flame.seen * np.exp(line @ [1, *flame.logs]) for flame in flames]
     fitted = Pace.fit(flames, true)
     assert fitted.of(flames[0]) == pytest.approx(true[0], rel=0.05)
-    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2)
+    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2, 1.0)
     assert fitted.of(far) == pytest.approx(far.seen * np.exp(line @ [1, *far.logs]), rel=0.1)
 
 
@@ -108,33 +110,40 @@ def test_without_metres_the_unit_of_length_does_not_matter(size):
     assert pace.of(larger, metres=False) / size == pytest.approx(same, rel=1e-6)
 
 
-def side_by_side(first: FlowField, second: FlowField, evidence: tuple[float, float], metres: bool) -> list[float]:
-    pace = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5]), np.array([0.5, 0.0, -0.4, 0.3, -0.5]))
-    alone = [pace.of(clues_of(flame), metres) for flame in (first, second)]
-    together = pace.side_by_side([clues_of(first), clues_of(second)], evidence, metres)
-    return [*alone, *together]
+PACE = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5]), np.array([0.5, 0.0, -0.4, 0.3, -0.5]))
+
+
+def two_columns(*energy: float) -> list[PaceClues]:
+    """One of four times the height of the other, in all its lengths; each is seen to move in its own way."""
+    tall, short = column(1.6, seen=0.9, radius_m=0.08), column(0.4, seen=0.2, radius_m=0.02)
+    return [replace(clues_of(flame), energy=e) for flame, e in zip((tall, short), energy, strict=True)]
 
 
 @pytest.mark.parametrize("metres", [True, False])
-def test_gas_beside_other_gas_goes_with_the_root_of_its_flame_s_height(metres):
-    """Buoyancy: a flame of four times the height, all its lengths, twice the speed, whatever each is seen to do."""
-    tall, short = column(1.6, seen=0.9, radius_m=0.08), column(0.4, seen=0.2, radius_m=0.02)
-    *alone, of_tall, of_short = side_by_side(tall, short, (1.0, 1.0), metres)
+def test_gas_beside_other_gas_goes_with_the_root_of_its_flames_height(metres):
+    """Buoyancy: four times the height, twice the speed."""
+    clues = two_columns(1.0, 1.0)
+    of_tall, of_short = PACE.side_by_side(clues, metres)
     assert of_tall / of_short == pytest.approx(2, rel=1e-3)
-    assert of_tall * of_short == pytest.approx(alone[0] * alone[1], rel=1e-9)
+    assert of_tall * of_short == pytest.approx(np.prod([PACE.of(flame, metres) for flame in clues]), rel=1e-9)
 
 
 def test_of_flames_side_by_side_the_one_that_is_seen_to_move_is_believed():
-    tall, short = column(1.6, seen=0.9, radius_m=0.08), column(0.4, seen=0.2, radius_m=0.02)
-    *alone, of_tall, of_short = side_by_side(tall, short, (1.0, 0.0), True)
-    assert of_tall == pytest.approx(alone[0], rel=1e-9)
-    assert of_short == pytest.approx(alone[0] / 2, rel=1e-3)
+    clues = two_columns(1.0, 1e-12)
+    of_tall, of_short = PACE.side_by_side(clues)
+    assert of_tall == pytest.approx(PACE.of(clues[0]), rel=1e-9)
+    assert of_short == pytest.approx(PACE.of(clues[0]) / 2, rel=1e-3)
+
+
+def test_energy_is_light_times_the_square_of_the_speed():
+    slow, fast = (clues_of(column(seen=seen)).energy for seen in (0.5, 1.0))
+    assert fast / slow == pytest.approx(4)
 
 
 def test_one_flame_says_its_pace_by_itself():
-    pace, clues = Pace(np.ones(5), np.ones(5)), clues_of(column())
-    assert pace.side_by_side([clues], [3.0]) == [pace.of(clues)]
-    assert pace.side_by_side([], []) == []
+    clues = clues_of(column())
+    assert PACE.side_by_side([clues]) == [PACE.of(clues)]
+    assert PACE.side_by_side([]) == []
 
 
 def rising(z, t):
