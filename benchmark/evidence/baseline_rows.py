@@ -198,7 +198,14 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
     for path, text in training.settings.items():
         path.write_text(text)
     costs = [measured([f"{config.python}", *words], here / "log.txt") for words in training.commands]
-    add(last_of(training.result), data, folder, (*training.options, "--curve", f"{here}/curve.csv"), here / "log.txt", costs)
+    add(
+        last_of(training.result),
+        data,
+        folder,
+        (*training.options, "--curve", f"{here}/curve.csv"),
+        here / "log.txt",
+        costs,
+    )
     log = (here / "log.txt").read_text().splitlines()
     said = next(line for line in log if line.startswith("gof baseline: ")).removeprefix("gof baseline: ")
     head, _, licence = said.rpartition("; licence: ")
