@@ -1,18 +1,26 @@
 """Which sockets each command listens on: none, but for `gof view`, and that on loopback.
 
 Every command runs as a user runs it, on a toy scene; ten times a second its processes are asked what they listen on.
+Left out: what needs a camera rig (the rest of `gof capture`) and what calls the commands above (the other studies and
+parts of `gof benchmark`).
 """
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import psutil
 import tyro
+
+from gof.dataset import Dataset
+from gof.files import write_json
 
 EVERY_S = 0.1
 LOOKED_AT_S = 20.0  # `gof view` ends only when it is told to
@@ -26,30 +34,50 @@ class OpenSockets:
     """Folder for what the commands make; an empty one."""
 
 
-def commands(out: Path) -> dict[str, list[str]]:
-    """Arguments by the command's name, in the order of the work."""
-    data, work = str(out / "data"), str(out / "work")
+def commands(out: Path) -> Iterator[tuple[str, list[str]]]:
+    """A command's name and its arguments, in the order of the work; what needs files of ours finds them written."""
+    data, work, packed = str(out / "data"), str(out / "work"), str(out / "packed")
     result, effort = f"{work}/result.npz", ["--iterations", "20", "--gaussians", "500", "--voxels", "16"]
-    return {
-        "generate": ["demo", "--preset", "toy", "--out", data, "--views", "nerfstudio", "dynerf"],
-        "background": [data, "--out", str(out / "background"), "--steps", "5", "--gaussians", "1000"],
-        "reconstruct": [data, "--out", work, *effort],
-        "evaluate": [result, "--truth", data, "--out", work],
-        "convert": [result, str(out / "converted.ply")],
-        "share": [work, "--dataset", data],
-        "leaderboard": [work, "--truth", data, "--out", str(out / "board")],
-        "import": [result, "--dataset", data, "--blend", str(out / "scene.blend"), "--samples", "1"],
-        "report": [work, "--dataset", data],
-        "view": [result, "--dataset", data, "--port", "0"],
-        "doctor": [],
-    }
+    yield "generate", ["demo", "--preset", "toy", "--out", data, "--views", "nerfstudio", "dynerf"]
+    filmed = Dataset.open(data)
+    cameras = [
+        {"width": c.width, "height": c.height, "K": c.K, "world_to_camera": c.world_to_camera} for c in filmed.cameras
+    ]
+    write_json(out / "cameras.json", {"cameras": json.loads(json.dumps(cameras, default=np.ndarray.tolist))})
+    pictures = [f"{data}/cameras/{camera.name}/rgb" for camera in filmed.cameras]
+    fps = str(1 / (filmed.times_s[1] - filmed.times_s[0]))
+    known = ["--cameras", str(out / "cameras.json"), "--plates", f"{data}/static", "--board", "none", "--fps", fps]
+    yield "ingest", [*pictures, "--out", str(out / "filmed"), *known]
+    yield "background", [data, "--out", str(out / "background"), "--steps", "5", "--gaussians", "1000"]
+    yield "reconstruct", [data, "--out", work, *effort]
+    yield "depth", [data, "--out", str(out / "depth"), "--all-frames"]
+    yield "evaluate", [result, "--truth", data, "--out", work]
+    yield "convert", [result, str(out / "converted.ply")]
+    yield "share", [work, "--dataset", data]
+    yield "video", [work, "--dataset", data, "--seconds", "1", "--fps", "5"]
+    yield "leaderboard", [work, "--truth", data, "--out", str(out / "board")]
+    yield "import", [result, "--dataset", data, "--blend", str(out / "scene.blend"), "--samples", "1"]
+    yield "report", [work, "--dataset", data]
+    yield "view", [result, "--dataset", data, "--port", "0"]
+    yield "pack", [data, "--licence", "CC0-1.0", "--authors", "nobody", "--out", packed]
+    yield "unpack", [f"{packed}/data.tar", "--out", str(out / "unpacked")]
+    yield "study dve", ["--gaussians", "200", "--out", str(out / "study")]
+    yield "benchmark list", []
+    yield "capture target", [str(out / "charuco.svg")]
+    yield "capture draw", [str(out / "board.svg")]
+    (out / "script.py").write_text("import torch\nprint(torch.zeros(3, device='cuda').sum())\n", encoding="utf-8")
+    yield "baseline", ["--method", "3dgs", str(out / "script.py")]
+    yield "demo", ["--preset", "toy", "--out", str(out / "demo"), *effort[:4]]
+    yield "doctor", []
 
 
 def listened(name: str, arguments: list[str], log: Path) -> tuple[set[str], int | None]:
     """Addresses without their ports, and the exit status; None of a command that had to be ended."""
     found: set[str] = set()
     with open(log, "ab") as file:
-        child = psutil.Popen([sys.executable, "-m", "gof", name, *arguments], stdout=file, stderr=subprocess.STDOUT)
+        child = psutil.Popen(
+            [sys.executable, "-m", "gof", *name.split(), *arguments], stdout=file, stderr=subprocess.STDOUT
+        )
     end = time.monotonic() + LOOKED_AT_S if name == "view" else float("inf")
     while child.poll() is None and time.monotonic() < end:
         for process in (child, *child.children(recursive=True)):
@@ -72,7 +100,7 @@ def main(argv: list[str] | None = None) -> int:
     config.out.mkdir(parents=True, exist_ok=True)
     print("| command | listens on |\n|---|---|")
     wrong = []
-    for name, arguments in commands(config.out).items():
+    for name, arguments in commands(config.out):
         found, status = listened(name, arguments, config.out / "log")
         print(f"| `gof {name}` | {', '.join(sorted(found)) or 'nothing'} |", flush=True)
         if status not in (0, None) or found != ({"127.0.0.1"} if name == "view" else set()):

@@ -17,6 +17,7 @@ WARM = 12  # display steps of 255 by which red outgrows blue where fire or its l
 GROW_PX = 3  # margin around these places
 MOST_RISE = 20  # levels of 255 by which the median may outshine the minimum: more is light that is on most of the time
 FIRE_RED, FIRE_WARM = 150, 70  # colour of flame in a picture: red of 255, and how far above blue
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")  # of plates that somebody brings
 MOST_FIRE_LEFT = 0.01  # share of the picture above which plates filmed without fire are needed
 
 
@@ -84,14 +85,15 @@ def uncovered(low: np.ndarray, reached: np.ndarray, others: list[np.ndarray]) ->
 
 
 def read_plate(folder: Path, name: str, lens: Lens) -> np.ndarray:
-    """(H, W, 3) uint8 RGB: a plate filmed without fire, folder/NAME.png or of another suffix, as stored.
+    """(H, W, 3) uint8 RGB: a plate filmed without fire, folder/NAME.png or another of `SUFFIXES`, as stored.
 
     Raises:
         DataFormatError: there is none, or it has another size than the footage.
     """
     import cv2
 
-    files = sorted(folder.glob(f"{name}.*")) if folder.is_dir() else []
+    named = sorted(folder.glob(f"{name}.*")) if folder.is_dir() else []
+    files = [path for path in named if path.suffix.lower() in SUFFIXES]  # the benchmark's scenes have an EXR beside it
     if not files:
         raise DataFormatError(f"{folder}: no picture {name}.png there")
     return cv2.cvtColor(read_picture(files[0], size=(lens.width, lens.height)), cv2.COLOR_BGR2RGB)

@@ -38,6 +38,17 @@ def psnr(a, b):
     return 10 * np.log10(255**2 / np.mean((a.astype(float) - b) ** 2))
 
 
+def test_a_plate_that_is_brought_is_the_picture_not_what_lies_beside_it(tmp_path):
+    """The benchmark's scenes have cam_0.exr, in linear light, beside cam_0.png."""
+    picture = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
+    (tmp_path / "cam_0.exr").write_bytes(b"no picture of OpenCV's")
+    lens = Lens.from_fov(32, 24, 60)
+    with pytest.raises(DataFormatError, match=r"no picture cam_0\.png"):
+        plates.read_plate(tmp_path, "cam_0", lens)
+    cv2.imwrite(str(tmp_path / "cam_0.png"), picture[..., ::-1])
+    np.testing.assert_array_equal(plates.read_plate(tmp_path, "cam_0", lens), picture)
+
+
 def test_plates_remove_fire_and_steady_has_no_noise_bias():
     truth = draw(cameras()[0])[0]
     clip = burning(truth, 40, (110, 170), noise=3)
