@@ -16,6 +16,12 @@ from gof.records import from_json
 
 Turn = Literal["none", "clockwise", "counterclockwise", "half"]
 ROLL_DEG = {"none": 0, "clockwise": 90, "counterclockwise": -90, "half": 180}
+CAMERA_AXES = {  # of the turned picture (rows: right, down, forward) in those of the stored one
+    "none": np.eye(3),
+    "clockwise": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+    "counterclockwise": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    "half": np.diag([-1.0, -1, 1]),
+}
 DISTORTIONS = (0, 4, 5, 8, 12, 14)  # how many coefficients OpenCV's models have
 
 

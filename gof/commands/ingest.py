@@ -13,6 +13,7 @@ from gof.costs import StageLog
 from gof.dataset.poses import UpReport
 from gof.errors import GofError
 from gof.files import write_json
+from gof.ingest.accelerometer import read_tilt
 from gof.ingest.evidence import PoseOptions, Rig, Solver
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
@@ -25,6 +26,7 @@ from gof.lens import Turn
 from gof.options import require_all_positive, require_number, require_positive
 
 MOST_FOV_DEG = 170.0
+TAGGED = ("auto", "accelerometer")  # ways up that ask the files' sensors
 
 
 @dataclass
@@ -79,8 +81,9 @@ class IngestConfig:
     """Folders of more clips of the same rig, with videos of the same names: features and boards of all clips solve the
     poses together."""
     up: UpChoice = "auto"
-    """What Z follows: "edges" of upright things (posts, walls), the sync "board" standing upright, the "cameras" held
-    level on average; "auto": edges if they agree on a vertical, else cameras."""
+    """What Z follows: "points" of --points that say what is upright or level, the cameras' "accelerometer" (GoPro),
+    "edges" of upright things (posts, walls), the sync "board" standing upright, the "cameras" held level on average;
+    "auto": the first of points, accelerometers (two that agree), edges (if they agree) and cameras that says it."""
     width: int | None = None
     """Width of the dataset's pictures in pixels; poses are always solved at full size."""
     frames: int | None = None
@@ -116,6 +119,7 @@ def ingest(config: IngestConfig) -> Ingested:
         baseline_m=config.baseline_m,
         rig=Rig.read(config.rig, footage.upright_lenses) if config.rig else None,
         up=config.up,
+        tilts=tuple(read_tilt(v, footage.turn) for v in footage.videos) if config.up in TAGGED else (),
     )
     return make_dataset(
         config.out,
@@ -156,9 +160,14 @@ def up_in_words(up: UpReport) -> str:
     """How Z is known, for people."""
     if up.source == "cameras":
         return "up: the cameras' mean up, as true as they are level; no other sign of the vertical (see --up)"
+    source = {
+        "points": "the marked points",
+        "accelerometer": "the cameras' accelerometers",
+        "edges": f"{up.edges} edges",
+        "board": "the board, taken to stand upright",
+    }[up.source]
     spread = "" if up.spread_deg is None else f", spread {up.spread_deg:.1f} degrees"
-    edges = f"{up.edges} edges" if up.edges else "the board, taken to stand upright"
-    return f"up: from {edges}{spread}; {up.lean_deg:.1f} degrees from the cameras' mean up"
+    return f"up: from {source}{spread}; {up.lean_deg:.1f} degrees from the cameras' mean up"
 
 
 def fire_left_in_words(left: dict[str, float]) -> str:

@@ -50,13 +50,15 @@ class UpReport:
     """How the world's Z is known.
 
     Attributes:
-        source: "edges" of upright things, the "board" standing upright, or the "cameras" held level on average.
+        source: marked "points", the cameras' "accelerometer", "edges" of upright things, the "board" standing upright,
+            or the "cameras" held level on average.
         lean_deg: between this Z and the cameras' mean up.
-        spread_deg: standard deviation, from drawing the edges again; None where there is no telling.
+        spread_deg: standard deviation: from drawing the edges again, from marks a pixel off, or of the accelerometers
+            about their mean; None where there is no telling.
         edges: how many.
     """
 
-    source: Literal["edges", "board", "cameras"]
+    source: Literal["points", "accelerometer", "edges", "board", "cameras"]
     lean_deg: float = 0.0
     spread_deg: float | None = None
     edges: int = 0

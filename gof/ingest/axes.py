@@ -8,9 +8,11 @@ from gof.dataset.description import METRES
 from gof.dataset.poses import PointCheck, UpReport
 from gof.errors import DataFormatError
 from gof.ingest import adjust, sfm
+from gof.ingest.accelerometer import up_from_tilts
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.marked_points import MarkedPoint
-from gof.ingest.up import Edges, UpChoice, angle_deg, cameras_up, up_from_board, up_from_edges
+from gof.ingest.plumb import says_up, up_from_points
+from gof.ingest.up import Edges, angle_deg, cameras_up, up_from_board, up_from_edges
 from gof.lens import Lens
 
 
@@ -36,29 +38,42 @@ def metric_scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptio
 
 
 def find_up(
-    poses: np.ndarray, clip: Evidence, points: list[MarkedPoint], lenses: list[Lens], choice: UpChoice
-) -> tuple[np.ndarray, UpReport]:
-    """The vertical (3,) in the poses' world, by the way chosen; "auto": edges if they agree, else the cameras.
+    poses: np.ndarray, clip: Evidence, points: list[MarkedPoint], lenses: list[Lens], options: PoseOptions
+) -> tuple[np.ndarray, UpReport, tuple[str, ...]]:
+    """The vertical (3,) in the poses' world by `options.up`, and what a user should know of ways that led nowhere.
+
+    "auto": what the user's points say, else the cameras' accelerometers, if two have one and they agree, else edges, if
+    they agree, else the cameras.
 
     Raises:
-        PoseError: the way chosen does not lead anywhere in this clip.
+        PoseError: the way chosen does not lead anywhere in this clip; points by hand contradict themselves.
     """
-    level = cameras_up(poses)
+    level, choice, doubts = cameras_up(poses), options.up, []
+    if choice == "points" or (choice == "auto" and says_up(points)):
+        return *up_from_points(poses, lenses, points, level), ()
     if choice == "board":
         board = [p for p in points if p.board == 0 and p.xyz is not None and len(p.pixels) >= 2]
         up = up_from_board(board, adjust.meetings(poses, lenses, board), level)
         if up is None:
             raise sfm.PoseError("--up board: fewer than three of the board's points are in two views")
-        return up, UpReport("board", round(angle_deg(up, level), 2))
-    if choice != "cameras":
+        return up, UpReport("board", round(angle_deg(up, level), 2)), ()
+    if choice in ("auto", "accelerometer"):
+        found = up_from_tilts(poses, options.tilts, level)
+        if isinstance(found, str):
+            doubts = [f"up: {found}"] if any(tilt.up is not None or tilt.why for tilt in options.tilts) else []
+        elif choice == "accelerometer" or found[1].spread_deg is not None:
+            return *found, ()
+        if choice == "accelerometer":
+            raise sfm.PoseError(f"--up accelerometer: {found}")
+    if choice in ("auto", "edges"):
         found = up_from_edges(Edges.find(clip.plates, clip.masks, lenses, poses), level)
         if found is not None:
-            return found
+            return *found, tuple(doubts)
         if choice == "edges":
             raise sfm.PoseError(
-                "--up edges: too few straight edges agree on a vertical; use --up board or --up cameras"
+                "--up edges: too few straight edges agree on a vertical; use --up points, --up board or --up cameras"
             )
-    return level, UpReport("cameras")
+    return level, UpReport("cameras"), tuple(doubts)
 
 
 def upright_world(world_to_camera: np.ndarray, up: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

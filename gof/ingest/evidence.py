@@ -15,6 +15,7 @@ from gof.dataset.description import METRES
 from gof.datum import Datum
 from gof.errors import DataFormatError, GofError
 from gof.ingest import sfm
+from gof.ingest.accelerometer import Tilt
 from gof.ingest.board import board_points, board_region
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.over_time import largest_change
@@ -42,6 +43,7 @@ class PoseOptions:
         baseline_m: distance between the first and the last camera in m; gives the scale.
         rig: another clip's poses, to be taken over if nothing speaks against them.
         up: how the vertical is found, see `find_up`.
+        tilts: what the cameras' accelerometers say of it; empty where nobody asked.
 
     Raises:
         GofError: a length is not positive.
@@ -54,11 +56,17 @@ class PoseOptions:
     baseline_m: float | None = None
     rig: Rig | None = None
     up: UpChoice = "auto"
+    tilts: tuple[Tilt, ...] = ()
 
     def __post_init__(self):
         for value, name in ((self.marker_m, "--marker-m"), (self.baseline_m, "--baseline-m")):
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise GofError(f"{name} {value}: must be a positive length in metres")
+
+    def require_own_up(self, poses: str) -> None:
+        """Raises GofError: a way up is asked for, where known poses already say which way it is."""
+        if self.up != "auto":
+            raise GofError(f"--up {self.up}: poses are taken over, {poses}, and their axes with them; leave out --up")
 
     @property
     def has_length(self) -> bool:

@@ -21,12 +21,16 @@ class MarkedPoint:
         xyz: (3,) metres in a frame that all points of one `board` share, or None.
         rough: xyz is good enough to start from, not to hold a solution to.
         board: number of the rigid thing that it is on; each clip's sync board is one.
+        upright: name of something that stands upright (a post); its points lie above each other.
+        level: name of something level (a floor); its points lie at one height.
     """
 
     pixels: dict[int, np.ndarray]
     xyz: np.ndarray | None = None
     rough: bool = False
     board: int = 0
+    upright: str | None = None
+    level: str | None = None
 
     @property
     def is_known(self) -> bool:
@@ -38,7 +42,8 @@ class MarkedPoint:
 
 
 def read_points(path: Path, names: list[str]) -> list[MarkedPoint]:
-    """Points by hand: {"points": [{"pixels": {camera: [x, y], ...}, "xyz": [x, y, z]?}, ...]}.
+    """Points by hand: {"points": [{"pixels": {camera: [x, y], ...}, "xyz": [x, y, z]?, "upright": name?,
+    "level": name?}, ...]}.
 
     Args:
         names: of the cameras, in order.
@@ -50,8 +55,8 @@ def read_points(path: Path, names: list[str]) -> list[MarkedPoint]:
         points = [_point(entry, names) for entry in description["points"]]
     except (KeyError, TypeError, ValueError, AttributeError) as e:
         raise DataFormatError(
-            f"{path}: points must be a list of {{'pixels': {{camera: [x, y]}}, 'xyz': [x, y, z] or absent}} "
-            f"with cameras {', '.join(names)} ({e})"
+            f"{path}: points must be a list of {{'pixels': {{camera: [x, y]}}}}, each with or without "
+            f"'xyz': [x, y, z], 'upright': 'its post', 'level': 'its floor', with cameras {', '.join(names)} ({e})"
         ) from e
     if not any(p.pixels or p.xyz is not None for p in points) or not all(_is_finite(p) for p in points):
         raise DataFormatError(f"{path}: needs at least one point, all numbers finite")
@@ -61,7 +66,15 @@ def read_points(path: Path, names: list[str]) -> list[MarkedPoint]:
 def _point(entry: dict[str, Any], names: list[str]) -> MarkedPoint:
     pixels = {names.index(n): np.asarray(p, np.float64).reshape(2) for n, p in entry["pixels"].items()}
     xyz = entry.get("xyz")
-    return MarkedPoint(pixels, None if xyz is None else np.asarray(xyz, np.float64).reshape(3))
+    place = None if xyz is None else np.asarray(xyz, np.float64).reshape(3)
+    return MarkedPoint(pixels, place, upright=_name(entry, "upright"), level=_name(entry, "level"))
+
+
+def _name(entry: dict[str, Any], field: str) -> str | None:
+    name = entry.get(field)
+    if name is not None and not (isinstance(name, str) and name):
+        raise ValueError(f"'{field}' is {name!r}, not the name of the thing")
+    return name
 
 
 def _is_finite(point: MarkedPoint) -> bool:

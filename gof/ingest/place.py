@@ -47,6 +47,7 @@ def place_cameras(
     points = _all_points(clips, options)
     notes = tuple(clips[0].notes)
     if given is not None:
+        options.require_own_up("those of --cameras")
         check = adjust.check_points(points, lenses, given)
         report = PoseReport("--cameras", f"{METRES}, from --cameras", notes, check=check)
         return Placed(given, np.zeros((0, 3)), report)
@@ -56,6 +57,7 @@ def place_cameras(
     for other in clips[1:]:
         moved[other.name] = require_still(names, clips[0], other.name, other.plates, other.masks)
     if options.rig is not None:
+        options.require_own_up("those of --rig")
         moved[options.rig.folder.name] = require_still(names, clips[0], options.rig.folder.name, options.rig.plates)
 
     # ---- solvers, and what the checks say of each --------------------------------------------------------------------
@@ -83,11 +85,11 @@ def place_cameras(
     factor, scale = metric_scale(chosen.model.world_to_camera, chosen.check, options)
     metric = chosen.model.world_to_camera.copy()
     metric[:, :3, 3] *= factor
-    up, how = find_up(metric, clips[0], points, lenses, options.up)
+    up, how, doubts = find_up(metric, clips[0], points, lenses, options)
     world_to_camera, transform = upright_world(metric, up)
     cloud = chosen.model.points * factor @ transform[:3, :3].T + transform[:3, 3]
     judged = (solved.figures, chosen.consistent, chosen.check)
-    report = PoseReport(chosen.method, scale, notes, *judged, moved or None, how)
+    report = PoseReport(chosen.method, scale, notes + doubts, *judged, moved or None, how)
     return Placed(world_to_camera, cloud, report)
 
 

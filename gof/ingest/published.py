@@ -33,19 +33,13 @@ from gof.ingest.footage import Footage
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.pairing import pair
 from gof.ingest.place import Placed
-from gof.lens import Lens, Turn, straightening
+from gof.lens import CAMERA_AXES, Lens, Turn, straightening
 from gof.npz import read_npz
 
 META = "meta.npz"
 ZOOM = 1.03  # of their undistorted camera, so that no black borders are left
 DISTORTIONS = 4, 5, 8, 12, 14  # numbers that OpenCV's models of a lens have
 MOST_PIXELS = 100_000  # of a picture's side: more is no picture
-TURNS = {  # camera axes of the turned picture, from those of the stored one
-    "none": np.eye(3),
-    "clockwise": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
-    "counterclockwise": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
-    "half": np.diag([-1.0, -1, 1]),
-}
 CAMERAS_FILE = "published_cameras.json"
 
 
@@ -193,7 +187,8 @@ class PublishedFootage(Footage):
         return straightening(meta.camera_matrix[camera], meta.dist_coeffs[camera], self.lenses[camera], self.turn)
 
     def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
-        """As published."""
+        """As published. Raises GofError: a way up is asked for."""
+        options.require_own_up("those that the scene brings")
         points = self.meta.points3D @ self.transform[:3, :3].T + self.transform[:3, 3]
         return Placed(self.world_to_camera, points, PoseReport("published", self.scale))
 
@@ -230,5 +225,5 @@ def is_published(videos: list[Path]) -> bool:
 def _turned(world_to_camera: np.ndarray, turn: Turn) -> np.ndarray:
     """Poses (C, 4, 4) of the turned pictures."""
     axes = np.eye(4)
-    axes[:3, :3] = TURNS[turn]
+    axes[:3, :3] = CAMERA_AXES[turn]
     return axes @ world_to_camera

@@ -15,7 +15,7 @@ from gof.dataset.poses import UpReport
 from gof.ingest.marked_points import MarkedPoint
 from gof.lens import Lens
 
-UpChoice = Literal["auto", "edges", "board", "cameras"]
+UpChoice = Literal["auto", "points", "accelerometer", "edges", "board", "cameras"]
 
 LEAST_LENGTH = 0.025  # of the picture's height: a shorter edge's direction is a guess
 CONE_DEG = 25.0  # cameras are held level to within this

@@ -1,10 +1,16 @@
 """Which way is up, against drawn scenes whose vertical is known, and silence where nothing shows it."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
+from gof.ingest import accelerometer, gpmf
+from gof.ingest.accelerometer import Tilt, read_tilt, up_from_tilts
 from gof.ingest.marked_points import MarkedPoint
+from gof.ingest.plumb import up_from_points
+from gof.ingest.sfm import PoseError
 from gof.ingest.up import Edges, angle_deg, cameras_up, up_from_board, up_from_edges
 from tests.conftest import look_at
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, lens
@@ -77,3 +83,129 @@ def test_a_board_that_stands_upright_shows_it():
     world[0] = np.nan
     assert angle_deg(up_from_board(points, world, level), up) < 1e-6
     assert up_from_board(points[:2], world[:2], level) is None
+
+
+# ---- marked points ---------------------------------------------------------------------------------------------------
+
+POST, TREE = [(-0.4, 0.1, -0.4), (-0.4, 0.1, 1.6)], [(0.5, 0.4, 0.0), (0.5, 0.4, 1.1)]
+FLOOR = [(-0.6, -0.4, 0.0), (0.6, -0.3, 0.0), (0.1, 0.9, 0.0)]
+
+
+def marked(cams, noise=0.0, **things):
+    """Points of things given as kind_name=[xyz, ...], in all cameras."""
+    rng = np.random.default_rng(1)
+    points = []
+    for key, places in things.items():
+        kind, name = key.split("_")
+        for place in places:
+            pixels = {c: cam.project(np.array([place]))[0][0] + rng.normal(0, noise, 2) for c, cam in enumerate(cams)}
+            points.append(MarkedPoint(pixels, **{kind: name}))
+    return points
+
+
+def up_of(cams, points):
+    poses = np.array([c.world_to_camera for c in cams])
+    return up_from_points(poses, [lens(c) for c in cams], points, cameras_up(poses))
+
+
+@pytest.mark.parametrize(
+    "things",
+    [
+        {"upright_post": POST},
+        {"level_floor": FLOOR},
+        {"upright_post": POST, "upright_tree": TREE, "level_floor": FLOOR},
+        {"level_sill": FLOOR[:2], "level_step": FLOOR[1:]},  # two level lines across each other
+    ],
+)
+def test_marked_points_give_the_vertical(things):
+    cams = rig(15.0)
+    up, report = up_of(cams, marked(cams, **things))
+    assert angle_deg(up, np.array([0.0, 0, 1])) < 1e-6 and report.source == "points"
+    assert report.lean_deg == pytest.approx(
+        angle_deg(cameras_up(np.array([c.world_to_camera for c in cams])), up), abs=0.01
+    )
+    error = angle_deg(up_of(cams, marked(cams, 1.0, **things))[0], up)
+    assert error < 3 * report.spread_deg, "the spread is that of marks a pixel off"
+
+
+def test_points_that_do_not_hold_the_vertical_are_refused():
+    cams = rig(8.0)
+    for things, words in (
+        ({"level_sill": FLOOR[:2]}, "turn this vertical by"),
+        ({"upright_stub": [(0, 0, 0), (0, 0, 0.02)]}, "taller post"),
+        ({"upright_post": POST, "level_ramp": [*FLOOR[:2], (0.1, 0.9, 0.5)]}, r"'(ramp|post)' is \d+ degrees from"),
+        ({"upright_post": POST[:1]}, "'post' .upright. fewer than two"),
+    ):
+        with pytest.raises(PoseError, match=words):
+            up_of(cams, marked(cams, **things))
+    one_view = [MarkedPoint({0: p.pixels[0]}, upright="post") for p in marked(cams, upright_post=POST)]
+    with pytest.raises(PoseError, match="two pictures"):
+        up_of(cams, one_view)
+    with pytest.raises(PoseError, match="no point of --points"):
+        up_of(cams, [MarkedPoint({0: np.zeros(2)})])
+    above = [
+        look_at(f"cam_{i}", (x, 0.001, 4.0), (x, 0, 0), WIDTH, HEIGHT, FOCAL) for i, x in enumerate((-0.5, 0, 0.5))
+    ]
+    with pytest.raises(PoseError, match="tells up from down"):
+        up_of(above, marked(above, level_floor=FLOOR))
+
+
+# ---- accelerometers --------------------------------------------------------------------------------------------------
+
+SAMPLE = Path(__file__).parent / "gopro_max.mp4"
+"""Three seconds of the sensor track, without pictures, of a file that GoPro publishes with its parser (samples/
+max-heromode.mp4 of github.com/gopro/gpmf-parser, Apache-2.0 or MIT): a MAX, carried along a path, looking a little down."""
+
+
+def test_a_real_gopros_gravity_and_its_accelerometer_agree(monkeypatch):
+    """The camera's own sensor fusion (GRAV) and the raw accelerometer are stored in different axes: both must be right."""
+    found = list(gpmf.streams(SAMPLE))
+    by_gravity = read_tilt(SAMPLE, "none").up
+    np.testing.assert_allclose(
+        by_gravity, [0, -0.992, -0.12], atol=0.02
+    )  # 7 degrees down; the horizon is above the middle
+    raw = [stream for stream in found if "ACCL" in stream]
+    assert "moved" in accelerometer._stored_up(raw), "it is carried"
+    monkeypatch.setattr(accelerometer, "MOST_SHAKE", 9.0)
+    assert angle_deg(accelerometer._stored_up(raw), by_gravity) < 3
+    assert {str(stream["ORIN"]) for stream in raw} == {"XzY"}
+
+
+def test_a_lying_picture_is_told_from_an_upright_one():
+    assert "degrees from upright; give --turn" in read_tilt(SAMPLE, "clockwise").why
+    assert "179 degrees from upright" in read_tilt(SAMPLE, "half").why
+
+
+def test_files_without_a_track_say_nothing_and_damaged_ones_are_named(tmp_path):
+    data = SAMPLE.read_bytes()
+    picture = tmp_path / "folder"
+    picture.mkdir()
+    assert read_tilt(picture, "none") == Tilt()
+    for content in (b"", b"\x1a\x45\xdf\xa3" + bytes(2000), data[:20], bytes(64)):
+        (tmp_path / "a.mp4").write_bytes(content)
+        assert read_tilt(tmp_path / "a.mp4", "none") == Tilt()
+    rng = np.random.default_rng(0)
+    at = data.index(b"moov") - 4
+    for _ in range(300):  # nothing but a tilt or words, whatever is damaged
+        broken = bytearray(data)
+        for place in rng.integers(at if rng.random() < 0.7 else 0, len(data), 6):
+            broken[place] = rng.integers(256)
+        (tmp_path / "a.mp4").write_bytes(broken[: rng.integers(len(data) // 2, len(data) + 1)])
+        tilt = read_tilt(tmp_path / "a.mp4", "none")
+        assert tilt.up is None or (np.isfinite(tilt.up).all() and abs(np.linalg.norm(tilt.up) - 1) < 1e-6)
+    (tmp_path / "a.mp4").write_bytes(data.replace(b"SCALs\x02\x00\x01\x7f\xff", b"SCALs\x02\x00\x01\x00\x00"))
+    assert "scale" in read_tilt(tmp_path / "a.mp4", "none").why
+
+
+def test_accelerometers_must_agree():
+    cams = rig(10.0)
+    poses = np.array([c.world_to_camera for c in cams])
+    level = cameras_up(poses)
+    tilts = [Tilt(c.world_to_camera[:3, 2]) for c in cams]  # Z of the world in each camera
+    up, report = up_from_tilts(poses, tuple(tilts), level)
+    assert angle_deg(up, np.array([0.0, 0, 1])) < 1e-6 and report.spread_deg == 0
+    assert up_from_tilts(poses, (Tilt(), tilts[1], Tilt()), level)[1].spread_deg is None
+    turn = cv2.Rodrigues(np.array([0.0, 0, np.deg2rad(12)]))[0]
+    assert "contradict" in up_from_tilts(poses, (tilts[0], Tilt(turn @ tilts[1].up), tilts[2]), level)
+    assert "contradict" in up_from_tilts(poses[[0, 0]], (tilts[0], Tilt(-tilts[0].up)), level)
+    assert up_from_tilts(poses, (Tilt(), Tilt(why="b.mp4: shakes"), Tilt()), level) == "b.mp4: shakes"
