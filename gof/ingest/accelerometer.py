@@ -62,15 +62,13 @@ def _stored_up(found: list[Stream]) -> np.ndarray | str | None:
     gravity = [_scaled(s, "GRAV") for s in found if isinstance(s.get("GRAV"), np.ndarray)]
     if gravity and np.linalg.norm(down := np.concatenate(gravity).mean(0)) > 0.5:
         return -down / np.linalg.norm(down)
-    measured = [
-        (s.get("ORIN", HERO5_ORDER), _scaled(s, "ACCL")) for s in found if isinstance(s.get("ACCL"), np.ndarray)
-    ]
-    if not measured:
+    felt = [s for s in found if isinstance(s.get("ACCL"), np.ndarray)]
+    if not felt:
         return None
-    order = measured[0][0]
+    order = felt[0].get("ORIN", HERO5_ORDER)
     if sorted(str(order).upper()) != ["X", "Y", "Z"]:
         return f"has axes '{order}', which are not known"
-    acceleration = np.concatenate([values for _, values in measured])
+    acceleration = np.concatenate([_scaled(s, "ACCL") for s in felt])
     if len(acceleration) == 0:
         return "has no samples"
     body = np.zeros_like(acceleration)

@@ -140,7 +140,7 @@ def _places(data: bytes, start: int, end: int) -> Iterator[tuple[int, int]]:
 
 def _streams(sample: bytes) -> Iterator[Stream]:
     """The sensors (`STRM`) of every device (`DEVC`) in a sample."""
-    for name, kind, data, size in _entries(sample):
+    for name, kind, data, _ in _entries(sample):
         if name == "STRM":
             yield {n: _value(k, d, s) for n, k, d, s in _entries(data) if k in NUMBERS or k == "c"}
         elif kind == "\0":

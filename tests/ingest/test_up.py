@@ -153,12 +153,12 @@ def test_points_that_do_not_hold_the_vertical_are_refused():
 # ---- accelerometers --------------------------------------------------------------------------------------------------
 
 SAMPLE = Path(__file__).parent / "gopro_max.mp4"
-"""Three seconds of the sensor track, without pictures, of a file that GoPro publishes with its parser (samples/
-max-heromode.mp4 of github.com/gopro/gpmf-parser, Apache-2.0 or MIT): a MAX, carried along a path, looking a little down."""
+"""Three seconds of the sensor track, without pictures, of a file that GoPro publishes with its parser: a MAX, carried
+along a path, looking a little down (samples/max-heromode.mp4 of github.com/gopro/gpmf-parser, Apache-2.0 or MIT)."""
 
 
 def test_a_real_gopros_gravity_and_its_accelerometer_agree(monkeypatch):
-    """The camera's own sensor fusion (GRAV) and the raw accelerometer are stored in different axes: both must be right."""
+    """The camera's own sensor fusion (GRAV) and the raw accelerometer are stored in axes of their own."""
     found = list(gpmf.streams(SAMPLE))
     by_gravity = read_tilt(SAMPLE, "none").up
     np.testing.assert_allclose(
