@@ -21,7 +21,7 @@ import tyro
 
 from gof.costs import StageLog
 from gof.errors import MissingDependencyError
-from gof.ingest.pipeline import PlateKind
+from gof.ingest.fire_free import PlateKind
 
 CAMERAS = 3
 

@@ -15,10 +15,11 @@ from gof.errors import GofError
 from gof.files import write_json
 from gof.ingest.accelerometer import read_tilt
 from gof.ingest.evidence import PoseOptions, Rig, Solver
+from gof.ingest.fire_free import PlateKind, PlateOptions
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
-from gof.ingest.pipeline import Ingested, PlateKind, make_dataset
+from gof.ingest.pipeline import Ingested, make_dataset
 from gof.ingest.plates import MOST_FIRE_LEFT
 from gof.ingest.published import PublishedFootage, is_published
 from gof.ingest.up import UpChoice
@@ -63,6 +64,9 @@ class IngestConfig:
     """Folder with fire-free pictures cam_0.png ... as stored; else they are made from the footage."""
     plate: PlateKind = "steady"
     """How a plate is made: "minimum" over time, or "steady": that where fire passed, the temporal median elsewhere."""
+    plate_frames: int | None = None
+    """Make each plate of so many frames around the clip (--start, --frames) instead of the clip's own: what burns all
+    through the clip may stand free before or after it. Never of frames that are held out."""
     points: Path | None = None
     """JSON of correspondences by hand, see docs/ingest.md; points with xyz also give the scale."""
     board: str = "paper_rig"
@@ -108,6 +112,7 @@ def ingest(config: IngestConfig) -> Ingested:
     require_all_positive("--fps", config.fps)
     require_number("--width", config.width, least=16)
     require_number("--frames", config.frames, least=1)
+    require_number("--plate-frames", config.plate_frames, least=1)
     for start in config.start:
         require_number("--start", start, least=0)
     footage = open_footage(config)
@@ -126,8 +131,7 @@ def ingest(config: IngestConfig) -> Ingested:
         footage,
         Timing(config.times, config.fps, config.stamps, config.start, config.frames),
         pose_options,
-        plate=config.plate,
-        plates_folder=config.plates,
+        PlateOptions(config.plate, config.plates, config.plate_frames),
         width=config.width,
         depth=config.depth,
         depth_weights=config.depth_weights,
@@ -138,6 +142,11 @@ def ingest(config: IngestConfig) -> Ingested:
 def other_clip(footage: Footage, folder: Path) -> Footage:
     """Another clip by the same cameras. Raises GofError: a video is missing."""
     videos = tuple(folder / video.name for video in footage.videos)
+    if any(video.exists() and video.samefile(own) for video, own in zip(videos, footage.videos, strict=True)):
+        raise GofError(
+            f"--with-clip {folder}: is this clip itself, whose held-out frames must not get into a plate; what its "
+            "videos have outside the clip is used by --plate-frames"
+        )
     if len(set(videos)) < len(videos):
         raise GofError("--with-clip: this clip's videos share a name; put each clip's videos into a folder of its own")
     for video in videos:
@@ -170,14 +179,17 @@ def up_in_words(up: UpReport) -> str:
     return f"up: from {source}{spread}; {up.lean_deg:.1f} degrees from the cameras' mean up"
 
 
-def fire_left_in_words(left: dict[str, float]) -> str:
-    """How clean the plates are, for people."""
-    words = "fire left in the plates: " + ", ".join(f"{name} {share:.1%}" for name, share in left.items())
+def fire_left_in_words(left: dict[str, float], by_clip: dict[str, float] | None = None) -> str:
+    """How clean the plates are, and how they would be from the clip's own frames, for people."""
+    was = {name: f" (from the clip alone {share:.1%})" for name, share in (by_clip or {}).items()}
+    each = (f"{name} {share:.1%}{was.get(name, '')}" for name, share in left.items())
+    words = f"fire left in the plates: {', '.join(each)}"
     if max(left.values()) <= MOST_FIRE_LEFT:
         return words
     return (
         f"{words}; more than {MOST_FIRE_LEFT:.0%} of the picture never shows what is behind the fire: give plates "
-        "filmed without fire (--plates), or more clips of the same rig (--with-clip)"
+        "filmed without fire (--plates), a longer part of the videos (--plate-frames), or more clips of the same rig "
+        "(--with-clip)"
     )
 
 
@@ -194,7 +206,7 @@ def main(argv: list[str]) -> int:
         print(f"same rig as {other}: its pictures lie within {max(shifts.values()):.2f} px of these")
     if report.up is not None:
         print(up_in_words(report.up))
-    print(fire_left_in_words(result.fire_left))
+    print(fire_left_in_words(result.fire_left, result.fire_left_by_clip))
     for note in (*result.notes, *report.notes):
         print(f"note: {note}")
     print(f"dataset -> {result.folder}; next: gof reconstruct {result.folder} --out out/{result.folder.name}")

@@ -124,7 +124,12 @@ class Footage:
 
     def all_clips(self) -> list[Clip]:
         """Every frame, whatever its time: enough for what stands still."""
-        return self.clips([np.arange(info.frames) for info in self.infos])
+        return self.clips([np.arange(count) for count in self.frame_counts])
+
+    @property
+    def frame_counts(self) -> list[int]:
+        """How many frames each video has."""
+        return [info.frames for info in self.infos]
 
     @property
     def names(self) -> list[str]:

@@ -169,6 +169,10 @@ class PublishedFootage(Footage):
             scale=scale,
         )
 
+    @property
+    def frame_counts(self) -> list[int]:
+        return [len(times) for times in self.meta.times]
+
     def frame_times(self, timing: Timing) -> FrameTimes:
         """By the board's clock, as published: cameras keep their own times, paired by the nearest frame."""
         if timing.times is not None or timing.fps or timing.stamps:

@@ -7,12 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.commands.ingest import IngestConfig, ingest
+from gof.commands.ingest import IngestConfig, fire_left_in_words, ingest
 from gof.dataset import Dataset
 from gof.dataset.poses import Poses
 from gof.errors import DataFormatError, GofError
 from gof.footage import stated_info
 from gof.ingest import plates
+from gof.ingest.fire_free import around
 from gof.ingest.footage import Clip, Footage
 from gof.ingest.over_time import LUMA, darkest, largest_change, median
 from gof.ingest.sfm import PoseError
@@ -243,3 +244,70 @@ def test_footage_errors(tmp_path):
         Footage.open([tmp_path / "empty"], "none", None, 40.0)
     with pytest.raises(GofError, match=r"--cameras FILE or --fov"):
         Footage.open([tmp_path / "empty"] * 2, "none", None, None)
+
+
+# ---- plates of more frames than the clip -----------------------------------------------------------------------------
+
+
+def test_frames_around_a_clip():
+    """Those outside it only, as many as were asked for, from the other side where one side has too few."""
+    used = np.array([10, 12, 14, 16])  # paired with a slower camera: 11 lies beside frames that may be held out
+    assert around(used, 11, 100).tolist() == [8, 9, 17, 18]
+    assert around(used, 7, 100).tolist() == []
+    assert around(used, 27, 100).tolist() == [*range(10), *range(17, 27)]
+    assert around(used, 37, 20).tolist() == [*range(10), 17, 18, 19]
+    assert around(used, 15, 18).tolist() == [*range(3, 10), 17]
+
+
+def standing_fire(folder, rig, burns, frames=30):
+    """Videos whose fire stands in one place in the frames that `burns(k)`, and is out in the others."""
+    for c, camera in enumerate(rig):
+        (folder / f"view{c}").mkdir(parents=True)
+        picture = draw(camera)[0].astype(float)
+        x, y = camera.project(np.array([[0.0, 0.0, 0.7]]))[0][0]
+        rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+        shape = np.exp(-0.5 * (((columns - x) / 9) ** 2 + ((rows - y) / 14) ** 2))[..., None]
+        for k in range(frames):
+            light = (1 + 0.3 * np.sin(k)) * shape * [230, 140, 10] if burns(k) else 0
+            frame = np.uint8(np.clip(0.8 * picture + light, 0, 255))
+            cv2.imwrite(str(folder / f"view{c}" / f"{k:03d}.png"), frame[..., ::-1])
+    return [folder / f"view{c}" for c in range(len(rig))]
+
+
+def standing_config(folder, rig, videos, **more):
+    path = folder / "cameras.json"
+    path.write_text(json.dumps({"cameras": [c.to_dict() for c in rig]}))
+    return IngestConfig(videos, cameras=path, fps=(50.0,), board="none", start=(8,), frames=12, **more)
+
+
+def test_a_longer_window_shows_what_burns_all_through_the_clip(tmp_path):
+    rig = cameras()
+    videos = standing_fire(tmp_path, rig, burns=lambda k: 5 <= k < 25)
+    alone = ingest(standing_config(tmp_path, rig, videos, out=tmp_path / "alone"))
+    config = standing_config(tmp_path, rig, videos, out=tmp_path / "window", plate_frames=30)
+    made = ingest(config)
+    assert made.fire_left_by_clip == alone.fire_left and alone.fire_left_by_clip is None
+    for c, camera in enumerate(rig):
+        truth = 0.8 * draw(camera)[0]
+        burnt, cleared = (255 * Dataset.open(m.folder).static(c) for m in (alone, made))
+        assert alone.fire_left[f"cam_{c}"] > 0.002 and made.fire_left[f"cam_{c}"] == 0
+        assert psnr(cleared, truth) > psnr(burnt, truth) + 10 and psnr(cleared, truth) > 38
+    assert Dataset.open(made.folder).description.provenance["plate_frames"] == dict.fromkeys(made.fire_left, 29)
+    assert "from the clip alone 0." in fire_left_in_words(made.fire_left, made.fire_left_by_clip)
+    with pytest.raises(GofError, match="has 12 frames; give more"):
+        ingest(replace(config, out=tmp_path / "no", plate_frames=12))
+    with pytest.raises(GofError, match="no frames outside"):
+        ingest(replace(config, out=tmp_path / "no", start=(0,), frames=None, plate_frames=99))
+    with pytest.raises(GofError, match="--plates brings"):
+        ingest(replace(config, out=tmp_path / "no", plates=tmp_path))
+    with pytest.raises(GofError, match="is this clip itself"):
+        ingest(replace(config, out=tmp_path / "no", plate_frames=None, with_clip=[tmp_path]))
+
+
+def test_no_held_out_frame_gets_into_a_plate(tmp_path):
+    """Fire is out in the held-out frame alone: a plate that shows what is behind it has seen that frame."""
+    rig = cameras()
+    videos = standing_fire(tmp_path, rig, burns=lambda k: k != 12)  # the clip is 8 to 19: its fifth is held out
+    made = ingest(standing_config(tmp_path, rig, videos, out=tmp_path / "set", plate_frames=30))
+    assert Dataset.open(made.folder).test_frames == [4]
+    assert min(made.fire_left.values()) > 0.002
