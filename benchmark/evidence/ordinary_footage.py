@@ -4,13 +4,15 @@
 
 CLIP holds cam_0.mp4, cam_1.mp4 and cam_2.mp4 of a fire (docs/ingest.md: the paper's capture_05/scene_0006). ffmpeg
 makes the variants. Whether frames were paired rightly is not taken from the clocks: every picture of the dataset is
-looked up in the original videos, so the last column counts original frames between pictures that were paired.
+looked up in the original videos, so the last column counts original frames between pictures that were paired. Started
+again with the same options, it goes on after the last row that it finished; another OUT begins anew.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
+import struct
 import subprocess
 import sys
 from dataclasses import dataclass, field
@@ -20,7 +22,8 @@ import numpy as np
 import tyro
 
 from gof.dataset import Dataset
-from gof.errors import MissingDependencyError
+from gof.errors import DataFormatError, MissingDependencyError
+from gof.files import write_json
 from gof.footage import stored_frames
 
 CAMERAS = ("cam_0", "cam_1", "cam_2")
@@ -152,11 +155,25 @@ def make_videos(variant: Variant, config: OrdinaryFootage, folder: Path) -> list
         if after == "cut":  # as a copy that broke off
             video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
         if after == "tag":
-            tagged = folder / f"{name}_tagged.mp4"
-            ffmpeg("-display_rotation", "-90", "-i", str(video), "-c", "copy", str(tagged))
-            tagged.replace(video)
+            video.write_bytes(tagged_clockwise(video.read_bytes()))
         videos.append(video)
     return videos
+
+
+def tagged_clockwise(data: bytes) -> bytes:
+    """An MP4 file of one track with the rotation tag of a phone held upright: players turn it clockwise by 90 degrees.
+
+    The tag is the matrix in the track's header, `tkhd` (ISO/IEC 14496-12, 8.3.2): a, b, u, c, d, v, x, y, w, by which a
+    point (p, q) goes to (a p + c q + x, b p + d q + y). Written here because only ffmpeg 6 and later write it.
+    """
+    start = data.index(b"tkhd") + 4
+    matrix = start + (52 if data[start] == 1 else 40)  # version 1 has longer times
+    plain = struct.pack(">9i", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
+    if data.count(b"tkhd") != 1 or data[matrix : matrix + 36] != plain:
+        raise DataFormatError("not one track that lies as it is stored")
+    height = struct.unpack_from(">i", data, matrix + 40)[0]  # 16.16, as all but u, v and w
+    turned = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, height, 0, 1 << 30)
+    return data[:matrix] + turned + data[matrix + 36 :]
 
 
 # ---- what comes out --------------------------------------------------------------------------------------------------
@@ -228,7 +245,14 @@ def main(argv: list[str] | None = None) -> None:
     print("| footage | what `gof ingest` does | original frames between paired pictures, at most |\n|---|---|---|")
     for number, variant in enumerate(variants(config)):
         if config.only in variant.name:
-            outcome, apart = run(variant, config, originals, number)
+            known = config.out / f"{number:02d}" / "row.json"
+            asked = [variant.name, *variant.options, str(config.clip), config.frames]
+            row = json.loads(known.read_text(encoding="utf-8")) if known.is_file() else {}
+            if row.get("asked") != asked:
+                outcome, apart = run(variant, config, originals, number)
+                row = {"asked": asked, "outcome": outcome, "apart": apart}
+                write_json(known, row)
+            outcome, apart = row["outcome"], row["apart"]
             print(f"| {variant.name} | {outcome} | {apart} |", flush=True)
 
 
