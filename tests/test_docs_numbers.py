@@ -23,7 +23,6 @@ COMMAND = re.compile(r"\bpython -m gof_benchmark[\w.]+|(?:`|^)gof [a-z]\w*|(?:`|
 
 NOT_MEASURED = {  # (page, heading): what its figures are
     ("docs/capture.md", "How it tells the time"): "the board's protocol",
-    ("docs/ingest.md", "Which way is up"): "thresholds",
     ("docs/formats.md", "Velocity store (schema `gof-velocity`, version 1)"): "an example file",
     ("docs/how_real.md", "What real fires do"): "laws from the literature",
     ("docs/how_real.md", "Limits"): "the laws' own scatter",
@@ -115,6 +114,8 @@ TOY = {
     "reconstruct_memory": ("FLAME", "--runs", "96", "300", "16"),
     "render_kernels": ("--quick",),
     "render_speed": ("--quick",),
+    "plate_window": ("FLAME", "--start", "2", "--frames", "5", "--windows", "5", "10"),
+    "ring_accuracy": ("--frames", "20", "--only", "as it comes"),
     "scene_model": ("FLAME", "RESULT"),
     "wrong_clocks": ("LATE", "--out", "OUT", "--errors", "0", "1", *TINY),
 }
