@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gof.capture.board_points import BoardPoints
 from gof.capture.brightness import sample, white
 from gof.capture.template import BoardTemplate
 from gof.errors import GofError
@@ -72,22 +73,31 @@ class Summary:
         self.count += 1
 
 
-def locate(summary: Summary, template: BoardTemplate, samples: int = 96) -> BoardInImage:
+def locate(
+    summary: Summary, template: BoardTemplate, samples: int = 96, points: BoardPoints | None = None
+) -> BoardInImage:
     """Find the board.
 
     Args:
         summary: of frames in which LEDs and strips change.
         samples: points along each strip.
+        points: where the board is by a user, who sees more of it than a marker that is partly hidden; None looks for
+            the marker.
     Raises:
         BoardNotFound: no marker (says what to check), or no strips where the template puts them.
+        DataFormatError: the user's points do not fit a board.
     """
     import cv2
 
     if summary.low is None:
         raise BoardNotFound("no frames")
     height, width = summary.low.shape
-    corners = find_marker(summary, template)
-    H, _ = cv2.findHomography(MARKER_CORNERS, corners)
+    if points is None:
+        points = BoardPoints(MARKER_CORNERS, find_marker(summary, template))
+    else:
+        points = _refined(points, summary)
+    H = points.homography()
+    corners = project(H, MARKER_CORNERS)
     side = float(np.sqrt(abs(cv2.contourArea(corners.astype(np.float32)))))
 
     high = cv2.GaussianBlur(summary.high, (0, 0), max(0.5, side / 60)).astype(np.float32)
@@ -96,8 +106,8 @@ def locate(summary: Summary, template: BoardTemplate, samples: int = 96) -> Boar
     if found.sum() >= 4:
         # LEDs spread wider than the marker: they settle the homography. RANSAC drops reflections and dark LEDs.
         better, inlier = cv2.findHomography(
-            np.vstack([MARKER_CORNERS, template.led_xy[found]]),
-            np.vstack([corners, snapped[found]]),
+            np.vstack([points.xy, template.led_xy[found]]),
+            np.vstack([points.pixels, snapped[found]]),
             cv2.RANSAC,
             side / 25,
         )
@@ -111,6 +121,28 @@ def locate(summary: Summary, template: BoardTemplate, samples: int = 96) -> Boar
 
     strip, normal, strip_visible, offset = _find_strips(summary, template, H, samples)
     return BoardInImage(corners, H, led, led_visible, strip, strip_visible, normal, offset)
+
+
+def _refined(points: BoardPoints, summary: Summary) -> BoardPoints:
+    """A user's marks, a pixel or two off, moved to the corners and the LEDs that they mean: the strips lie several
+    marker sides away, where such an error would be as large as their distance."""
+    import cv2
+
+    H = points.homography()  # or it says that these are no points of a board
+    side = float(np.sqrt(cv2.contourArea(project(H, MARKER_CORNERS).astype(np.float32))))
+    picture = np.median(summary.pictures, axis=0).astype(np.uint8)
+    pixels, _ = bright_spots(summary.high.astype(np.float32), points.pixels, radius=max(2.0, side / 8))
+    is_corner = np.isin(points.xy, (0, 1)).all(1)
+    half = max(2, round(side / 12))
+    within = in_picture(points.pixels, picture.shape[1], picture.shape[0], half + 2)
+    for k in np.flatnonzero(is_corner):
+        pixels[k] = points.pixels[k]
+        if within[k]:
+            start = (points.pixels[k] - 0.5).astype(np.float32).reshape(1, 1, 2)
+            stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 0.01)
+            found = cv2.cornerSubPix(picture, start, (half, half), (-1, -1), stop).reshape(2) + 0.5
+            pixels[k] = found if np.linalg.norm(found - pixels[k]) < half + 1 else pixels[k]
+    return BoardPoints(points.xy, pixels)
 
 
 def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
@@ -127,7 +159,8 @@ def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
     kind = "inverted " if template.inverted else ""
     raise BoardNotFound(
         f"marker {template.marker_id} ({kind}DICT_4X4_50) is not in the picture: is it whole, lit, and at least about "
-        "20 pixels wide?"
+        "20 pixels wide? Where something hides a part of it for the whole take, mark four other points of the board by "
+        "hand: --board-points"
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.capture.board_points import BoardPoints
 from gof.capture.brightness import sample, white
 from gof.capture.locate import BoardInImage, Summary, locate
 from gof.capture.marker import marker_likeness, marker_pattern
@@ -44,11 +45,18 @@ class Signals:
 
 
 def read_signals(
-    video: Path, template: BoardTemplate, locate_frames: int = 160, memory: int = 2**28, progress=None
+    video: Path,
+    template: BoardTemplate,
+    locate_frames: int = 160,
+    memory: int = 2**28,
+    progress=None,
+    points: BoardPoints | None = None,
 ) -> Signals:
     """Read a video once: find the board in the first `locate_frames` frames (fewer when they would not fit in `memory`
     bytes), then sample those and all that follow.
 
+    Args:
+        points: of the board, marked by a user; its marker is hidden then, and all frames are taken to show the board.
     Raises:
         BoardNotFound, DataFormatError: see `locate` and `stored_frames`.
     """
@@ -59,7 +67,7 @@ def read_signals(
         held.append(white(frame))
         if len(held) >= locate_frames or (len(held) + 1) * held[0].nbytes > memory:
             break
-    board = locate(summary, template)
+    board = locate(summary, template, points=points)
     strips, leds, markers = [], [], []
     pattern = marker_pattern(template)
     for count, image in enumerate(chain(held, map(white, stream)), 1):
@@ -72,7 +80,8 @@ def read_signals(
     if progress:
         progress(len(leds))
     height, width = summary.low.shape
-    return replace(make_signals(np.stack(strips), np.stack(leds), (width, height), board), marker=np.array(markers))
+    signals = make_signals(np.stack(strips), np.stack(leds), (width, height), board)
+    return signals if points else replace(signals, marker=np.array(markers))
 
 
 def sample_frame(image: np.ndarray, board: BoardInImage) -> tuple[np.ndarray, np.ndarray]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
+from gof.capture.board_points import BoardPoints
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
 from gof.capture.doubts import MOST_US, doubts
 from gof.capture.flame_clock import estimate_times, read_light
@@ -40,6 +42,7 @@ def synchronise(
     plots: Path | None = None,
     known: Sensor | None = None,
     estimate: bool = False,
+    points: dict[str, BoardPoints] | None = None,
 ) -> FrameTimesFile:
     """Decode every video and put all on the board's clock.
 
@@ -51,6 +54,7 @@ def synchronise(
         plots: folder for one picture of residuals per camera.
         known: gives the row time of pictures of any size.
         estimate: estimate the clock of a camera without the board from its flame.
+        points: of the board, by video, marked where the marker is partly hidden.
     """
     ring = isinstance(template, RingBoard)
     period_us = template.period_us if ring else options[0].period_us
@@ -59,7 +63,7 @@ def synchronise(
     errors: dict[str, str] = {}
     for name, video, option in zip(names, videos, options, strict=True):
         try:
-            decoded[name] = _decode_video(name, video, template, option, known)
+            decoded[name] = _decode_video(name, video, template, option, known, (points or {}).get(name))
         except GofError as e:
             errors[name] = str(e)
     times = {name: found.times for name, found in decoded.items()}
@@ -124,13 +128,18 @@ class _Decoded:
 
 
 def _decode_video(
-    name: str, video: Path, template: BoardTemplate | RingBoard, options: DecodeOptions, known: Sensor | None
+    name: str,
+    video: Path,
+    template: BoardTemplate | RingBoard,
+    options: DecodeOptions,
+    known: Sensor | None,
+    points: BoardPoints | None,
 ) -> _Decoded:
     start = time.perf_counter()
     frames = stated_frames(video) or 0
     with progress_bar(f"read {name}") as update:
         ring = isinstance(template, RingBoard)
-        read_video = read_ring_signals if ring else read_signals
+        read_video = read_ring_signals if ring else partial(read_signals, points=points)
         signals = read_video(video, template, progress=lambda done: update(done, max(done, frames)))
     read = time.perf_counter()
     if known:  # sensors are wider than high: their rows are the shorter side, whichever way it is turned

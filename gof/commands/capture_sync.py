@@ -9,14 +9,16 @@ from typing import Literal
 import tyro
 
 from gof.capture.aligned import Codec, Layout, write_aligned
+from gof.capture.board_points import read_board_points
 from gof.capture.decode import DecodeOptions
 from gof.capture.doubts import missing_frames
-from gof.capture.ring_board import load_board
+from gof.capture.ring_board import RingBoard, load_board
 from gof.capture.sensors import sensor
 from gof.capture.sync import synchronise
 from gof.capture.sync_report import write_report
 from gof.capture.times import FILE, FrameTimesFile, Readout, SyncedVideo
 from gof.errors import GofError
+from gof.footage import distinct_names
 from gof.options import require_all_positive, require_number, require_positive
 from gof.records import write_record
 
@@ -36,6 +38,9 @@ class SyncConfig:
     """Replace the times.json that is in the folder already."""
     template: str = "paper_rig"
     """Board: gof_board, paper_rig, rocsync (never tried on footage of a real one), or a JSON file."""
+    board_points: Path | None = None
+    """JSON of points of the board marked by hand, for cameras in which its marker is partly hidden or cut off:
+    {"cam_1": {"corners": {"0": [x, y]}, "leds": {"5": [x, y]}}}, four or more in all; see docs/capture.md."""
     tick_us: float = 400.0
     """Tick the board was set to; its period is 10 ticks. A RocSync board has one speed and needs none."""
     fps: list[float] | None = None
@@ -75,7 +80,12 @@ def main(argv: list[str]) -> int:
         raise GofError("give either --sensor or --row-time-us")
     known = sensor(config.sensor) if config.sensor else None
     board = load_board(config.template)
-    result = synchronise(config.videos, board, options(config), config.out, known, config.estimate)
+    points = None
+    if config.board_points is not None:
+        if isinstance(board, RingBoard):
+            raise GofError("--board-points: a ring board is found anew in every frame; its marker must be whole")
+        points = read_board_points(config.board_points, board, distinct_names(config.videos))
+    result = synchronise(config.videos, board, options(config), config.out, known, config.estimate, points)
     if not any(camera.times for camera in result.cameras):
         raise GofError("no camera could be decoded: " + "; ".join(camera.error for camera in result.cameras))
     write_record(target, result)
