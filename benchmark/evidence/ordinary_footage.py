@@ -86,7 +86,7 @@ def variants(config: OrdinaryFootage) -> list[Variant]:
         c: ["-vf", f"settb=1/15360,setpts='{SLOWING}'", "-fps_mode", "vfr", "-enc_time_base", "1/15360"]
         for c in CAMERAS
     }
-    hevc = ["-c:v", "libx265", "-pix_fmt", "yuv420p10le"]
+    hevc = ["-c:v", "libx265", "-preset", "ultrafast", "-pix_fmt", "yuv420p10le"]
     lying = {c: LYING for c in CAMERAS}
     tag = dict.fromkeys(CAMERAS, "tag")
     lying_fov = np.rad2deg(2 * np.arctan(np.tan(np.deg2rad(config.fov) / 2) * 854 / 480))
