@@ -216,7 +216,7 @@ def last_line(said: str) -> str:
     """The error, without progress bars; folders are cut."""
     lines = [line for line in said.splitlines() if line.strip() and "━" not in line]
     where = next((k for k, line in enumerate(lines) if line.startswith(("gof", "error", "Error"))), len(lines) - 1)
-    text = " ".join(line.strip() for line in lines[where:])
+    text = " ".join(line.strip() for line in lines[where:]).removeprefix("gof ingest: ")
     return " ".join(Path(word).name if word.startswith("/") else word for word in text.split())
 
 

@@ -21,6 +21,10 @@ class BoardNotFound(GofError):
     """The footage does not show the board well enough to read it."""
 
 
+class MarkerNotFound(BoardNotFound):
+    """The footage does not show the board's whole marker."""
+
+
 @dataclass(frozen=True)
 class BoardInImage:
     """Where the board is in an image. Pixel coordinates, centres at integer + 0.5.
@@ -148,7 +152,7 @@ def _refined(points: BoardPoints, summary: Summary) -> BoardPoints:
 def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
     """(4, 2) corners of the template's marker in continuous pixel coordinates.
 
-    Raises: BoardNotFound: it is in none of the pictures, at half, one or two times their size.
+    Raises: MarkerNotFound: it is in none of the pictures, at half, one or two times their size.
     """
     median = np.median(summary.pictures, axis=0).astype(np.uint8)
     for scale in (1, 0.5, 2):  # reduced for blurred markers, enlarged for small ones
@@ -157,10 +161,9 @@ def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
             if corners is not None:
                 return corners
     kind = "inverted " if template.inverted else ""
-    raise BoardNotFound(
+    raise MarkerNotFound(
         f"marker {template.marker_id} ({kind}DICT_4X4_50) is not in the picture: is it whole, lit, and at least about "
-        "20 pixels wide? Where something hides a part of it for the whole take, mark four other points of the board by "
-        "hand: --board-points"
+        "20 pixels wide?"
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gof.capture.board_points import BoardPoints
 from gof.capture.brightness import sample, white
-from gof.capture.locate import BoardInImage, Summary, locate
+from gof.capture.locate import BoardInImage, MarkerNotFound, Summary, locate
 from gof.capture.marker import marker_likeness, marker_pattern
 from gof.capture.template import BoardTemplate
 from gof.footage import stored_frames
@@ -67,7 +67,11 @@ def read_signals(
         held.append(white(frame))
         if len(held) >= locate_frames or (len(held) + 1) * held[0].nbytes > memory:
             break
-    board = locate(summary, template, points=points)
+    try:
+        board = locate(summary, template, points=points)
+    except MarkerNotFound as e:
+        advice = "Where a part of it is hidden all through the take, mark four points of the board: --board-points"
+        raise MarkerNotFound(f"{e} {advice}") from e
     strips, leds, markers = [], [], []
     pattern = marker_pattern(template)
     for count, image in enumerate(chain(held, map(white, stream)), 1):
