@@ -207,7 +207,7 @@ def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], 
         return f"refused: {last_line(said)}", ""
     content = json.loads(summary.read_text(encoding="utf-8"))
     apart = pairs_apart(Dataset.open(made), originals)
-    notes = "; ".join(content["notes"]) or "nothing to say"
+    notes = "; ".join([*content["notes"], *content["poses"]["notes"]]) or "nothing to say"
     poses = content["poses"]["method"]
     return f"made, poses by {poses}: {notes}", f"{apart:d}"
 

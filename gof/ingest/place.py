@@ -89,6 +89,7 @@ def place_cameras(
     world_to_camera, transform = upright_world(metric, up)
     cloud = chosen.model.points * factor @ transform[:3, :3].T + transform[:3, 3]
     judged = (solved.figures, chosen.consistent, chosen.check)
+    doubts += solved.doubts if chosen.method == "features" else ()
     report = PoseReport(chosen.method, scale, notes + doubts, *judged, moved or None, how)
     return Placed(world_to_camera, cloud, report)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import tempfile
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,6 +21,7 @@ GATE_PX = 3.0  # a match within this of its epipolar lines obeys the poses
 PEAK_THRESHOLD = 0.003  # half COLMAP's contrast threshold: plates of compressed footage are soft
 MAX_FEATURES = 16000
 MIN_MATCHES = 8
+MUCH_BETTER = 0.85  # of the error: a right lens that may change takes 2 to 5 % off it, one of a fifth too short 25 %
 
 
 class PoseError(GofError):
@@ -49,11 +51,16 @@ class Model:
 
 @dataclass(frozen=True)
 class Solution:
-    """What structure from motion gives: a model if all cameras registered, the features for other solvers, figures."""
+    """What structure from motion gives: a model if all cameras registered, the features for other solvers, figures.
+
+    Attributes:
+        doubts: why the lenses may be wrong, in words; empty where nothing speaks against them.
+    """
 
     model: Model | None
     features: Features
     figures: FeatureFigures
+    doubts: tuple[str, ...] = ()
 
 
 def solve(
@@ -93,7 +100,8 @@ def solve(
     if len(poses) < len(files):
         return Solution(None, features, figures)
     points = np.array([p.xyz for p in best.points3D.values()]).reshape(-1, 3)
-    return Solution(Model(np.array([poses[file] for file in files]), points), features, figures)
+    model = Model(np.array([poses[file] for file in files]), points)
+    return Solution(model, features, figures, _doubts(pycolmap, best, lenses[0]))
 
 
 def pooled(clips: list[Features]) -> Features:
@@ -231,6 +239,32 @@ def _largest_model(pycolmap: ModuleType, work: Path, database: Path) -> Any | No
     (work / "models").mkdir()
     models = pycolmap.incremental_mapping(database, work / "images", work / "models", mapping)
     return max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None)
+
+
+def _doubts(pycolmap: ModuleType, model: Any, lens: Lens) -> tuple[str, ...]:
+    """Whether the model fits much better if its focal lengths may change. Needs three cameras: two fit any lens.
+
+    How much they should change is told roughly only: what a wrong lens did not fit has been left out of the model.
+    """
+    if model.num_reg_images() < 3:
+        return ()
+    free, before = copy.deepcopy(model), model.compute_mean_reprojection_error()
+    options = pycolmap.BundleAdjustmentOptions()
+    options.refine_focal_length, options.refine_principal_point, options.refine_extra_params = True, False, False
+    options.print_summary = False
+    pycolmap.bundle_adjustment(free, options)
+    free.update_point_3d_errors()
+    after = free.compute_mean_reprojection_error()
+    if not after < MUCH_BETTER * before:
+        return ()
+    change = np.median([free.cameras[c].params[0] / model.cameras[c].params[0] for c in model.cameras])
+    wrong, asked = ("wide", "less") if change > 1 else ("narrow", "more")
+    fov, better = (2 * np.rad2deg(np.arctan(lens.width / 2 / (f * lens.K[0, 0]))) for f in (1, change))
+    return (
+        f"is --fov (or --cameras) right? The matches fit better with another lens ({before:.2f} px, then {after:.2f}): "
+        f"{fov:.0f} degrees across the upright picture look too {wrong}, {better:.0f} or {asked} would fit better; "
+        "'gof capture calibrate' measures it",
+    )
 
 
 def _registered_poses(model: Any | None, files: list[str]) -> dict[str, np.ndarray]:

@@ -27,6 +27,16 @@ def solved():
     return rig, sfm.solve([(pictures, masks)], [lens(c) for c in rig], NAMES)
 
 
+def test_a_wrong_lens_is_doubted_and_the_right_one_is_not(solved):
+    """Nothing but the matches tells: no board, no points."""
+    rig, right = solved
+    assert right.doubts == ()
+    pictures = [draw(c)[0] for c in rig]
+    wide = [replace(lens(c), K=lens(c).K * np.array([[0.6, 1, 1], [1, 0.6, 1], [1, 1, 1]])) for c in rig]
+    found = sfm.solve([(pictures, [np.ones(p.shape[:2], bool) for p in pictures])], wide, NAMES)
+    assert "look too wide" in found.doubts[0]
+
+
 def board(rig, side=0.3, noise=0.0, scale=1.0):
     """A square of `side` m and a few rough points around it, standing before the cameras."""
     xy = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0.5], [-1, 0.5], [0.5, 2.0]]) * side
