@@ -92,8 +92,10 @@ def test_a_folder_is_held_without_unix_locks_too(tmp_path):
 @pytest.mark.long
 def test_every_module_is_imported_without_unix():
     code = (
-        "import importlib, pkgutil, gof\n"
+        "import importlib, importlib.util, pkgutil, gof\n"
         "names = [m.name for m in pkgutil.walk_packages(gof.__path__, 'gof.') if not m.name.endswith('__main__')]\n"
+        "if importlib.util.find_spec('torch') is None:\n"
+        "    names = [name for name in names if not name.startswith('gof.on_cpu.')]\n"
         "[importlib.import_module(name) for name in names]\n"
         "print(len(names))\n"
     )
