@@ -156,6 +156,15 @@ def test_whoever_lacks_blender_is_told_before_anything_begins(tmp_path, monkeypa
     )
 
 
+def test_whoever_lacks_pytorch_is_told_before_other_methods_code_begins(monkeypatch, capsys):
+    from gof.cli import main
+
+    monkeypatch.setattr(extras.importlib.util, "find_spec", lambda name: None)
+    assert main(["baseline", "--help"]) == 1
+    said = capsys.readouterr().err
+    assert 'other methods\' training code needs torch: pip install "gaussians-on-fire[torch]"' in said
+
+
 def test_a_library_that_does_not_load_is_told_from_one_that_is_not_there(tmp_path, monkeypatch):
     (tmp_path / "broken_library.py").write_text("raise ImportError('libx.so.1: cannot open shared object file')")
     monkeypatch.syspath_prepend(tmp_path)

@@ -94,7 +94,12 @@ def test_every_module_is_imported_without_unix():
     code = (
         "import importlib, pkgutil, gof\n"
         "names = [m.name for m in pkgutil.walk_packages(gof.__path__, 'gof.') if not m.name.endswith('__main__')]\n"
-        "[importlib.import_module(name) for name in names]\n"
+        "for name in names:\n"
+        "    try:\n"
+        "        importlib.import_module(name)\n"
+        "    except ModuleNotFoundError as missing:\n"
+        "        if missing.name not in ('torch', 'numba', 'llvmlite'):\n"  # of extras, which may be absent
+        "            raise\n"
         "print(len(names))\n"
     )
     done = child(code)

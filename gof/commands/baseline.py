@@ -6,11 +6,18 @@ import os
 import subprocess
 import sys
 
+from gof import extras
+
 # Threads that wait by turning round cost several times the work itself where cores are few.
 ENVIRONMENT = {"OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof baseline`; what it replaces in PyTorch it replaces in another process."""
+    """The command line of `gof baseline`; what it replaces in PyTorch it replaces in another process.
+
+    Raises:
+        MissingDependencyError: PyTorch is absent.
+    """
+    extras.require("torch", "torch", "other methods' training code")
     command = [sys.executable, "-m", "gof.on_cpu", *argv]
     return subprocess.run(command, env=ENVIRONMENT | os.environ, check=False).returncode
