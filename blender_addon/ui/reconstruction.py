@@ -268,7 +268,9 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
         show(column, "Start Frame", "Time Scale")
         column = layout.column(align=True)
         show(column, "Emission", "Light on Scene")
-        layout.operator("gof.export_vdb", icon="EXPORT", text="Export OpenVDB...")
+        column = layout.column(align=True)
+        column.operator("gof.export_vdb", icon="EXPORT", text="Export OpenVDB...")
+        column.operator("gof.export_points", icon="EXPORT", text="Export Points...")
 
     @staticmethod
     def _warn(context, layout, mode: str) -> None:
