@@ -12,38 +12,17 @@ from pathlib import Path
 
 import bpy
 
-from ..pure.io.files import atomic_path
-from . import compat, gaussian_nodes, point_cloud
+from . import compat, exchange, gaussian_nodes, point_cloud
 from .nodes import Nodes
 
 
 def write(path: Path, thing: bpy.types.Object, first: int, last: int) -> None:
-    """Write what is seen of a cloud from a frame to another, all of it whatever its Share is. Needs Object Mode."""
-    with _as_points(thing), _vertices_of(thing) as copy, only_selected(copy), atomic_path(path) as draft:
-        bpy.ops.wm.alembic_export(
-            filepath=str(draft),
-            start=first,
-            end=last,
-            selected=True,
-            evaluation_mode="VIEWPORT",
-            as_background_job=False,
-            check_existing=False,
-        )
+    """Write what is seen of a cloud from a frame to another, all of it whatever its Share is.
 
-
-@contextmanager
-def only_selected(*things: bpy.types.Object) -> Iterator[None]:
-    """Select some objects and no others; afterwards the selection is as before."""
-    layer = bpy.context.view_layer
-    before, active = [thing for thing in layer.objects if thing.select_get()], layer.objects.active
-    try:
-        for thing in layer.objects:
-            thing.select_set(thing in things)
-        yield
-    finally:
-        for thing in layer.objects:
-            thing.select_set(thing in before)
-        layer.objects.active = active
+    Raises FileFormatError: this Blender was built without Alembic.
+    """
+    with _as_points(thing), _vertices_of(thing) as copy:
+        exchange.write([copy], path, first, last)
 
 
 @contextmanager

@@ -50,7 +50,7 @@ def write(
         from pxr import Gf, Sdf, Usd, UsdGeom, Vt
     except ImportError:
         raise FileFormatError(
-            "this Blender comes without the pxr modules for Python: use 4.2 or later, or write .abc"
+            "this Blender comes without the pxr modules for Python: use 4.2 or later, of blender.org"
         ) from None
     arrays = {
         "vector": Vt.Vec3fArray.FromNumpy,
