@@ -26,22 +26,43 @@ def ellipsoids(name: str) -> bpy.types.Material:
     """Ellipsoids: in the Gaussian's own whitened space it is a ball, and lengths count standard deviations."""
     material, nodes = _new(name)
     hit = nodes.add("ShaderNodeNewGeometry").outputs
-    ray = nodes.add(
-        "ShaderNodeVectorTransform",
-        {"Vector": hit["Incoming"]},
-        vector_type="VECTOR",
-        convert_from="WORLD",
-        convert_to="OBJECT",
-    ).outputs[0]
+    ray = _whitened(nodes, _in_object(nodes, hit["Incoming"], "VECTOR"))
+    _splat(nodes, hit, ray, _attribute(nodes, "gs_local")["Vector"])
+    return material
+
+
+def ellipsoids_in_points(name: str) -> bpy.types.Material:
+    """Ellipsoids drawn on balls around them. Not for motion blur, in which a ball moves and its attributes stay."""
+    material, nodes = _new(name)
+    hit = nodes.add("ShaderNodeNewGeometry").outputs
+    ray = _whitened(nodes, _in_object(nodes, hit["Incoming"], "VECTOR"))
+    place = nodes.vector(
+        "SUBTRACT", _in_object(nodes, hit["Position"], "POINT"), _attribute(nodes, "gs_center")["Vector"]
+    )
+    _splat(nodes, hit, ray, _whitened(nodes, place))
+    return material
+
+
+def _whitened(nodes: Nodes, vector) -> bpy.types.NodeSocket:
+    """A vector of the object's space, along the Gaussian's axes and in its standard deviations."""
     turned = nodes.add(
         "ShaderNodeVectorRotate",
-        {"Vector": ray, "Rotation": _attribute(nodes, "gs_euler")["Vector"]},
+        {"Vector": vector, "Rotation": _attribute(nodes, "gs_euler")["Vector"]},
         rotation_type="EULER_XYZ",
         invert=True,
     ).outputs[0]
-    whitened = nodes.vector("DIVIDE", turned, _attribute(nodes, "gs_scale")["Vector"])
-    _splat(nodes, hit, whitened, _attribute(nodes, "gs_local")["Vector"])
-    return material
+    return nodes.vector("DIVIDE", turned, _attribute(nodes, "gs_scale")["Vector"])
+
+
+def _in_object(nodes: Nodes, vector, kind: str) -> bpy.types.NodeSocket:
+    """A vector of the world in the object's space."""
+    return nodes.add(
+        "ShaderNodeVectorTransform",
+        {"Vector": vector},
+        vector_type=kind,
+        convert_from="WORLD",
+        convert_to="OBJECT",
+    ).outputs[0]
 
 
 def lines(name: str) -> bpy.types.Material:
@@ -88,7 +109,8 @@ def _splat(nodes: Nodes, hit, ray, place) -> None:
     falloff = nodes.math("EXPONENT", nodes.math("MULTIPLY", squared, -0.5))
     alpha = pick(_attribute(nodes, "gs_alpha"), "Fac")
     front = nodes.math("SUBTRACT", 1.0, hit["Backfacing"])
-    opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), front)
+    inside = nodes.math("LESS_THAN", squared, EXTENT**2)  # what is around an ellipsoid may be much larger
+    opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), nodes.math("MULTIPLY", front, inside))
     # Each sample either sees this Gaussian or passes, by chance: the same picture on average, but a ray ends after a
     # few layers instead of crossing all of them, and dense parts have no noise because every sample ends in the flame.
     chance = nodes.add(
