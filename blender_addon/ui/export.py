@@ -23,7 +23,7 @@ class Recording:
 
     cloud: GaussianCloud
     frames: np.ndarray  # (F,) whole numbers
-    times_s: np.ndarray  # (F,) of the recording
+    start: float  # frame that is time 0
     rate: float
     time_scale: float
     least: float  # opacity that is drawn
@@ -34,15 +34,23 @@ class Recording:
         rate = scene.render.fps / scene.render.fps_base
         clock = gaussians_file.Clock(thing.get("gof_fps", rate), thing["gof_time_unit"] or None)
         settings = point_cloud.inputs(thing)
-        frames = np.arange(scene.frame_start, scene.frame_end + 1)
         return cls(
             gaussians_file.load(Path(thing["gof_source"]), clock),
-            frames,
-            (frames - settings["Start Frame"]) / rate * settings["Time Scale"],
+            np.arange(scene.frame_start, scene.frame_end + 1),
+            settings["Start Frame"],
             rate,
             settings["Time Scale"],
             settings["Opacity Cut"],
         )
+
+    def time_s(self, frame):
+        """Of the recording, at a frame or at an array of frames."""
+        return (frame - self.start) / self.rate * self.time_scale
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """(F,)"""
+        return self.time_s(self.frames)
 
 
 class _CloudExport(ExportHelper):

@@ -247,3 +247,43 @@ def test_points_without_blender(tmp_path, flame):
     np.testing.assert_allclose(0.5 + 0.28209479 * found.radiance[:, :3], flame["color"][seen], atol=1e-6)
     np.testing.assert_array_equal(found.radiance[:, 3], found.opacity)
     assert len(points.at(cloud, 0.0, 1.1)) == 0
+
+
+@pytest.mark.blender
+def test_blenders_own_splats(folder, flame):
+    """Not offered where Blender has none. How its attributes are written is tried on a mesh: 4.5 has all of their
+    types but FLOAT4, for which a colour stands."""
+    found = in_blender(
+        WRITE
+        + """
+from gof_blender.pure import points
+from gof_blender.scene import compat, native_splats
+from gof_blender.ui.export import Recording
+result["type"], result["poll"] = compat.splat_type(), bpy.ops.gof.native_splats.poll()
+recording = Recording.of(scene, thing)
+now = points.at(recording.cloud, recording.time_s(3), recording.least)
+if compat.splat_type() is None:
+    try:
+        native_splats.add(now, "splats")
+    except RuntimeError as error:
+        result["error"] = str(error)
+mesh = bpy.data.meshes.new("stand-in")
+mesh.vertices.add(len(now))
+stand_in = {"FLOAT4": ("FLOAT_COLOR", "color")}
+kinds = [(name, value, *stand_in.get(kind, (kind, field))) for name, value, kind, field in native_splats.ATTRIBUTES]
+native_splats.write(mesh, now, kinds)
+result["names"] = [name for name, *_ in native_splats.ATTRIBUTES]
+result["place"] = [list(vertex.co) for vertex in mesh.vertices]
+result["turn"] = [list(item.value) for item in mesh.attributes["rotation"].data]
+result["base"] = [list(item.color) for item in mesh.attributes["radiance:base"].data]
+""",
+        folder,
+    )
+    if found["type"] is None:
+        assert not found["poll"] and "5.3" in found["error"]
+    assert found["names"] == ["position", "scale", "rotation", "radiance:base"]
+    seen, place, _ = truth(flame, FIRST)
+    np.testing.assert_allclose(found["place"], place - [1.0, 2.0, 3.0], atol=2e-6)
+    turn = flame["rotation"][seen] / np.linalg.norm(flame["rotation"][seen], axis=1, keepdims=True)
+    np.testing.assert_allclose(found["turn"], turn, atol=1e-6)
+    np.testing.assert_allclose(0.5 + 0.28209479 * np.array(found["base"])[:, :3], flame["color"][seen], atol=1e-6)
