@@ -208,6 +208,7 @@ def fire(window: Window, out: Path) -> None:
     window.press(*TAB)
     window.python("gof.fire.spot = 'OBJECT'\nNone")
     window.press(*ADD_FIRE, "any(thing.get('gof_part') == 'domain' for thing in scene.objects)")
+    window.settle()  # the fire is drawn for the first time
     window.press(*ADD_CAMERAS, "sum(thing.type == 'CAMERA' for thing in scene.objects) == 4")
     window.press(*NEXT_VIEW, "view.region_3d.view_perspective == 'CAMERA'")
     window.press(*NEXT_VIEW, "scene.camera.name == 'cam_1'")
