@@ -274,8 +274,8 @@ def loss(job: Job) -> list[str]:
     """What stopping a job now costs, as lines of a question."""
     if job.stage == "bake":
         done = f"The bake is {100 * job.share:.0f} % done. Stopped now, it would start over."
-        return ["Stop the benchmark?", done, "Cancel goes on."]
-    return ["Stop the benchmark?", "Finished pictures stay; Resume goes on there.", "Cancel goes on."]
+        return ["Stop the benchmark?", done, "Esc goes on with it."]
+    return ["Stop the benchmark?", "Finished pictures stay; Resume goes on there.", "Esc goes on with it."]
 
 
 def _brings_its_scene(spec: SceneSpec, layout: Layout) -> bool:

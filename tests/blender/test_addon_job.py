@@ -27,6 +27,7 @@ def test_a_stopped_job_goes_on(tmp_path):
         fractions.append(job.fraction)
         assert job.seconds_left >= 0 and str(job)
         time.sleep(0.05)
+    assert f" of {3 * (1 + TOY.clip.frames)} pictures" in str(job), "the plates of the three cameras count"
     process = job._process
     job.stop()
     assert process.poll() is not None and not layout.description.exists()
