@@ -80,6 +80,7 @@ scene.cursor.location = (3, -2, 1)
 bpy.ops.gof.add_fire()
 for name, from_fire in (("rig.usdc", False), ("fire.json", True), ("rig.json", False)):
     bpy.ops.gof.add_cameras()
+    scene.render.resolution_x, scene.render.resolution_y = 360, 640
     result[name + " as rig"] = list(bpy.ops.gof.import_cameras(filepath=f"{folder}/{name}", from_fire=from_fire))
     result[name + " rig"] = seen()
     from gof_blender.ui import scene_spec
