@@ -65,10 +65,10 @@ def _in_object(nodes: Nodes, vector, kind: str) -> bpy.types.NodeSocket:
     ).outputs[0]
 
 
-def lines(name: str) -> bpy.types.Material:
-    """Arrows and streaks."""
+def lines(name: str, attributes_of: str = "GEOMETRY") -> bpy.types.Material:
+    """Arrows and streaks, as one mesh or as instances ("INSTANCER"), which have their colors themselves."""
     material, nodes = _new(name)
-    nodes.add("ShaderNodeOutputMaterial", {"Surface": _glow(nodes)})
+    nodes.add("ShaderNodeOutputMaterial", {"Surface": _glow(nodes, attributes_of)})
     return material
 
 
@@ -83,13 +83,13 @@ def _new(name: str) -> tuple[bpy.types.Material, Nodes]:
     return material, Nodes(material.node_tree)
 
 
-def _attribute(nodes: Nodes, name: str) -> bpy.types.bpy_prop_collection:
-    return nodes.add("ShaderNodeAttribute", attribute_name=name, attribute_type="GEOMETRY").outputs
+def _attribute(nodes: Nodes, name: str, of: str = "GEOMETRY") -> bpy.types.bpy_prop_collection:
+    return nodes.add("ShaderNodeAttribute", attribute_name=name, attribute_type=of).outputs
 
 
-def _glow(nodes: Nodes) -> bpy.types.NodeSocket:
+def _glow(nodes: Nodes, attributes_of: str = "GEOMETRY") -> bpy.types.NodeSocket:
     """Emission of gs_color as the camera sees it; its fourth value scales the light that falls on everything else."""
-    color = _attribute(nodes, "gs_color")
+    color = _attribute(nodes, "gs_color", attributes_of)
     camera = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
     others = nodes.math("MULTIPLY", nodes.math("SUBTRACT", 1.0, camera), color["Alpha"])
     return nodes.add(

@@ -102,7 +102,7 @@ def _write(nodes: Nodes) -> None:
         "GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}
     ).outputs[0]
     points = _without(nodes, points, "gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light")
-    lines = gaussian_material.lines(f"{NAME} Lines")
+    lines = gaussian_material.lines(f"{NAME} Lines"), gaussian_material.lines(f"{NAME} Line Instances", "INSTANCER")
     nodes.add(
         "NodeGroupOutput",
         {
@@ -115,8 +115,8 @@ def _write(nodes: Nodes) -> None:
                     gaussian_material.points(f"{NAME} Points"),
                 ),
                 _ellipsoids(nodes, points),
-                _dressed(nodes, _arrows(nodes, points, given), lines),
-                _dressed(nodes, _streaks(nodes, points, given, velocity), lines),
+                _lines(nodes, _arrows(nodes, points, given), *lines),
+                _lines(nodes, _streaks(nodes, points, given, velocity), *lines),
             )
         },
     )
@@ -183,13 +183,15 @@ def _dressed(nodes: Nodes, geometry, material: bpy.types.Material) -> bpy.types.
     return nodes.add("GeometryNodeSetMaterial", {"Geometry": geometry, "Material": material}).outputs[0]
 
 
-def _instances(nodes: Nodes, points, mesh, rotation, scale, *done: str) -> bpy.types.NodeSocket:
-    """A mesh at every point; attributes that are done have shaped it, and its corners do without them."""
-    instances = nodes.add(
+def _instances(nodes: Nodes, points, mesh, rotation, scale) -> bpy.types.NodeSocket:
+    return nodes.add(
         "GeometryNodeInstanceOnPoints", {"Points": points, "Instance": mesh, "Rotation": rotation, "Scale": scale}
     ).outputs[0]
-    # One mesh: a ray crosses dozens of Gaussians, and Cycles finds overlapping instances far more slowly.
-    return nodes.add("GeometryNodeRealizeInstances", {"Geometry": _without(nodes, instances, *done)}).outputs[0]
+
+
+def _one_mesh(nodes: Nodes, instances) -> bpy.types.NodeSocket:
+    """For renders: a ray crosses dozens of Gaussians, and Cycles finds overlapping instances far more slowly."""
+    return nodes.add("GeometryNodeRealizeInstances", {"Geometry": instances}).outputs[0]
 
 
 def _ellipsoids(nodes: Nodes, points) -> bpy.types.NodeSocket:
@@ -205,9 +207,8 @@ def _balls(nodes: Nodes, points, radius: float, subdivisions: int) -> bpy.types.
     ball = nodes.add("GeometryNodeMeshIcoSphere", {"Radius": radius, "Subdivisions": subdivisions}).outputs["Mesh"]
     ball = nodes.store(ball, "gs_local", "FLOAT_VECTOR", nodes.add("GeometryNodeInputPosition").outputs[0])
     turn, scale = nodes.named("gs_euler", "FLOAT_VECTOR"), nodes.named("gs_scale", "FLOAT_VECTOR")
-    return _dressed(
-        nodes, _instances(nodes, points, ball, turn, scale), gaussian_material.ellipsoids(f"{NAME} Ellipsoids")
-    )
+    balls = _one_mesh(nodes, _instances(nodes, points, ball, turn, scale))
+    return _dressed(nodes, balls, gaussian_material.ellipsoids(f"{NAME} Ellipsoids"))
 
 
 def _around(nodes: Nodes, points) -> bpy.types.NodeSocket:
@@ -233,8 +234,8 @@ def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
         nodes.plug(mesh, "Geometry", part)
     length = nodes.math("MULTIPLY", nodes.vector("LENGTH", shown, output="Value"), given["Line Time"])
     scale = nodes.add("ShaderNodeCombineXYZ", {"X": length, "Y": length, "Z": length}).outputs[0]
-    # An arrow is a sign, and no sign is blurred: it has no velocity.
-    return _instances(nodes, points, mesh.outputs[0], _towards(nodes, shown), scale, "velocity", *SHAPES)
+    arrows = _instances(nodes, points, mesh.outputs[0], _towards(nodes, shown), scale)
+    return _without(nodes, arrows, "velocity")  # an arrow is a sign, and no sign is blurred
 
 
 def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
@@ -245,7 +246,17 @@ def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
     thick = _mean_scale(nodes)
     length = nodes.math("MULTIPLY", nodes.vector("LENGTH", velocity, output="Value"), given["Line Time"])
     scale = nodes.add("ShaderNodeCombineXYZ", {"X": thick, "Y": thick, "Z": length}).outputs[0]
-    return _instances(nodes, points, mesh, _towards(nodes, velocity), scale, *SHAPES)
+    return _instances(nodes, points, mesh, _towards(nodes, velocity), scale)
+
+
+def _lines(nodes: Nodes, instances, material, of_instances) -> bpy.types.NodeSocket:
+    """In renders one mesh; in the viewport instances, which take a quarter of the memory and are drawn as quickly."""
+    instances = _without(nodes, instances, *SHAPES)
+    mesh = _dressed(nodes, _one_mesh(nodes, instances), material)
+    if not compat.EEVEE_DRAWS_POINTS:  # not tried with the EEVEE of before
+        return mesh
+    quick = _dressed(nodes, instances, of_instances)
+    return nodes.choose("GEOMETRY", nodes.add("GeometryNodeIsViewport").outputs[0], mesh, quick)
 
 
 def _cone(nodes: Nodes, bottom: float, top: float, depth: float) -> bpy.types.NodeSocket:

@@ -304,6 +304,51 @@ def test_cycles_shows_the_splat(rendered, mode):
     assert seen[distance > 1.3 * EXTENT].max() == 0
 
 
+LINES = (
+    COMMON
+    + """
+scene.render.fps, scene.render.engine = 100, "CYCLES"
+scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 64, False, "BOX"
+scene.render.resolution_x = scene.render.resolution_y = 64
+camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+scene.collection.objects.link(camera)
+scene.camera, camera.location.z = camera, 9.0
+camera.data.type, camera.data.ortho_scale = "ORTHO", 2.5
+scene.render.image_settings.file_format = "OPEN_EXR"
+thing = point_cloud.add_point_cloud(gaussians_file.load(folder / "result.npz"), 1, "arrows")
+point_cloud.color_by(thing, "speed")
+settings = point_cloud.inputs(thing)
+settings["Line Time"] = 0.2
+scene.frame_set(20)
+seen = {}
+for mode in (2, 3):
+    settings["Mode"] = mode
+    for where in ("render", "viewport"):
+        show_as_in(thing, where)
+        scene.render.filepath = str(folder / f"lines{mode}{where}.exr")
+        bpy.ops.render.render(write_still=True)
+        image = bpy.data.images.load(scene.render.filepath)
+        seen[f"{mode} {where}"] = np.array(image.pixels[:]).reshape(64, 64, 4)[..., :3]
+np.savez(folder / "lines.npz", **seen)
+leave()
+"""
+)
+
+
+def test_lines_of_the_viewport_look_as_those_of_renders(cloud, tmp_path):
+    """Instances have their colours themselves, a mesh has them at its corners: the same picture of both."""
+    import shutil
+
+    shutil.copy(cloud[1].with_name("result.npz"), tmp_path)
+    run(LINES, tmp_path)
+    seen = np.load(tmp_path / "lines.npz")
+    for mode in (2, 3):
+        mesh, instances = seen[f"{mode} render"], seen[f"{mode} viewport"]
+        lit = mesh.max(axis=2) > 0.05
+        assert 0.02 < lit.mean() < 0.9 and np.ptp(mesh[lit], axis=0).min() > 0.15, "lines of many colours"
+        assert np.abs(mesh - instances).mean() < 0.01 * mesh.mean()
+
+
 def test_cloud_shows_its_display_colours(rendered):
     """A block of bright and dark Gaussians, half covering the pixels, is shown as its blend of display values."""
     shown = np.transpose(json.loads((rendered / "shown.json").read_text())["column"]).reshape(48, 48, 3)
