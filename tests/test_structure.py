@@ -17,7 +17,7 @@ FORBIDDEN = {
     "gof_benchmark.generator": ("gof_benchmark.evidence", "gof_benchmark.studies"),
 }
 BLENDERS_OWN = {"bpy", "mathutils", "bl_ui", "addon_utils", "bpy_extras", "manta", "_cycles"}
-BLENDERS_OWN |= {"OpenImageIO", "openvdb", "pyopenvdb"}
+BLENDERS_OWN |= {"OpenImageIO", "openvdb", "pxr", "pyopenvdb"}
 
 
 @pytest.mark.parametrize("graph", [file_graph, room_graph], ids=["files", "rooms"])

@@ -28,7 +28,7 @@ DISPLAY = ":77"
 NEEDED = ("blender", "Xvfb", "xdotool", "import", "convert")
 # Where things are on this screen, with the theme and the sizes of factory settings.
 TAB = (1307, 276)
-ADD_FIRE, ADD_CAMERAS, NEXT_VIEW, BENCHMARK_BELOW = (1205, 357), (1205, 718), (1205, 739), (1152, 773)
+ADD_FIRE, ADD_CAMERAS, NEXT_VIEW, BENCHMARK_BELOW = (1205, 419), (1205, 781), (1205, 801), (1152, 862)
 BAKE_AND_RENDER = (1205, 389)
 DESELECT = "bpy.ops.object.select_all(action='DESELECT')"  # the active object stays that of the panel
 SIDEBAR = "222x440+1098+60"
@@ -208,6 +208,7 @@ def fire(window: Window, out: Path) -> None:
     window.press(*TAB)
     window.python("gof.fire.spot = 'OBJECT'\nNone")
     window.press(*ADD_FIRE, "any(thing.get('gof_part') == 'domain' for thing in scene.objects)")
+    window.settle()  # the fire is drawn for the first time
     window.press(*ADD_CAMERAS, "sum(thing.type == 'CAMERA' for thing in scene.objects) == 4")
     window.press(*NEXT_VIEW, "view.region_3d.view_perspective == 'CAMERA'")
     window.press(*NEXT_VIEW, "scene.camera.name == 'cam_1'")
@@ -218,15 +219,26 @@ def fire(window: Window, out: Path) -> None:
 
 
 def benchmark(window: Window, out: Path) -> None:
-    """A dataset of that scene: begun, stopped with Esc, gone on with, finished."""
+    """A dataset of that scene: begun, stopped with Esc in the bake and in the pictures, gone on with, finished."""
     window.press(*BENCHMARK_BELOW, key="ctrl")  # opens it and closes the others
     folder = window.work / "cube_fire"
     window.python(f"gof.benchmark.folder = {str(folder)!r}\nNone")
     window.settle()
     window.photograph(out / "addon_plan.webp", crop=SIDEBAR)
     running = "bpy.types.GOF_OT_bake_render.job is not None"
+    job = "bpy.types.GOF_OT_bake_render.job"
     window.press(*BAKE_AND_RENDER, running)
-    window.wait(lambda: window.python("'done' if bpy.types.GOF_OT_bake_render.job.stage == 'render' else ''"), 300)
+    window.wait(lambda: window.python(f"{job}.stage == 'bake' and {job}.share > 0"), 300)
+    window.key("Escape")
+    time.sleep(2)
+    window.photograph(window.work / "question_bake.png")
+    window.key("Return")
+    window.wait(lambda: not window.python(running), 300)
+    assert (folder / ".cache" / "bake-finished.json").is_file(), "a bake is finished before the benchmark stops"
+    assert not list(folder.glob("cameras/*/exr/0*.exr"))
+    window.settle()
+    window.press(*BAKE_AND_RENDER, running)  # now "Resume"
+    window.wait(lambda: window.python(f"{job}.stage == 'render'"), 300)
     window.wait(lambda: len(list(folder.glob("cameras/*/exr/0*.exr"))) > 5, 300)
     window.settle()
     window.photograph(out / "addon_benchmark.webp", crop=SIDEBAR)

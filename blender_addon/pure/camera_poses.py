@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,7 +48,7 @@ def seen(rig: Rig, points: np.ndarray) -> np.ndarray:
 def _axes(rig: Rig) -> np.ndarray:
     """(C, 3, 3) rows: right, up and backward of every camera, in the world."""
     if rig.placed:
-        return np.stack([_matrix(pose.rotation).T for pose in rig.placed])
+        return np.stack([rotation_matrix(pose.rotation).T for pose in rig.placed])
     back = positions(rig) - np.array(rig.look_at, float)
     length = np.linalg.norm(back, axis=1, keepdims=True)
     back = np.divide(back, length, out=np.tile([0.0, -1.0, 0.0], (len(back), 1)), where=length > 0)
@@ -57,7 +58,8 @@ def _axes(rig: Rig) -> np.ndarray:
     return np.stack([right, np.cross(back, right), back], axis=1)
 
 
-def _matrix(rotation: tuple[float, float, float, float]) -> np.ndarray:
+def rotation_matrix(rotation: Sequence[float]) -> np.ndarray:
+    """(3, 3) of a quaternion wxyz that is not zero."""
     w, x, y, z = np.array(rotation, float) / math.hypot(*rotation)
     return np.array(
         [

@@ -56,12 +56,14 @@ class Job:
         stage: the stage that runs, "" before the first and after the last.
         fraction: expected share of the work that is done, 0..1.
         seconds_left: by the pace of this stage, and the prediction for those after it.
+        keeps_bake: asked to end, and waiting for the bake, which would otherwise start over.
     """
 
     def __init__(self, spec: SceneSpec, layout: Layout, python: list[str]):
         """``python``: a command that runs the Python code given as its next argument, in a Blender without a window."""
         self.spec, self.layout = spec, layout
         self.stage = ""
+        self.keeps_bake = False
         self._python = python
         machine = cost_model.known_machine() or cost_model.REFERENCE
         self._expected = expected_s(spec, cost_model.predict(spec, machine))
@@ -87,12 +89,11 @@ class Job:
         return self._left_here() + self._later()
 
     def __str__(self) -> str:
+        left = cost_model.duration(self._left_here() if self.keeps_bake else self.seconds_left)
         if not self._said.total:
-            return f"{self.stage or 'ready'} starts, about {cost_model.duration(self.seconds_left)} left"
-        unit = UNITS.get(self.stage, "")
-        return (
-            f"{self.stage} {self._said.done} of {self._said.total}{unit}, {cost_model.duration(self.seconds_left)} left"
-        )
+            return f"{self.stage or 'ready'} starts, about {left} left"
+        text = f"{self.stage} {self._said.done} of {self._said.total}{UNITS.get(self.stage, '')}, {left} left"
+        return f"{text}, then it stops" if self.keeps_bake else text
 
     def poll(self) -> bool:
         """Take note of progress and go on to the next stage. Returns whether there is more to do.
@@ -106,12 +107,15 @@ class Job:
             if status is None:
                 return True
             self._end_of_stage(status)
-        while self._waiting:
+        while self._waiting and not self._is_kept():
             self.stage = self._waiting.pop(0)
             if not self._is_finished():
                 self._begin()
                 return True
         self.stage = ""
+        if self._waiting:
+            self._note("stopped after the bake")
+            return False
         report.write(self.layout)
         self._note(f"finished: {self.layout.description}")
         return False
@@ -124,6 +128,10 @@ class Job:
         finally:
             self.stop()
 
+    def stop_after_bake(self) -> None:
+        """End as soon as the bake is finished, so that none of it is lost; nothing changes once it is."""
+        self.keeps_bake = self.stage == "bake"
+
     def stop(self) -> None:
         """End the child, if one runs; what it has finished stays."""
         if self._process is not None:
@@ -131,6 +139,9 @@ class Job:
             self._process.wait()
             self._process = None
             self._note(f"stopped in {self.stage}")
+
+    def _is_kept(self) -> bool:
+        return self.keeps_bake and self.layout.bake_marker.is_file()
 
     def _is_finished(self) -> bool:
         done = {"bake": self.layout.bake_marker, "finish": self.layout.description}.get(self.stage)

@@ -73,19 +73,27 @@ def add_camera(entry: CameraEntry, folder: Path, collection: bpy.types.Collectio
         behind.image, behind.alpha, behind.frame_method = plate, 1.0, "STRETCH"
     camera = bpy.data.objects.new(entry.name, data)
     collection.objects.link(camera)
-    pose = np.linalg.inv(np.array(entry.world_to_camera)) @ np.diag([1.0, -1.0, -1.0, 1.0])
-    camera.matrix_world = Matrix(pose.tolist())
+    camera.matrix_world = matrix_of(entry)
     return camera
+
+
+def matrix_of(entry: CameraEntry) -> Matrix:
+    """Camera to world in Blender's axes."""
+    return Matrix((np.linalg.inv(np.array(entry.world_to_camera)) @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist())
+
+
+def set_picture(entry: CameraEntry, render: bpy.types.RenderSettings) -> None:
+    """Give renders the entry's size, and pixels of its shape."""
+    render.resolution_x, render.resolution_y, render.resolution_percentage = entry.width, entry.height, 100
+    ratio = entry.K[1][1] / entry.K[0][0]
+    render.pixel_aspect_x, render.pixel_aspect_y = max(ratio, 1.0), max(1 / ratio, 1.0)
 
 
 def look_through(entry: CameraEntry) -> None:
     """Make a camera the scene's: its picture size, and its plate as what is behind everything in renders."""
     current = bpy.context.scene
     current.camera = bpy.data.objects[entry.name]
-    render = current.render
-    render.resolution_x, render.resolution_y, render.resolution_percentage = entry.width, entry.height, 100
-    ratio = entry.K[1][1] / entry.K[0][0]
-    render.pixel_aspect_x, render.pixel_aspect_y = max(ratio, 1.0), max(1 / ratio, 1.0)
+    set_picture(entry, current.render)
     current.world = bpy.data.worlds.new("Plate")
     behind = current.camera.data.background_images
     _show(current.world, behind[0].image if len(behind) else None)

@@ -59,6 +59,17 @@ def see_through(material: bpy.types.Material) -> None:
         material.blend_method = "HASHED"
 
 
+def splat_type() -> tuple[str, str] | None:
+    """Property of a point cloud and its value that make Gaussian splats of it, as Blender 5.3 has; None before."""
+    if not hasattr(getattr(bpy.types, "PointCloud", None), "resize"):
+        return None
+    for prop in bpy.types.PointCloud.bl_rna.properties:
+        for item in prop.enum_items if prop.type == "ENUM" else ():
+            if "SPLAT" in item.identifier.upper():
+                return prop.identifier, item.identifier
+    return None
+
+
 def align_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """The node with inputs Factor and Vector that turns the z axis towards a vector, output Rotation."""
     kind = "FunctionNodeAlignRotationToVector"

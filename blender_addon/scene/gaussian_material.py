@@ -26,28 +26,49 @@ def ellipsoids(name: str) -> bpy.types.Material:
     """Ellipsoids: in the Gaussian's own whitened space it is a ball, and lengths count standard deviations."""
     material, nodes = _new(name)
     hit = nodes.add("ShaderNodeNewGeometry").outputs
-    ray = nodes.add(
-        "ShaderNodeVectorTransform",
-        {"Vector": hit["Incoming"]},
-        vector_type="VECTOR",
-        convert_from="WORLD",
-        convert_to="OBJECT",
-    ).outputs[0]
-    turned = nodes.add(
-        "ShaderNodeVectorRotate",
-        {"Vector": ray, "Rotation": _attribute(nodes, "gs_euler")["Vector"]},
-        rotation_type="EULER_XYZ",
-        invert=True,
-    ).outputs[0]
-    whitened = nodes.vector("DIVIDE", turned, _attribute(nodes, "gs_scale")["Vector"])
-    _splat(nodes, hit, whitened, _attribute(nodes, "gs_local")["Vector"])
+    ray = _whitened(nodes, _in_object(nodes, hit["Incoming"], "VECTOR"))
+    _splat(nodes, hit, ray, _attribute(nodes, "gs_local")["Vector"])
     return material
 
 
-def lines(name: str) -> bpy.types.Material:
-    """Arrows and streaks."""
+def ellipsoids_in_points(name: str) -> bpy.types.Material:
+    """Ellipsoids drawn on balls around them. Not for motion blur, in which a ball moves and its attributes stay."""
     material, nodes = _new(name)
-    nodes.add("ShaderNodeOutputMaterial", {"Surface": _glow(nodes)})
+    hit = nodes.add("ShaderNodeNewGeometry").outputs
+    ray = _whitened(nodes, _in_object(nodes, hit["Incoming"], "VECTOR"))
+    place = nodes.vector(
+        "SUBTRACT", _in_object(nodes, hit["Position"], "POINT"), _attribute(nodes, "gs_center")["Vector"]
+    )
+    _splat(nodes, hit, ray, _whitened(nodes, place))
+    return material
+
+
+def _whitened(nodes: Nodes, vector) -> bpy.types.NodeSocket:
+    """A vector of the object's space, along the Gaussian's axes and in its standard deviations."""
+    turned = nodes.add(
+        "ShaderNodeVectorRotate",
+        {"Vector": vector, "Rotation": _attribute(nodes, "gs_euler")["Vector"]},
+        rotation_type="EULER_XYZ",
+        invert=True,
+    ).outputs[0]
+    return nodes.vector("DIVIDE", turned, _attribute(nodes, "gs_scale")["Vector"])
+
+
+def _in_object(nodes: Nodes, vector, kind: str) -> bpy.types.NodeSocket:
+    """A vector of the world in the object's space."""
+    return nodes.add(
+        "ShaderNodeVectorTransform",
+        {"Vector": vector},
+        vector_type=kind,
+        convert_from="WORLD",
+        convert_to="OBJECT",
+    ).outputs[0]
+
+
+def lines(name: str, attributes_of: str = "GEOMETRY") -> bpy.types.Material:
+    """Arrows and streaks, as one mesh or as instances ("INSTANCER"), which have their colors themselves."""
+    material, nodes = _new(name)
+    nodes.add("ShaderNodeOutputMaterial", {"Surface": _glow(nodes, attributes_of)})
     return material
 
 
@@ -62,13 +83,13 @@ def _new(name: str) -> tuple[bpy.types.Material, Nodes]:
     return material, Nodes(material.node_tree)
 
 
-def _attribute(nodes: Nodes, name: str) -> bpy.types.bpy_prop_collection:
-    return nodes.add("ShaderNodeAttribute", attribute_name=name, attribute_type="GEOMETRY").outputs
+def _attribute(nodes: Nodes, name: str, of: str = "GEOMETRY") -> bpy.types.bpy_prop_collection:
+    return nodes.add("ShaderNodeAttribute", attribute_name=name, attribute_type=of).outputs
 
 
-def _glow(nodes: Nodes) -> bpy.types.NodeSocket:
+def _glow(nodes: Nodes, attributes_of: str = "GEOMETRY") -> bpy.types.NodeSocket:
     """Emission of gs_color as the camera sees it; its fourth value scales the light that falls on everything else."""
-    color = _attribute(nodes, "gs_color")
+    color = _attribute(nodes, "gs_color", attributes_of)
     camera = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
     others = nodes.math("MULTIPLY", nodes.math("SUBTRACT", 1.0, camera), color["Alpha"])
     return nodes.add(
@@ -88,7 +109,8 @@ def _splat(nodes: Nodes, hit, ray, place) -> None:
     falloff = nodes.math("EXPONENT", nodes.math("MULTIPLY", squared, -0.5))
     alpha = pick(_attribute(nodes, "gs_alpha"), "Fac")
     front = nodes.math("SUBTRACT", 1.0, hit["Backfacing"])
-    opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), front)
+    inside = nodes.math("LESS_THAN", squared, EXTENT**2)  # what is around an ellipsoid may be much larger
+    opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), nodes.math("MULTIPLY", front, inside))
     # Each sample either sees this Gaussian or passes, by chance: the same picture on average, but a ray ends after a
     # few layers instead of crossing all of them, and dense parts have no noise because every sample ends in the flame.
     chance = nodes.add(

@@ -16,13 +16,16 @@ from .gaussian_material import EXTENT
 from .nodes import Nodes, pick
 
 NAME = "Transient Gaussians"
-LAYOUT = 2  # raise it when the inputs change: clouds of an older add-on keep their own node group
+LAYOUT = 3  # raise it when the inputs change: clouds of an older add-on keep their own node group
 MODES = ("points", "ellipsoids", "arrows", "streaks")
 QUICK = "points" if compat.EEVEE_DRAWS_POINTS else "ellipsoids"  # the quickest that every view draws
 COLORS = ("image", "speed", "age", "lifetime", "error", "doubt")
 VECTORS = ("velocity", "true velocity", "error")
 ICOSAHEDRON_RADIUS = EXTENT / 0.7947  # its faces touch the ball of EXTENT; the material does the rounding
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
+
+# Attributes that no material asks for once a line has its shape and color.
+SHAPES = ("gs_scale", "gs_euler", "gs_velocity", "gs_gas_velocity", "gs_true_velocity", "gs_velocity_sd")
 
 FLOAT, WHOLE = "NodeSocketFloat", "NodeSocketInt"
 INPUTS = (  # name, kind, default, least, largest, description
@@ -99,7 +102,7 @@ def _write(nodes: Nodes) -> None:
         "GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}
     ).outputs[0]
     points = _without(nodes, points, "gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light")
-    lines = gaussian_material.lines(f"{NAME} Lines")
+    lines = gaussian_material.lines(f"{NAME} Lines"), gaussian_material.lines(f"{NAME} Line Instances", "INSTANCER")
     nodes.add(
         "NodeGroupOutput",
         {
@@ -111,9 +114,9 @@ def _write(nodes: Nodes) -> None:
                     _without(nodes, points, "gs_scale", "gs_euler", "gs_velocity", "gs_gas_velocity"),
                     gaussian_material.points(f"{NAME} Points"),
                 ),
-                _dressed(nodes, _ellipsoids(nodes, points), gaussian_material.ellipsoids(f"{NAME} Ellipsoids")),
-                _dressed(nodes, _arrows(nodes, points, given), lines),
-                _dressed(nodes, _streaks(nodes, points, given, velocity), lines),
+                _ellipsoids(nodes, points),
+                _lines(nodes, _arrows(nodes, points, given), *lines),
+                _lines(nodes, _streaks(nodes, points, given, velocity), *lines),
             )
         },
     )
@@ -181,26 +184,41 @@ def _dressed(nodes: Nodes, geometry, material: bpy.types.Material) -> bpy.types.
 
 
 def _instances(nodes: Nodes, points, mesh, rotation, scale) -> bpy.types.NodeSocket:
-    instances = nodes.add(
+    return nodes.add(
         "GeometryNodeInstanceOnPoints", {"Points": points, "Instance": mesh, "Rotation": rotation, "Scale": scale}
     ).outputs[0]
-    # One mesh: a ray crosses dozens of Gaussians, and Cycles finds overlapping instances far more slowly.
+
+
+def _one_mesh(nodes: Nodes, instances) -> bpy.types.NodeSocket:
+    """For renders: a ray crosses dozens of Gaussians, and Cycles finds overlapping instances far more slowly."""
     return nodes.add("GeometryNodeRealizeInstances", {"Geometry": instances}).outputs[0]
 
 
 def _ellipsoids(nodes: Nodes, points) -> bpy.types.NodeSocket:
-    # Renderers cross fewer surfaces with close balls; the viewport has fewer vertices to move with icosahedra.
-    close, coarse = (
-        nodes.add("GeometryNodeMeshIcoSphere", {"Radius": radius, "Subdivisions": level}).outputs["Mesh"]
-        for radius, level in ((EXTENT, 2), (ICOSAHEDRON_RADIUS, 1))
-    )
-    ball = nodes.choose("GEOMETRY", nodes.add("GeometryNodeIsViewport").outputs[0], close, coarse)
-    place = nodes.add("GeometryNodeInputPosition").outputs[0]
-    ball = nodes.store(ball, "gs_local", "FLOAT_VECTOR", place)
+    """In renders meshes, of which a ray crosses few; in the viewport the points around them, a tenth of the work."""
     points = _without(nodes, points, "gs_velocity", "gs_gas_velocity")
-    return _instances(
-        nodes, points, ball, nodes.named("gs_euler", "FLOAT_VECTOR"), nodes.named("gs_scale", "FLOAT_VECTOR")
-    )
+    close = _balls(nodes, points, EXTENT, 2)
+    quick = _around(nodes, points) if compat.EEVEE_DRAWS_POINTS else _balls(nodes, points, ICOSAHEDRON_RADIUS, 1)
+    return nodes.choose("GEOMETRY", nodes.add("GeometryNodeIsViewport").outputs[0], close, quick)
+
+
+def _balls(nodes: Nodes, points, radius: float, subdivisions: int) -> bpy.types.NodeSocket:
+    """Meshes close to the ellipsoids."""
+    ball = nodes.add("GeometryNodeMeshIcoSphere", {"Radius": radius, "Subdivisions": subdivisions}).outputs["Mesh"]
+    ball = nodes.store(ball, "gs_local", "FLOAT_VECTOR", nodes.add("GeometryNodeInputPosition").outputs[0])
+    turn, scale = nodes.named("gs_euler", "FLOAT_VECTOR"), nodes.named("gs_scale", "FLOAT_VECTOR")
+    balls = _one_mesh(nodes, _instances(nodes, points, ball, turn, scale))
+    return _dressed(nodes, balls, gaussian_material.ellipsoids(f"{NAME} Ellipsoids"))
+
+
+def _around(nodes: Nodes, points) -> bpy.types.NodeSocket:
+    """Points as large as the ellipsoids are long; the material draws the ellipsoids in them."""
+    sides = nodes.add("ShaderNodeSeparateXYZ", {"Vector": nodes.named("gs_scale", "FLOAT_VECTOR")}).outputs
+    longest = nodes.math("MAXIMUM", nodes.math("MAXIMUM", sides[0], sides[1]), sides[2])
+    radius = nodes.math("MULTIPLY", longest, EXTENT)
+    points = nodes.add("GeometryNodeSetPointRadius", {"Points": points, "Radius": radius}).outputs[0]
+    points = nodes.store(points, "gs_center", "FLOAT_VECTOR", nodes.add("GeometryNodeInputPosition").outputs[0])
+    return _dressed(nodes, points, gaussian_material.ellipsoids_in_points(f"{NAME} Ellipsoids in Points"))
 
 
 def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
@@ -216,7 +234,8 @@ def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
         nodes.plug(mesh, "Geometry", part)
     length = nodes.math("MULTIPLY", nodes.vector("LENGTH", shown, output="Value"), given["Line Time"])
     scale = nodes.add("ShaderNodeCombineXYZ", {"X": length, "Y": length, "Z": length}).outputs[0]
-    return _instances(nodes, points, mesh.outputs[0], _towards(nodes, shown), scale)
+    arrows = _instances(nodes, points, mesh.outputs[0], _towards(nodes, shown), scale)
+    return _without(nodes, arrows, "velocity")  # an arrow is a sign, and no sign is blurred
 
 
 def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
@@ -230,9 +249,20 @@ def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
     return _instances(nodes, points, mesh, _towards(nodes, velocity), scale)
 
 
+def _lines(nodes: Nodes, instances, material, of_instances) -> bpy.types.NodeSocket:
+    """In renders one mesh; in the viewport instances, which take a quarter of the memory and are drawn as quickly."""
+    instances = _without(nodes, instances, *SHAPES)
+    mesh = _dressed(nodes, _one_mesh(nodes, instances), material)
+    if not compat.EEVEE_DRAWS_POINTS:  # not tried with the EEVEE of before
+        return mesh
+    quick = _dressed(nodes, instances, of_instances)
+    return nodes.choose("GEOMETRY", nodes.add("GeometryNodeIsViewport").outputs[0], mesh, quick)
+
+
 def _cone(nodes: Nodes, bottom: float, top: float, depth: float) -> bpy.types.NodeSocket:
+    """Of three sides: it glows alike on all of them, and every corner is there a hundred thousand times."""
     return nodes.add(
-        "GeometryNodeMeshCone", {"Vertices": 5, "Radius Bottom": bottom, "Radius Top": top, "Depth": depth}
+        "GeometryNodeMeshCone", {"Vertices": 3, "Radius Bottom": bottom, "Radius Top": top, "Depth": depth}
     ).outputs["Mesh"]
 
 

@@ -72,13 +72,13 @@ def add_fire(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object) -
         ),
         effects=tuple(effect for effect in spec.effects if effects.changes_scene(effect)),
     )
-    collection = _collection(scene, "Fire")
+    parts = collection(scene, "Fire")
     mantaflow.enable()
-    others, active = set(collection.objects), bpy.context.view_layer.objects.active
-    objects = fire.build(here, collection)
+    others, active = set(parts.objects), bpy.context.view_layer.objects.active
+    objects = fire.build(here, parts)
     bpy.context.view_layer.objects.active = active
     objects.domain_settings.cache_type = "REPLAY"
-    for thing in set(collection.objects) - others:
+    for thing in set(parts.objects) - others:
         thing[PART] = {objects.domain: DOMAIN, objects.emitter: EMITTER}.get(thing, "effect")
         thing.parent = place
     return objects
@@ -87,7 +87,7 @@ def add_fire(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object) -
 def add_cameras(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object) -> list[bpy.types.Object]:
     """Build the spec's cameras around a place, instead of those before; sets the scene's image size and camera."""
     remove(scene, lambda part: part.startswith(("cam_", "eval_")))
-    added = rig.build(spec, _collection(scene, "Fire Cameras"))
+    added = rig.build(spec, collection(scene, "Fire Cameras"))
     for camera, name in zip(added, spec.cameras.names, strict=True):
         camera[PART] = name
         camera.parent = place
@@ -107,7 +107,7 @@ def to_our_world(marker: Matrix, scale: float) -> Matrix:
     return Matrix.Scale(scale, 4) @ Matrix.Rotation(-heading, 4, "Z") @ Matrix.Translation(-marker.to_translation())
 
 
-def _collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection:
+def collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection:
     """The scene's collection with a name, made if there is none."""
     found = next((item for item in scene.collection.children_recursive if item.name.partition(".")[0] == name), None)
     if found is None:

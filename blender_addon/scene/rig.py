@@ -56,11 +56,17 @@ def intrinsics(camera: bpy.types.Object, scene: bpy.types.Scene) -> np.ndarray:
 
 
 def world_to_camera(camera: bpy.types.Object) -> np.ndarray:
-    """(4, 4) pose in OpenCV axes (x right, y down, z forward), from the single-precision pose Blender renders with.
+    """(4, 4) pose in OpenCV axes (x right, y down, z forward), from the single-precision pose Blender renders with."""
+    return pose_of(camera.matrix_world)
 
-    The rotation is made orthonormal in double precision.
+
+def pose_of(to_world: Matrix) -> np.ndarray:
+    """(4, 4) world to camera in OpenCV axes; the rotation is made orthonormal in double precision.
+
+    Args:
+        to_world: camera to world, x right, y up, z backward.
     """
-    pose = np.array(camera.matrix_world, dtype=np.float64)  # camera to world, x right, y up, z backward
+    pose = np.array(to_world, dtype=np.float64)
     u, _, vt = np.linalg.svd(pose[:3, :3] @ np.diag([1.0, -1.0, -1.0]))
     rotation = (u @ vt).T
     result = np.eye(4)

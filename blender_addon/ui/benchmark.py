@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..pure import cost_model
 from ..pure import spec as spec_file
@@ -146,14 +146,23 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
         return Job(spec, layout, blender())
 
     def finish(self, context, job: Job) -> str:
+        if job.keeps_bake:
+            return "Stopped after the bake, which is kept; Resume goes on there"
         return f"Dataset finished: {job.layout.root}"
 
 
 class GOF_OT_stop_benchmark(bpy.types.Operator):
-    """Stop the running benchmark, after a question; finished pictures stay"""
+    """Stop the running benchmark, after a question; a bake may end first, and finished pictures stay"""
 
     bl_idname = "gof.stop_benchmark"
     bl_label = "Stop"
+
+    keep_bake: BoolProperty(
+        name="Finish the Bake First",
+        default=True,
+        description="Go on until the bake is finished and stop then: none of it is lost",
+        options={"SKIP_SAVE"},
+    )
 
     @classmethod
     def poll(cls, context):
@@ -167,9 +176,15 @@ class GOF_OT_stop_benchmark(bpy.types.Operator):
         column = self.layout.column(align=True)
         for index, line in enumerate(loss(job) if job else ("It has ended already.",)):
             column.label(text=line, icon="QUESTION" if index == 0 else "BLANK1")
+        if job is not None and job.stage == "bake":
+            self.layout.prop(self, "keep_bake")
 
     def execute(self, context):
-        GOF_OT_bake_render.stop_job()
+        job = GOF_OT_bake_render.job
+        if job is not None and job.stage == "bake" and self.keep_bake:
+            job.stop_after_bake()
+        else:
+            GOF_OT_bake_render.stop_job()
         return {"FINISHED"}
 
 
@@ -258,8 +273,9 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
 def loss(job: Job) -> list[str]:
     """What stopping a job now costs, as lines of a question."""
     if job.stage == "bake":
-        return ["Stop the benchmark?", f"The bake ({100 * job.share:.0f} % done) would start over.", "Cancel goes on."]
-    return ["Stop the benchmark?", "Finished pictures stay; Resume goes on there.", "Cancel goes on."]
+        done = f"The bake is {100 * job.share:.0f} % done. Stopped now, it would start over."
+        return ["Stop the benchmark?", done, "Esc goes on with it."]
+    return ["Stop the benchmark?", "Finished pictures stay; Resume goes on there.", "Esc goes on with it."]
 
 
 def _brings_its_scene(spec: SceneSpec, layout: Layout) -> bool:

@@ -1,20 +1,80 @@
-"""Export of a reconstruction as OpenVDB files, one for each frame of the scene's range."""
+"""A reconstruction out again: OpenVDB files, one for each frame, or a point cache, over the scene's frame range."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
 from bpy_extras.io_utils import ExportHelper
 
-from ..pure import voxels
-from ..pure.io import FileFormatError, gaussians_file, vdb_file
-from ..scene import point_cloud
+from ..pure import points, voxels
+from ..pure.io import FileFormatError, gaussians_file, usd_points, vdb_file
+from ..pure.io.cloud import GaussianCloud
+from ..scene import alembic_points, point_cloud
 from .panel import number
 
 FINENESS = 96  # voxels along the longest side, where no size is given
 
 
-class GOF_OT_export_vdb(bpy.types.Operator, ExportHelper):
+@dataclass(frozen=True)
+class Recording:
+    """A cloud's Gaussians, and the scene's frames with what its clock says at each."""
+
+    cloud: GaussianCloud
+    frames: np.ndarray  # (F,) whole numbers
+    start: float  # frame that is time 0
+    rate: float
+    time_scale: float
+    least: float  # opacity that is drawn
+
+    @classmethod
+    def of(cls, scene: bpy.types.Scene, thing: bpy.types.Object) -> "Recording":
+        """Read the cloud's file again. Raises FileFormatError, OSError or MemoryError where it cannot be."""
+        rate = scene.render.fps / scene.render.fps_base
+        clock = gaussians_file.Clock(thing.get("gof_fps", rate), thing["gof_time_unit"] or None)
+        settings = point_cloud.inputs(thing)
+        return cls(
+            gaussians_file.load(Path(thing["gof_source"]), clock),
+            np.arange(scene.frame_start, scene.frame_end + 1),
+            settings["Start Frame"],
+            rate,
+            settings["Time Scale"],
+            settings["Opacity Cut"],
+        )
+
+    def time_s(self, frame):
+        """Of the recording, at a frame or at an array of frames."""
+        return (frame - self.start) / self.rate * self.time_scale
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """(F,)"""
+        return self.time_s(self.frames)
+
+
+class _CloudExport(ExportHelper):
+    """Of the active reconstruction."""
+
+    @classmethod
+    def poll(cls, context):
+        return point_cloud.inputs(context.object) is not None and "gof_source" in context.object
+
+    def execute(self, context):
+        try:
+            said = self.write(context, context.object, Path(bpy.path.abspath(self.filepath)))
+        except (FileFormatError, OSError, RuntimeError, voxels.VoxelError, MemoryError) as error:
+            self.report({"ERROR"}, str(error) or "not enough memory; fewer frames, or larger voxels, need less")
+            return {"CANCELLED"}
+        self.report({"INFO"}, said)
+        return {"FINISHED"}
+
+    def write(self, context, thing: bpy.types.Object, path: Path) -> str:
+        """Write the files; returns a line for the user."""
+        raise NotImplementedError
+
+
+class GOF_OT_export_vdb(_CloudExport, bpy.types.Operator):
     """Write the selected reconstruction as OpenVDB, a file per frame: light (emission), opacity (density), velocity"""
 
     bl_idname = "gof.export_vdb"
@@ -26,23 +86,10 @@ class GOF_OT_export_vdb(bpy.types.Operator, ExportHelper):
         name="Voxel (m)", default=0.0, min=0.0, precision=4, description="0: the longest side is 96 voxels"
     )
 
-    @classmethod
-    def poll(cls, context):
-        return point_cloud.inputs(context.object) is not None and "gof_source" in context.object
-
     def draw(self, context):
         number(self.layout, self, "voxel_m")
 
-    def execute(self, context):
-        try:
-            written = self._write(context.scene, context.object, Path(bpy.path.abspath(self.filepath)))
-        except (FileFormatError, OSError, voxels.VoxelError, MemoryError) as error:
-            self.report({"ERROR"}, str(error) or "not enough memory; make the voxels larger")
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"{len(written)} files, {written[0].name} to {written[-1].name}, in {written[0].parent}")
-        return {"FINISHED"}
-
-    def _write(self, scene, thing, path: Path) -> list[Path]:
+    def write(self, context, thing, path):
         try:
             from ..scene import images  # noqa: F401  (the wheel's Blender finds its own Python packages by it)
 
@@ -51,30 +98,67 @@ class GOF_OT_export_vdb(bpy.types.Operator, ExportHelper):
             raise FileFormatError(
                 "this Blender comes without the openvdb module for Python: use 4.4 or later"
             ) from None
-        rate = scene.render.fps / scene.render.fps_base
-        cloud = gaussians_file.load(
-            Path(thing["gof_source"]), gaussians_file.Clock(thing.get("gof_fps", rate), thing["gof_time_unit"] or None)
-        )
-        settings = point_cloud.inputs(thing)
-        frames = np.arange(scene.frame_start, scene.frame_end + 1)
-        times_s = (frames - settings["Start Frame"]) / rate * settings["Time Scale"]
-        voxel_m = self.voxel_m
+        recording = Recording.of(context.scene, thing)
+        cloud, voxel_m = recording.cloud, self.voxel_m
         if not voxel_m:
             low, high = np.percentile(cloud.position, [1, 99], axis=0)
             voxel_m = float((high - low).max()) / FINENESS or 0.01
-        low, shape = voxels.box_of(cloud, times_s, voxel_m)
-        manager, written = bpy.context.window_manager, []
-        manager.progress_begin(0, len(frames))
+        low, shape = voxels.box_of(cloud, recording.times_s, voxel_m)
+        written = []
+        for frame, time_s in _with_progress(recording):
+            grids = voxels.grids_at(cloud, time_s, low, shape, voxel_m)
+            grids["velocity"] = grids["velocity"] * recording.time_scale  # on the scene's clock
+            written.append(path.with_name(f"{path.stem}_{frame:04d}.vdb"))
+            vdb_file.write(written[-1], grids, voxels.index_to_world(low, voxel_m))
+        return f"{len(written)} files, {written[0].name} to {written[-1].name}, in {written[0].parent}"
+
+
+class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
+    """Write the selected reconstruction as points with velocities for other programs: one USD or Alembic file"""
+
+    bl_idname = "gof.export_points"
+    bl_label = "Export Points"
+
+    filename_ext = ".usdc"
+    check_extension = None  # the name says which of the formats
+    filter_glob: bpy.props.StringProperty(default="*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
+
+    def write(self, context, thing, path):
+        scene = context.scene
+        if path.suffix.lower() == ".abc":
+            alembic_points.write(path, thing, scene.frame_start, scene.frame_end)
+        elif path.suffix.lower() in usd_points.SUFFIXES:
+            self._usd(scene, thing, path)
+        else:
+            raise FileFormatError(f"{path.name}: the name must end in .usd, .usdc, .usda or .abc")
+        return f"Frames {scene.frame_start} to {scene.frame_end}: {path}"
+
+    @staticmethod
+    def _usd(scene, thing, path: Path) -> None:
         try:
-            for frame, time_s in zip(frames, times_s, strict=True):
-                grids = voxels.grids_at(cloud, float(time_s), low, shape, voxel_m)
-                grids["velocity"] = grids["velocity"] * settings["Time Scale"]  # on the scene's clock
-                written.append(path.with_name(f"{path.stem}_{frame:04d}.vdb"))
-                vdb_file.write(written[-1], grids, voxels.index_to_world(low, voxel_m))
-                manager.progress_update(len(written))
-        finally:
-            manager.progress_end()
-        return written
+            from ..scene import images  # noqa: F401  (the wheel's Blender finds its own Python packages by it)
+        except ImportError:
+            pass  # Debian's Blender, which may have pxr all the same
+        recording = Recording.of(scene, thing)
+
+        def frames() -> Iterator[tuple[int, points.Points]]:
+            for frame, time_s in _with_progress(recording):
+                yield frame, points.at(recording.cloud, time_s, recording.least, recording.time_scale)
+
+        clock = usd_points.Clock(scene.frame_start, scene.frame_end, recording.rate)
+        usd_points.write(path, frames(), clock, np.array(thing.matrix_world), scene.unit_settings.scale_length)
 
 
-CLASSES = (GOF_OT_export_vdb,)
+def _with_progress(recording: Recording) -> Iterator[tuple[int, float]]:
+    """Frames and times of a recording, with the share that is done shown at the mouse pointer."""
+    manager = bpy.context.window_manager
+    manager.progress_begin(0, len(recording.frames))
+    try:
+        for done, (frame, time_s) in enumerate(zip(recording.frames, recording.times_s, strict=True)):
+            yield int(frame), float(time_s)
+            manager.progress_update(done + 1)
+    finally:
+        manager.progress_end()
+
+
+CLASSES = (GOF_OT_export_vdb, GOF_OT_export_points)

@@ -272,6 +272,9 @@ class GOF_PT_cameras(SidebarPanel, bpy.types.Panel):
             GOF_OT_add_cameras.bl_idname, text="Replace Cameras" if there else "Add Cameras", icon="CAMERA_DATA"
         )
         column.operator(GOF_OT_next_view.bl_idname, icon="HIDE_OFF")
+        row = layout.row(align=True)
+        row.operator("gof.import_cameras", text="Import...", icon="IMPORT")
+        row.operator("gof.export_cameras", text="Export...", icon="EXPORT")
 
 
 GROUPS = (*effect_groups.GROUPS.values(), effect_groups.GOF_PG_effects, GOF_PG_cameras)

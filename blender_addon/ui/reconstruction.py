@@ -268,7 +268,11 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
         show(column, "Start Frame", "Time Scale")
         column = layout.column(align=True)
         show(column, "Emission", "Light on Scene")
-        layout.operator("gof.export_vdb", icon="EXPORT", text="Export OpenVDB...")
+        column = layout.column(align=True)
+        column.operator("gof.export_vdb", icon="EXPORT", text="Export OpenVDB...")
+        column.operator("gof.export_points", icon="EXPORT", text="Export Points...")
+        if compat.splat_type():
+            column.operator("gof.native_splats", icon="POINTCLOUD_DATA")
 
     @staticmethod
     def _warn(context, layout, mode: str) -> None:

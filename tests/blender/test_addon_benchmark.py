@@ -3,7 +3,6 @@
 import json
 import shutil
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +12,10 @@ import gof.costs
 from gof.dataset import Dataset
 from gof.records import read_record
 from gof_benchmark.commands import generate
-from gof_blender.pure import cost_model, report
+from gof_blender.pure import report
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.costs import Costs, StageCost
-from gof_blender.pure.dataset_process import Job, JobError, expected_s, left_s, stages
-from gof_blender.pure.effects import video_compression
-from gof_blender.pure.layout import Layout, leaving
+from gof_blender.pure.dataset_process import stages
+from gof_blender.pure.layout import Layout
 from tests.blender.runs import TOY
 from tests.blender.test_addon_fire import in_addon
 
@@ -94,77 +91,6 @@ def test_it_is_what_gof_generate_makes_of_the_spec(made, tmp_path):
 
 
 @pytest.mark.blender
-def test_a_stopped_job_goes_on(tmp_path):
-    layout = Layout(tmp_path / "stopped")
-    layout.claim(TOY)
-    job, fractions = Job(TOY, layout, PYTHON), [0.0]
-    while not (job.stage == "render" and len(list(layout.root.glob("cameras/*/exr/0*.exr"))) >= 4):
-        assert job.poll()
-        fractions.append(job.fraction)
-        assert job.seconds_left >= 0 and str(job)
-        time.sleep(0.05)
-    process = job._process
-    job.stop()
-    assert process.poll() is not None and not layout.description.exists()
-    assert fractions == sorted(fractions) and 0.2 < fractions[-1] < 1
-    before = {path: path.stat().st_mtime_ns for path in layout.root.glob("cameras/*/exr/0*.exr")}
-    Job(TOY, layout, PYTHON).run()
-    assert all(path.stat().st_mtime_ns == then for path, then in before.items()), (
-        "finished pictures were not made again"
-    )
-    assert Dataset.open(layout.root).description.spec == TOY.to_dict()
-    assert "stopped in render" in layout.job_log.read_text() and layout.job_log.read_text().count("bake ...") == 1
-
-
-@pytest.mark.blender
-def test_a_job_ends_with_the_process_that_started_it(tmp_path):
-    import os
-    import signal
-    import subprocess
-
-    spec = replace(TOY, domain=replace(TOY.domain, resolution=96))
-    layout = Layout(tmp_path / "orphan")
-    layout.claim(spec)
-    script = f"""
-import time
-from pathlib import Path
-from gof_blender.pure import spec
-from gof_blender.pure.dataset_process import Job
-from gof_blender.pure.layout import Layout, leaving
-layout = Layout(Path({str(layout.root)!r}))
-job = Job(spec.load(layout.spec), layout, {PYTHON!r})
-while job.poll():
-    print(job._process.pid, flush=True)
-    time.sleep(0.1)
-"""
-    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
-        child = int(parent.stdout.readline())
-        while not layout.blend.is_file():
-            time.sleep(0.1)
-        parent.send_signal(signal.SIGKILL)
-    end = time.monotonic() + 20
-    while time.monotonic() < end:
-        try:
-            os.kill(child, 0)
-        except ProcessLookupError:
-            break
-        time.sleep(0.1)
-    else:
-        os.kill(child, signal.SIGKILL)
-        pytest.fail("the child outlived its parent")
-
-
-@pytest.mark.blender
-def test_failed_stage_says_why(tmp_path):
-    spec = replace(TOY, display=scene_spec.Display(look="Nonsense"))
-    layout = Layout(tmp_path / "failing")
-    layout.claim(spec)
-    with pytest.raises(JobError, match=r"bake failed with status 2:\n.*display.look must be one of .*'Very High"):
-        Job(spec, layout, PYTHON).run()
-    assert "display.look" in layout.job_log.read_text()
-
-
-@pytest.mark.blender
 def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("mine")
@@ -203,38 +129,6 @@ def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
     assert "GB of memory, this machine has 8 GB; lower domain.resolution from 640 to" in found["huge"]
     assert "press Bake & Render" in found["log"]
     assert found["made"] == ["broken.json", "full", "huge.json"], "nothing was begun"
-
-
-def test_expected_times_and_stages():
-    coded = replace(TOY, effects=(video_compression.Settings(),), ground_truth=("flow",))
-    assert stages(coded) == ["bake", "render", "video", "ground-truth", "flow", "finish"]
-    prediction = cost_model.predict(coded, cost_model.REFERENCE)
-    times = expected_s(coded, prediction)
-    assert list(times) == stages(coded) and all(seconds > 0 for seconds in times.values())
-    assert sum(times.values()) >= prediction.total_s
-
-
-def test_costs_add_up_and_the_library_reads_them(tmp_path):
-    path = tmp_path / "costs.json"
-    for seconds, peak, clock_s in ((2.0, 300.0, 2.5), (1.0, 200.0, 1.25)):
-        Costs.read(path).adding(StageCost("bake", seconds, peak, {"steps": 5}), clock_s).write(path)
-    Costs.read(path).adding(StageCost("render", 4.0, 100.0), 4.5).write(path)
-    read = read_record(gof.costs.Costs, path)
-    assert [(s.name, s.seconds, s.peak_mb, s.settings) for s in read.stages] == [
-        ("bake", 3.0, 300.0, {"steps": 5, "wall_s": 3.0}),
-        ("render", 4.0, 100.0, {"wall_s": 4.0}),
-    ]
-    assert read.wall_s == 8.25, "by the clock, what lies between the stages too"
-
-
-def test_costs_of_the_library_go_on_here(tmp_path):
-    path = tmp_path / "costs.json"
-    gof.costs.StageLog(path).record("bake", 3.0, 300.0, {"steps": 5, "wall_s": 2.0})
-    before = read_record(gof.costs.Costs, path).wall_s
-    Costs.read(path).adding(StageCost("bake", 1.0, 100.0, {"steps": 5}), 1.5).write(path)
-    (stage,) = read_record(gof.costs.Costs, path).stages
-    assert (stage.seconds, stage.peak_mb, stage.settings["wall_s"]) == (4.0, 300.0, 3.0)
-    assert read_record(gof.costs.Costs, path).wall_s == pytest.approx(before + 1.5, abs=1e-3)
 
 
 @pytest.mark.blender
@@ -317,86 +211,3 @@ def test_the_plan_is_that_of_this_spec_and_of_what_is_left(made, tmp_path):
         assert "in the fire" in text and "[Bake" not in text
     assert "cells" in found["hint"] and "[Bake & Render]" in found["hint"]
     assert not (tmp_path / "new").exists()
-
-
-def test_what_is_left_is_not_paid_again(tmp_path):
-    layout = Layout(tmp_path)
-    expected = expected_s(TOY, cost_model.predict(TOY, cost_model.REFERENCE))
-    assert left_s(TOY, layout, expected) == expected
-    layout.hidden.mkdir()
-    layout.bake_marker.write_text("{}")
-    for camera in ("cam_0", "cam_1", "cam_2"):
-        path = layout.frame(camera, 0).exr
-        path.parent.mkdir(parents=True)
-        path.touch()
-    left = left_s(TOY, layout, expected)
-    assert left["bake"] == 0 and left["render"] == pytest.approx(expected["render"] * 4 / 5)
-    assert left["ground-truth"] == expected["ground-truth"]
-
-
-@pytest.mark.blender
-def test_esc_asks_and_playback_keeps_its_key():
-    """The events as Blender hands them to a running operator; a person's own presses: tools/addon_screenshots.py."""
-    found = in_addon("""
-        from types import SimpleNamespace
-        from gof_blender.ui import job_operator
-        asked, ended = [], []
-        real = job_operator.bpy
-        job_operator.bpy = SimpleNamespace(ops=SimpleNamespace(gof=SimpleNamespace(stop_benchmark=asked.append)))
-        class Job:
-            def poll(self): return True
-            def stop(self): ended.append("stopped")
-            def __str__(self): return "bake 3 of 9"
-        class Operator(job_operator.JobOperator):
-            bl_label, job = "Bake", Job()
-            def report(self, kind, text): ended.append(text)
-        class Asking(Operator):
-            ask, job = "gof.stop_benchmark", Job()
-        def context(playing):
-            window = SimpleNamespace(screen=SimpleNamespace(is_animation_playing=playing, areas=[]))
-            manager = SimpleNamespace(windows=[window], event_timer_remove=lambda timer: None)
-            return SimpleNamespace(window_manager=manager, workspace=SimpleNamespace(status_text_set=ended.append))
-        escape = SimpleNamespace(type="ESC", value="PRESS")
-        result["playing"] = [list(Asking().modal(context(True), escape)), list(asked), list(ended)]
-        result["asked"] = [list(Asking().modal(context(False), escape)), list(asked), list(ended)]
-        quick = Operator()
-        quick._timer = None
-        result["quick playing"] = list(quick.modal(context(True), escape))
-        result["quick"] = [list(quick.modal(context(False), escape)), list(ended)]
-        job_operator.bpy = real
-    """)
-    assert found["playing"] == [["PASS_THROUGH"], [], []], "Blender ends the playback"
-    assert found["asked"] == [["RUNNING_MODAL"], ["INVOKE_DEFAULT"], []], "the job goes on"
-    assert found["quick playing"] == ["PASS_THROUGH"]
-    assert found["quick"] == [["CANCELLED"], ["stopped", None, "Stopped"]]
-
-
-@pytest.mark.blender
-def test_a_flame_that_is_cut_off_is_said(tmp_path):
-    """A column of light 2 cells wide whose share at the top is known: 0.3 of its widest section, in one frame only."""
-    found = in_addon("""
-        import numpy as np
-        from types import SimpleNamespace
-        from gof_blender.pure.spec import Clip, SceneSpec
-        from gof_blender.scene import flame_edges
-        spec = SceneSpec("x", clip=Clip(frames=9))
-        def light(frame):
-            values = np.zeros((8, 8, 12), np.float32)
-            values[3:5, 3:5, :8] = 1.0
-            if frame == spec.timeline.blender_frame(8):
-                values[3:5, 3:5, 8:] = 0.3
-            return values
-        result["column"] = flame_edges.cut_off(spec, SimpleNamespace(light=light))
-        result["dark"] = flame_edges.cut_off(spec, SimpleNamespace(light=lambda frame: np.zeros((4, 4, 4))))
-    """)
-    sides = ("-x side", "+x side", "-y side", "+y side")
-    assert found["column"] == {"top": 0.3, **dict.fromkeys(sides, 0.0)}
-    assert set(found["dark"].values()) == {0.0}
-    layout = Layout(tmp_path)
-    assert leaving(layout) == []
-    layout.hidden.mkdir()
-    layout.bake_marker.write_text(json.dumps({"cut_off": found["column"]}))
-    (note,) = leaving(layout)
-    assert "through its top (30 % of its widest section)" in note and "domain.size" in note
-    layout.bake_marker.write_text("{}")
-    assert leaving(layout) == [], "of an older version"

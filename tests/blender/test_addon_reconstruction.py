@@ -52,11 +52,24 @@ def values(data, name, width):
     attribute.data.foreach_get({1: "value", 3: "vector", 4: "color"}[width], out)
     return out.reshape(-1, width).astype(float)
 
+def instanced(thing):
+    "World positions of the corners of instances, and ones for their opacities."
+    places = [np.zeros((0, 3))]
+    for instance in bpy.context.evaluated_depsgraph_get().object_instances:
+        data = instance.object.data
+        if instance.is_instance and instance.parent.original == thing and getattr(data, "vertices", None):
+            corners = np.zeros(len(data.vertices) * 3, np.float32)
+            data.vertices.foreach_get("co", corners)
+            matrix = np.array(instance.matrix_world)
+            places.append(corners.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
+    place = np.concatenate(places)
+    return place, np.ones(len(place))
+
 def state(thing):
     "World positions and opacities of what is drawn; of ellipsoids, of every vertex."
     data, matrix = drawn(thing)
     if data is None:
-        return np.zeros((0, 3)), np.zeros(0)
+        return instanced(thing)
     if hasattr(data, "vertices"):
         place = np.zeros(len(data.vertices) * 3, np.float32)
         data.vertices.foreach_get("co", place)
@@ -119,7 +132,7 @@ result["every fourth"] = len(bpy.context.object.data.vertices)
 settings = scene.gof.reconstruction
 for mode in ("ellipsoids", "arrows", "streaks", "points"):
     settings.mode = mode
-    result[mode] = [type(drawn(bpy.context.object)[0]).__name__, settings.mode]
+    result[mode] = [type(drawn(bpy.context.object)[0]).__name__, settings.mode, len(state(bpy.context.object)[0])]
 """,
         folder,
     )
@@ -135,9 +148,11 @@ for mode in ("ellipsoids", "arrows", "streaks", "points"):
         assert found[f"sequence at {frame}"] == pytest.approx(mean + 0.1 * steps, abs=1e-4)
     assert found["after the sequence"] == 0
     assert found["two files"] == 600 and found["every fourth"] == 75
-    assert found["points"] == ["PointCloud", "points"]
-    for mode in ("ellipsoids", "arrows", "streaks"):
-        assert found[mode] == ["Mesh", mode]
+    shown = found["points"][2]
+    assert shown and found["points"] == ["PointCloud", "points", shown]
+    assert found["ellipsoids"] == ["PointCloud", "ellipsoids", shown], "in the viewport; renders have meshes"
+    for mode, corners in (("arrows", 10), ("streaks", 4)):
+        assert found[mode] == ["NoneType", mode, corners * shown], "instances; renders have meshes"
 
 
 def test_arrows_and_streaks_are_the_way_of_line_time(folder):
@@ -162,6 +177,7 @@ for vectors in ("true velocity", "error"):
     place, _ = state(thing)
     result[vectors] = place[np.linalg.norm(place, axis=1).argmax()].tolist()
 cloud["Time Scale"] = 0.5
+scene.gof.reconstruction.mode = "points"
 result["velocity"] = values(drawn(thing)[0], "velocity", 3)[0].tolist()
 """,
         one_gaussian(folder, velocity=[0, 1.2, 1.6]),
@@ -448,7 +464,7 @@ gof_blender.unregister()
     matrix = np.array([[0, -2, 0], [1, 0, 0], [0, 0, 0.5]])
     assert np.abs(seen["place"] - (position @ matrix.T + [1, 2, 3])).max() < 1e-5
     n = len(opacity)
-    assert seen["counts"].tolist() == [12 * n, 16 * n, 6 * n]
+    assert seen["counts"].tolist() == [12 * n, 10 * n, 4 * n]
 
 
 def test_the_first_minute(folder):

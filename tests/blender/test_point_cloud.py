@@ -28,6 +28,19 @@ from gof_blender.scene.mantaflow import leave
 from gof_blender.scene import display, point_cloud
 
 folder = Path(sys.argv[1])
+
+forced = []
+
+def show_as_in(thing, where):
+    "Let the node group show what it does in the viewport or in renders, wherever it is evaluated."
+    tree = thing.modifiers[0].node_group
+    if not forced:
+        for link in [link for link in tree.links if link.from_node.bl_idname == "GeometryNodeIsViewport"]:
+            forced.append(link.to_socket)
+            tree.links.remove(link)
+    for socket in forced:
+        socket.default_value = int(where == "viewport")
+
 bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene
 """
@@ -60,8 +73,9 @@ def at(frame):
     scene.frame_set(int(frame), subframe=frame - int(frame))
 
 cloud = gaussians_file.load(folder / "result.npz")
-for mode in ("ellipsoids", "points"):
-    thing = point_cloud.add_point_cloud(cloud, 81, mode)
+for mode in ("ellipsoids", "ellipsoids in points", "points"):
+    thing = point_cloud.add_point_cloud(cloud, 81, mode.split()[0])
+    show_as_in(thing, "render" if mode == "ellipsoids" else "viewport")
     for frame in json.loads(sys.argv[2]):
         at(frame)
         look(thing, mode, f"{mode}/{frame}")
@@ -95,9 +109,10 @@ scene.camera, camera.location.z = camera, 5.0
 camera.data.type, camera.data.ortho_scale = "ORTHO", 1.0
 scene.render.image_settings.file_format = "OPEN_EXR"
 scene.render.image_settings.color_depth = "32"
-for mode in ("ellipsoids", "points"):
-    cloud = gaussians_file.load(folder / f"{mode}.npz")
-    thing = point_cloud.add_point_cloud(cloud, 1, mode)
+for mode in ("ellipsoids", "ellipsoids in points", "points"):
+    cloud = gaussians_file.load(folder / f"{mode.split()[0]}.npz")
+    thing = point_cloud.add_point_cloud(cloud, 1, mode.split()[0])
+    show_as_in(thing, "render" if mode == "ellipsoids" else "viewport")
     thing.location.x = -0.05
     thing.data.attributes["gs_light"].data[0].vector = (1, 1, 1)  # so that the pixel is the opacity
     scene.frame_set(1)
@@ -175,17 +190,17 @@ def closed_form(cloud: GaussianCloud, time_s: float) -> tuple[np.ndarray, np.nda
 
 
 def seen_gaussians(file: Path, mode: str, key: str) -> tuple[np.ndarray, np.ndarray]:
-    """World positions and opacities as evaluated; an ellipsoid is an icosahedron of 12 vertices around its centre."""
+    """World positions and opacities as evaluated; an ellipsoid in renders is a ball of 42 vertices."""
     seen = np.load(file)
     position, alpha = seen[f"{mode}/{key}/position"], seen[f"{mode}/{key}/alpha"]
-    if mode == "points":
+    if mode != "ellipsoids":
         return position, alpha
-    alpha = alpha.reshape(-1, 12)
+    alpha = alpha.reshape(-1, 42)
     assert (alpha == alpha[:, :1]).all()
-    return position.reshape(-1, 12, 3).astype(float).mean(1), alpha[:, 0]
+    return position.reshape(-1, 42, 3).astype(float).mean(1), alpha[:, 0]
 
 
-@pytest.mark.parametrize("mode", ["ellipsoids", "points"])
+@pytest.mark.parametrize("mode", ["ellipsoids", "ellipsoids in points", "points"])
 @pytest.mark.parametrize("frame", FRAMES)
 def test_positions_and_opacities_over_time(cloud, mode, frame):
     gaussians, file = cloud
@@ -206,8 +221,8 @@ def test_shapes(cloud, frame):
     gaussians, file = cloud
     seen = np.load(file)
     position, _, visible = closed_form(gaussians, (frame - START) / FPS)
-    local = seen[f"ellipsoids/{frame}/local"].reshape(-1, 12, 3)
-    assert np.allclose(np.linalg.norm(local, axis=2), EXTENT / 0.7947, atol=1e-5)
+    local = seen[f"ellipsoids/{frame}/local"].reshape(-1, 42, 3)
+    assert np.allclose(np.linalg.norm(local, axis=2), EXTENT, atol=1e-5)
     axes = np.array(
         [
             rotation_matrix(q.astype(float)) * s
@@ -215,12 +230,14 @@ def test_shapes(cloud, frame):
         ]
     )
     wanted = position[:, None] + np.einsum("nij,nvj->nvi", axes, local)
-    assert np.abs(seen[f"ellipsoids/{frame}/position"].reshape(-1, 12, 3) - wanted).max() < 1e-5
+    assert np.abs(seen[f"ellipsoids/{frame}/position"].reshape(-1, 42, 3) - wanted).max() < 1e-5
+    around = EXTENT * gaussians.scale[visible].astype(float).max(1)
+    assert np.abs(seen[f"ellipsoids in points/{frame}/radius"] - around).max() < 1e-5
     radius = EXTENT * np.cbrt(gaussians.scale[visible].astype(float).prod(1))
     assert np.abs(seen[f"points/{frame}/radius"] - radius).max() < 1e-5
 
 
-@pytest.mark.parametrize("mode", ["ellipsoids", "points"])
+@pytest.mark.parametrize("mode", ["ellipsoids", "ellipsoids in points", "points"])
 @pytest.mark.parametrize("key, fps", [("moved", 100), ("40 fps", 40)])  # 50 / 1.25 = 40 frames per second
 def test_moved_object_and_scene_frame_rate(cloud, mode, key, fps):
     gaussians, file = cloud
@@ -269,10 +286,10 @@ def rendered(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("mode", ["ellipsoids", "points"])
+@pytest.mark.parametrize("mode", ["ellipsoids", "ellipsoids in points", "points"])
 def test_cycles_shows_the_splat(rendered, mode):
     """A white Gaussian over black, seen orthographically: a pixel is opacity exp(-d^2 / 2) of its projection."""
-    g = gaussians_file.load(rendered / f"{mode}.npz")
+    g = gaussians_file.load(rendered / f"{mode.split()[0]}.npz")
     axes = rotation_matrix(g.rotation[0].astype(float)) * g.scale[0]
     covariance = (axes @ axes.T)[:2, :2]
     pixel = (np.arange(48) + 0.5) / 48 - 0.5
@@ -285,6 +302,51 @@ def test_cycles_shows_the_splat(rendered, mode):
     for low, high in ((0, 0.7), (0.7, 1.2), (1.2, 1.7), (1.7, 2.2)):
         assert abs(error[(distance >= low) & (distance < high)].mean()) < 0.008
     assert seen[distance > 1.3 * EXTENT].max() == 0
+
+
+LINES = (
+    COMMON
+    + """
+scene.render.fps, scene.render.engine = 100, "CYCLES"
+scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.pixel_filter_type = 64, False, "BOX"
+scene.render.resolution_x = scene.render.resolution_y = 64
+camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+scene.collection.objects.link(camera)
+scene.camera, camera.location.z = camera, 9.0
+camera.data.type, camera.data.ortho_scale = "ORTHO", 2.5
+scene.render.image_settings.file_format = "OPEN_EXR"
+thing = point_cloud.add_point_cloud(gaussians_file.load(folder / "result.npz"), 1, "arrows")
+point_cloud.color_by(thing, "speed")
+settings = point_cloud.inputs(thing)
+settings["Line Time"] = 0.2
+scene.frame_set(20)
+seen = {}
+for mode in (2, 3):
+    settings["Mode"] = mode
+    for where in ("render", "viewport"):
+        show_as_in(thing, where)
+        scene.render.filepath = str(folder / f"lines{mode}{where}.exr")
+        bpy.ops.render.render(write_still=True)
+        image = bpy.data.images.load(scene.render.filepath)
+        seen[f"{mode} {where}"] = np.array(image.pixels[:]).reshape(64, 64, 4)[..., :3]
+np.savez(folder / "lines.npz", **seen)
+leave()
+"""
+)
+
+
+def test_lines_of_the_viewport_look_as_those_of_renders(cloud, tmp_path):
+    """Instances have their colours themselves, a mesh has them at its corners: the same picture of both."""
+    import shutil
+
+    shutil.copy(cloud[1].with_name("result.npz"), tmp_path)
+    run(LINES, tmp_path)
+    seen = np.load(tmp_path / "lines.npz")
+    for mode in (2, 3):
+        mesh, instances = seen[f"{mode} render"], seen[f"{mode} viewport"]
+        lit = mesh.max(axis=2) > 0.05
+        assert 0.02 < lit.mean() < 0.9 and np.ptp(mesh[lit], axis=0).min() > 0.15, "lines of many colours"
+        assert np.abs(mesh - instances).mean() < 0.01 * mesh.mean()
 
 
 def test_cloud_shows_its_display_colours(rendered):

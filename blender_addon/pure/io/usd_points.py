@@ -1,0 +1,107 @@
+"""A point cloud over time as one USD file: places, velocities, widths, colours, and the Gaussians' own values.
+
+A ``UsdGeom.Points`` has a sample a frame, each with as many points as are seen then; ``ids`` say which is which, and
+``velocities`` (per second) let a renderer blur their motion although their number changes. Needs the ``pxr`` modules
+that Blender ships, never bpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..points import Points
+from . import FileFormatError
+from .files import atomic_path
+
+SUFFIXES = (".usd", ".usdc", ".usda")
+PATH = "/reconstruction"
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Frames of the scene: the first, the last, and how many there are in a second."""
+
+    first: int
+    last: int
+    rate: float
+
+
+def write(
+    path: Path,
+    frames: Iterator[tuple[int, Points]],
+    clock: Clock,
+    to_world: np.ndarray,
+    metres_per_unit: float,
+) -> None:
+    """Write points frame by frame, atomically.
+
+    Args:
+        path: one of SUFFIXES; .usda is text.
+        frames: number and points of every frame, in order.
+        to_world: (4, 4) from the points' metres to the scene's units.
+    Raises:
+        FileFormatError: this Python has no ``pxr``.
+    """
+    try:
+        from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+    except ImportError:
+        raise FileFormatError(
+            "this Blender comes without the pxr modules for Python: use 4.2 or later, of blender.org"
+        ) from None
+    arrays = {
+        "vector": Vt.Vec3fArray.FromNumpy,
+        "color": Vt.Vec4fArray.FromNumpy,
+        "number": Vt.FloatArray.FromNumpy,
+        # Its quaternions hold the real part last, ours first.
+        "quaternion": lambda wxyz: Vt.QuatfArray.FromNumpy(np.ascontiguousarray(np.roll(wxyz, -1, axis=1))),
+    }
+    with atomic_path(path) as draft:
+        stage = Usd.Stage.CreateNew(str(draft))
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
+        stage.SetTimeCodesPerSecond(clock.rate)
+        stage.SetFramesPerSecond(clock.rate)
+        stage.SetStartTimeCode(clock.first)
+        stage.SetEndTimeCode(clock.last)
+        root = UsdGeom.Xform.Define(stage, PATH)
+        stage.SetDefaultPrim(root.GetPrim())
+        root.AddTransformOp().Set(Gf.Matrix4d(to_world.T.tolist()))  # USD multiplies row vectors
+        prim = UsdGeom.Points.Define(stage, f"{PATH}/points")
+        kinds, vertex = Sdf.ValueTypeNames, UsdGeom.Tokens.vertex
+        primvars = UsdGeom.PrimvarsAPI(prim)
+
+        def value(name: str, kind) -> Usd.Attribute:
+            return primvars.CreatePrimvar(name, kind, vertex).GetAttr()
+
+        columns = (
+            (prim.CreatePointsAttr(), "position", "vector"),
+            (prim.CreateVelocitiesAttr(), "velocity", "vector"),
+            (prim.CreateWidthsAttr(), "width", "number"),
+            (value("displayColor", kinds.Color3fArray), "color", "vector"),
+            (value("displayOpacity", kinds.FloatArray), "opacity", "number"),
+            (value("gas_velocity", kinds.Vector3fArray), "gas_velocity", "vector"),
+            (value("scale", kinds.Float3Array), "scale", "vector"),
+            (value("rotation", kinds.QuatfArray), "rotation", "quaternion"),
+            (value("radiance:base", kinds.Float4Array), "radiance", "color"),
+        )
+        ids, extent = prim.CreateIdsAttr(), prim.CreateExtentAttr()
+        prim.SetWidthsInterpolation(vertex)
+        for number, points in frames:
+            for attribute, name, kind in columns:
+                attribute.Set(arrays[kind](np.ascontiguousarray(getattr(points, name), np.float32)), number)
+            ids.Set(Vt.Int64Array.FromNumpy(points.row.astype(np.int64)), number)
+            extent.Set(Vt.Vec3fArray.FromNumpy(_extent(points)), number)
+        stage.GetRootLayer().Save()
+        del stage
+
+
+def _extent(points: Points) -> np.ndarray:
+    """(2, 3) the lowest and the highest corner; at the origin where nothing is seen."""
+    if not len(points):
+        return np.zeros((2, 3), np.float32)
+    half = points.width[:, None] / 2
+    return np.stack([(points.position - half).min(axis=0), (points.position + half).max(axis=0)])
