@@ -104,7 +104,7 @@ def main(argv: list[str]) -> int:
     stop = (span[0] + span[1]) / 2 if config.stop is None else config.stop
     if not span[0] <= stop <= span[1]:
         raise GofError(f"--stop {stop:g}: the clip is from {span[0]:g} to {span[1]:g} s")
-    number = _camera_number(config.camera, dataset)
+    number = camera_number(config.camera, dataset)
     journey = _journey(config, results, dataset, number, stop)
     if out.suffix.lower() == STILL:
         config = replace(config, time="freeze", seconds=1 / config.fps)
@@ -162,7 +162,7 @@ def _span(results: list[Opened], dataset: Dataset | None) -> tuple[float, float]
     return min(first for first, _ in spans), max(last for _, last in spans)
 
 
-def _camera_number(name: str | None, dataset: Dataset | None) -> int | None:
+def camera_number(name: str | None, dataset: Dataset | None) -> int | None:
     """Of the dataset's camera of that name, by default the middle one; None without a dataset."""
     if dataset is None:
         if name is not None:
