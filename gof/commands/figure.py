@@ -10,6 +10,11 @@ PARTS = {
         "gof.commands.figure_modalities",
         "of one camera and time: picture, plate, mask, depth, optical flow, flow field, seeds, result, velocities",
     ),
+    "compare": (
+        "gof.commands.figure_compare",
+        "results beside what was recorded: pictures, enlarged parts, errors, velocities",
+    ),
+    "removal": ("gof.commands.figure_removal", "fire removal: picture, plate, what was taken out, what is left"),
 }
 
 HELP = """\
@@ -21,6 +26,8 @@ usage: gof figure PART [OPTIONS]        gof figure PART --help explains one part
 
 what people type:
   gof figure modalities out/fire --dataset data/fire --out modalities.pdf
+  gof figure compare out/fire out/other.ply --names ours theirs --dataset data/fire --out compare.pdf
+  gof figure removal data/fire --out removal.pdf
 
 Figures need the extra "figures" (matplotlib). Every part writes what its tiles show with --json FILE. Films and single
 panels: gof video.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,8 +13,6 @@ from gof.dataset.plates import background
 from gof.dataset.poses import Poses
 from gof.errors import GofError
 from gof.evaluate.depth import read_depth
-from gof.evaluate.expectation import expected_velocity
-from gof.evaluate.weighted import weighted_quantile
 from gof.files import path_in
 from gof.gaussians import TransientGaussians
 from gof.ingest.depth import align, from_relative, monocular
@@ -25,7 +22,8 @@ from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.seen import Seen
 from gof.render import render
 from gof.report.animation import original
-from gof.report.velocity import ScreenVelocity, living, sideways_velocity
+from gof.report.velocity import ScreenVelocity, sideways_velocity
+from gof.show.sideways import fastest, of_result, true_there, unit
 from gof.show.tiles import Tile, depth_tile, dimmed, picture_tile, velocity_tile
 
 SHRUNK = 0.3  # of the Gaussians' size in the tile of seeds: each is seen by itself
@@ -104,8 +102,7 @@ class _View:
         self.small: Camera = seen.dataset.cameras[number]
         self.time_s = float(dataset.camera_times_s(number)[frame])
         self.f = int(np.flatnonzero(seen.observation.frames == frame)[0])
-        unit = dataset.description.in_metres
-        self.length, self.speed = ("m", "m/s") if unit else ("units", "units/s")
+        self.length = "m" if dataset.description.in_metres else "units"
 
     def pictures(self) -> list[Tile]:
         """What was filmed, what is behind the fire, where the fire is."""
@@ -183,15 +180,11 @@ class _View:
         frame = field.frames[self.f]
         fields = {FLOW_FIELD: sideways_velocity(voxels_as_gaussians(field, frame), self.small, frame.time_s)}
         if result is not None:
-            flame = living(result, self.time_s)
-            fields["velocity, result"] = sideways_velocity(flame, self.camera, self.time_s)
+            fields["velocity, result"] = of_result(result, self.camera, self.time_s)
             if self.dataset.has_velocity:
-                centre, _ = flame.at(self.time_s)
-                truth = self.dataset.velocity.at(self.time_s)
-                true = expected_velocity(truth, centre, flame.scale, flame.rotation).mean
-                fields["velocity, truth"] = sideways_velocity(flame, self.camera, self.time_s, true)
+                fields["velocity, truth"] = true_there(result, self.dataset, self.camera, self.time_s)
         full = fastest(list(fields.values()))
-        return {name: velocity_tile(values, name, full, self.speed) for name, values in fields.items()}
+        return {name: velocity_tile(values, name, full, unit(self.dataset)) for name, values in fields.items()}
 
     def gaussians(self, name: str, out: Modalities) -> TransientGaussians | None:
         """Those of a file of the run, None before it is there."""
@@ -236,10 +229,3 @@ def voxels_as_gaussians(field: FlowField, frame: FrameField) -> TransientGaussia
         color=np.ones((n, 3)),
         dynamic=np.ones(n, bool),
     )
-
-
-def fastest(fields: Sequence[ScreenVelocity]) -> float:
-    """The speed of full brightness for all of them: the 98th percentile by opacity; > 0."""
-    speed = np.concatenate([np.linalg.norm(one.flow, axis=-1).ravel() for one in fields])
-    weight = np.concatenate([one.alpha.ravel() for one in fields])
-    return max(float(weighted_quantile(speed, weight, 0.98)), 1e-9) if weight.any() else 1.0

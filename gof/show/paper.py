@@ -13,7 +13,7 @@ from gof import extras
 from gof.errors import GofError
 from gof.files import atomic_path
 from gof.report.velocity import legend as wheel_picture
-from gof.show.tiles import Bar, Tile, Wheel
+from gof.show.tiles import BOX_COLOURS, Bar, Row, Tile, Wheel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +29,6 @@ POINTS = 72  # in an inch
 ROOM = 0.97  # of a tile's width, for words: a picture of letters is a little wider than their outlines
 TITLE_IN, NOTE_IN, LEGEND_IN, GAP_IN = 0.15, 0.11, 0.34, 0.05
 WHEEL_IN = 0.28
-BOX_COLOURS = ("#22d3ee", "#facc15", "#a3e635", "#f472b6")
 
 
 def require_figure(*paths: Path) -> None:
@@ -64,7 +63,7 @@ def printed(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
             figure.savefig(temporary, format=kind, dpi=DPI, metadata=undated)
 
 
-def write_sheet(path: Path, rows: Sequence[Sequence[Tile]], width_in: float = WIDTH_IN, lettered: bool = True) -> None:
+def write_sheet(path: Path, rows: Sequence[Row], width_in: float = WIDTH_IN, lettered: bool = True) -> None:
     """Write rows of tiles, each with its title above and its legend below; all columns have one width.
 
     Args:
@@ -83,6 +82,8 @@ def write_sheet(path: Path, rows: Sequence[Sequence[Tile]], width_in: float = WI
         top = height_in - GAP_IN
         for row, height in zip(rows, heights, strict=True):
             for column, tile in enumerate(row):
+                if tile is None:
+                    continue
                 left = GAP_IN + column * (tile_in + GAP_IN)
                 letter = f"({next(letters, '')}) " if lettered and tile.title else ""
                 page = _Page(figure, width_in, height_in)
@@ -102,12 +103,13 @@ class _RowHeight:
         self.whole = title + note + picture + legend + GAP_IN
 
     @classmethod
-    def of(cls, row: Sequence[Tile], tile_in: float) -> _RowHeight:
+    def of(cls, row: Row, tile_in: float) -> _RowHeight:
+        tiles = [tile for tile in row if tile is not None]
         return cls(
-            TITLE_IN if any(tile.title for tile in row) else 0.0,
-            NOTE_IN if any(tile.note for tile in row) else 0.0,
-            tile_in * max(map(_aspect, row)),
-            LEGEND_IN if any(tile.legend for tile in row) else 0.0,
+            TITLE_IN if any(tile.title for tile in tiles) else 0.0,
+            NOTE_IN if any(tile.note for tile in tiles) else 0.0,
+            tile_in * max(map(_aspect, tiles)),
+            LEGEND_IN if any(tile.legend for tile in tiles) else 0.0,
         )
 
 

@@ -13,6 +13,7 @@ from gof.report.animation import to_bytes
 from gof.report.velocity import GROUND, ScreenVelocity, arrows, colours
 from gof.show.panels import DEPTH_COLOURS, ERROR_COLOURS, MOST_ERROR, Scales, depth_colours, error_colours
 
+BOX_COLOURS = ("#22d3ee", "#facc15", "#a3e635", "#f472b6")  # of the first box, the second ...
 NO_ARROWS = np.zeros((0, 2, 2))
 
 
@@ -76,13 +77,18 @@ class Tile:
     frame: int | None = None
 
 
-def facts(rows: Sequence[Sequence[Tile]]) -> dict[str, list]:
+Row = Sequence[Tile | None]  # of a figure; None leaves a place empty
+
+
+def facts(rows: Sequence[Row]) -> dict[str, list]:
     """What a figure's tiles are and what their colours mean, for a JSON file."""
-    return {"tiles": [[_fact(tile) for tile in row] for row in rows]}
+    return {"tiles": [[tile and _fact(tile) for tile in row] for row in rows]}
 
 
 def _fact(tile: Tile) -> dict:
     said = {"title": tile.title, "note": tile.note, "size": list(tile.image.shape[1::-1])}
+    if tile.boxes:
+        said["boxes"] = [list(box) for box in tile.boxes]
     if isinstance(tile.legend, Bar):
         said |= {"low": tile.legend.low, "high": tile.legend.high, "unit": tile.legend.unit}
     elif tile.legend:
@@ -112,10 +118,10 @@ def depth_tile(depth: np.ndarray, title: str, near: float, far: float, unit: str
     return Tile(image, title, note, Bar(near, far, unit, ramp(DEPTH_COLOURS)[::-1], log=True))
 
 
-def error_tile(drawn: np.ndarray, recorded: np.ndarray, title: str, note: str = "") -> Tile:
-    """Of two pictures (H, W, 3) of display values: the mean difference of their channels."""
-    image = error_colours(to_bytes(drawn[..., :3]), to_bytes(recorded[..., :3]))
-    return Tile(image, title, note, Bar(0.0, MOST_ERROR, "of display values", ramp(ERROR_COLOURS)))
+def error_tile(drawn: np.ndarray, recorded: np.ndarray, title: str, note: str = "", most: float = MOST_ERROR) -> Tile:
+    """Of two pictures (H, W, 3) of display values: the mean difference of their channels, up to `most`."""
+    image = error_colours(to_bytes(drawn[..., :3]), to_bytes(recorded[..., :3]), most)
+    return Tile(image, title, note, Bar(0.0, most, "of display values", ramp(ERROR_COLOURS)))
 
 
 def dimmed(image: np.ndarray, share: np.ndarray) -> np.ndarray:

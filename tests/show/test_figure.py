@@ -1,26 +1,35 @@
 """Figures for print: what stands where on the page, letters that stay letters, and tiles against what is known."""
 
+import json
 import re
 import zlib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from gof.cli import main as gof
+from gof.colour import linear_to_srgb, srgb_to_linear
 from gof.dataset import Dataset
 from gof.errors import GofError
+from gof.evaluate.accuracy_chart import AccuracyChart
+from gof.evaluate.scores import FrameScore
 from gof.gaussians import TransientGaussians
 from gof.reconstruct import pipeline
 from gof.reconstruct.seen import see_again
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.render import render
 from gof.report.velocity import ScreenVelocity, arrows, sideways_velocity
+from gof.show.comparison import Moment, comparison, largest_errors, subject
+from gof.show.curves import write_accuracy, write_frame_scores
+from gof.show.fire_removal import fire_removal
+from gof.show.flat import flat, in_words, page_pictures
 from gof.show.modalities import Modalities, Sources, modalities, training_frame
 from gof.show.paper import DPI, GAP_IN, write_sheet
 from gof.show.tiles import Bar, Box, Tile, Wheel, depth_tile, ramp
-from tests.conftest import look_at, random_gaussians
+from tests.conftest import arc, look_at, random_gaussians, write_dataset
 from tests.reconstruct.rising_flame import RISE, write_flame
 
 pytest.importorskip("matplotlib", reason="the extra 'figures' is not installed")
@@ -247,3 +256,187 @@ def test_the_frame_is_a_training_frame(made):
     dataset = Dataset.open(made / "data")
     assert training_frame(dataset, 0, 0.04) in (3, 5), "frame 4 is held out"
     assert training_frame(dataset, 0, None) in dataset.train_frames
+
+
+# ---------------------------------------------------------------- results side by side
+
+
+@pytest.fixture
+def two(tmp_path):
+    """A dataset whose held-out frame is bright in one corner; a result that knows, and one that knows of nothing."""
+    cameras, times = arc(3), [0.0, 0.1, 0.2]
+    plates = np.full((3, 64, 36, 3), 0.2)
+    images = np.repeat(plates[None], 3, 0).copy()
+    images[1, :, 6:16, 20:30] = (0.9, 0.5, 0.2)
+    masks = np.zeros((3, 3, 64, 36))
+    masks[1, :, 6:16, 20:30] = 1
+    write_dataset(tmp_path / "data", cameras, images, plates, times, masks=masks, test_frames=(1,))
+    nothing = replace(random_gaussians(2), opacity=np.zeros(2), dynamic=np.ones(2, bool))
+    nothing.save(tmp_path / "nothing.npz")
+    return tmp_path
+
+
+def test_the_largest_errors_are_found_where_they_are(two):
+    rng = np.random.default_rng(0)
+    recorded = rng.random((90, 60, 3))
+    drawn = [recorded.copy(), recorded.copy()]
+    drawn[0][60:80, 5:25] += 0.5
+    drawn[1][10:30, 35:55] += 0.3
+    low, high = sorted(largest_errors(drawn, recorded, 2), key=lambda box: -box.y)
+    for box, (top, left) in ((low, (60, 5)), (high, (10, 35))):
+        assert box.width == box.height == 20 and (abs(box.y - top), abs(box.x - left)) == (0, 0)
+    many = largest_errors(drawn, recorded, 4)
+    inside = np.zeros((90, 60), int)
+    for box in many:
+        inside[box.y : box.y + box.height, box.x : box.x + box.width] += 1
+    assert len(many) == 4 and inside.max() == 1, "none overlap"
+
+
+def test_a_result_without_flame_is_its_plate_and_its_decibels_are_those_of_the_plate(two):
+    """flame: (0.9, 0.5, 0.2) over 0.2 in 8 bits, whose PSNR is a closed form."""
+    moment = Moment(Dataset.open(two / "data"), 1, 1)
+    nothing = TransientGaussians.load(two / "nothing.npz")
+    subjects = [subject("ours", nothing, "gof", two / "nothing.npz", moment)]
+    subjects.append(subject("theirs", nothing, "yang", two / "nothing.npz", moment))
+    rows = comparison(subjects, moment, 1)
+    assert [one and one.title for one in rows[0]] == ["filmed", "ours", "theirs"]
+    steps = np.array([230, 128, 51]) - 51  # of 255: 0.9, 0.5, 0.2 as PNG holds them
+    expected = -10 * np.log10(np.mean((steps / 255) ** 2))
+    assert rows[0][1].note == rows[2][0].note == f"flame {expected:.2f} dB"
+    assert rows[0][2].image.max() == 0, "another method's Gaussians stand before nothing"
+    box = rows[0][0].boxes[0]
+    assert box.x <= 20 and box.x + box.width >= 30 and rows[1][0].frame == 0
+    np.testing.assert_array_equal(rows[1][1].image, rows[0][1].image[box.y : box.y + 12, box.x : box.x + 12])
+    bar = rows[2][1].legend
+    assert bar.high == 1.0, "theirs is off by 0.53 in the flame: 0.5 does not hold it"
+    for place, error in (((0, 0), 0.0), ((10, 25), np.mean(steps) / 255)):
+        np.testing.assert_allclose(rows[2][1].image[place], 255 * bar.colours[round(255 * error)], atol=4)
+    assert len(rows) == 3, "nothing moves, so there is no row of velocities"
+
+
+@pytest.mark.long
+def test_true_and_drawn_velocities_have_one_scale(made):
+    dataset = Dataset.open(made / "data")
+    moment = Moment(dataset, 1, 4)
+    result = TransientGaussians.load(made / "run/result.npz")
+    rows = comparison([subject("ours", result, "gof", made / "run/result.npz", moment)], moment, 0)
+    true, ours = rows[-1]
+    assert true.legend == ours.legend and true.legend.longest == pytest.approx(np.linalg.norm(RISE), rel=0.3)
+
+
+def test_command_compares_what_was_scored_as_it_was_scored(two, capsys):
+    assert gof(["evaluate", str(two / "nothing.npz"), "--truth", str(two / "data"), "--out", str(two / "board")]) == 0
+    flame = str(two / "board")
+    asked = ["figure", "compare", flame, str(two / "nothing.npz"), "--names", "scored", "file"]
+    files = ["--out", str(two / "c.svg"), str(two / "c.png"), "--json", str(two / "c.json")]
+    assert gof([*asked, "--dataset", str(two / "data"), "--box", "20", "6", "8", "12", *files]) == 0
+    assert "frame 1 at 0.1000 s, held out" in capsys.readouterr().out
+    said = texts((two / "c.svg").read_text())
+    assert "scored" in said and "file" in said and "error: plate alone" in said
+    tiles = json.loads((two / "c.json").read_text())["tiles"]
+    assert tiles[0][1]["note"] == tiles[0][2]["note"] and tiles[0][0]["boxes"] == [[20, 6, 8, 12]]
+    board = json.loads((two / "board/scores.json").read_text())
+    mine = next(p for p in board["images"]["pictures"] if p["camera"] == "cam_1")
+    assert tiles[0][1]["note"] == f"flame {mine['psnr_flame']:.2f} dB", "the figure of gof evaluate for this picture"
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["--names", "a", "b"], "2 names for 1"),
+        (["--box", "30", "0", "20", "10"], "leaves the picture"),
+        (["--box", "0", "0", "0", "10"], "1 or more"),
+        (["--parts", "9"], "--parts 9"),
+        (["--camera", "nobody"], "the dataset has"),
+        (["--out", "a.jpg"], ".pdf, .svg, .png"),
+    ],
+)
+def test_command_compare_refuses_by_name(two, words, said, capsys):
+    assert gof(["figure", "compare", str(two / "nothing.npz"), "--dataset", str(two / "data"), *words]) != 0
+    assert said in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- fire removal
+
+
+def test_removal_shows_the_fire_alone_and_what_is_left_elsewhere(two):
+    dataset = Dataset.open(two / "data")
+    ((recorded, plate, fire, difference),) = fire_removal(dataset, 1, [0])
+    assert (recorded.title, plate.title) == ("filmed, cam_0", "plate"), "it has neither a spec nor a true velocity"
+    linear = srgb_to_linear(np.array([230, 128, 51]) / 255) - srgb_to_linear(np.full(3, 51 / 255))
+    np.testing.assert_allclose(fire.image[10, 25] / 255, linear_to_srgb(linear), atol=0.003)
+    assert fire.image[40, 10].max() == 0 and difference.note == "mean 0.0000 outside the flame"
+    assert difference.outline[10, 25] and not difference.outline[40, 10]
+
+
+@pytest.mark.long
+def test_removal_with_a_result_shows_its_plate_too(made, capsys):
+    asked = ["figure", "removal", str(made / "data"), "--result", str(made / "run"), "--camera", "cam_0"]
+    assert gof([*asked, "--out", str(made / "r.svg"), "--json", str(made / "r.json")]) == 0
+    titles = [one["title"] for one in json.loads((made / "r.json").read_text())["tiles"][0]]
+    assert titles[2] == "plate of the result" and titles[-1] == "difference"
+
+
+# ---------------------------------------------------------------- on pages
+
+
+def test_pages_have_the_tiles_with_all_that_is_drawn_over_them():
+    image = np.zeros((40, 30, 3), np.uint8)
+    tile = Tile(image, "t", "n", Wheel(2.0, "m/s"), np.array([[[5.0, 35.0], [5.0, 20.0]]]), (Box(10, 10, 12, 8),))
+    drawn = flat(tile).astype(int)
+    factor = drawn.shape[1] // 30
+    assert drawn[30 * factor, 5 * factor].min() > 150, "the arrow"
+    cyan = (drawn[..., 1] > 150) & (drawn[..., 0] < 100)
+    y, x = np.nonzero(cyan)
+    np.testing.assert_allclose([x.min(), y.min(), x.max(), y.max()], np.array([10, 10, 22, 18]) * factor, atol=factor)
+    assert in_words(tile) == "n; full brightness: 2 m/s"
+    assert flat(Tile(np.zeros((2000, 1000, 3), np.uint8))).shape == (960, 480, 3)
+    (line,) = page_pictures([[None, tile]])
+    assert line[0] is None and line[1].uri.startswith("data:image/webp;base64,")
+
+
+# ---------------------------------------------------------------- curves
+
+
+def test_accuracy_is_printed_with_names_as_they_are_and_its_points_where_they_belong(tmp_path):
+    names = (
+        "cheap $1 and $2",
+        "_hidden",
+        "a name so long that nobody could print it in a single line of a narrow legend",
+    )
+    chart = AccuracyChart("l2", names, ((10.0, 0.5), (100.0, 0.4), (1000.0, 0.45)), 0.6)
+    assert chart.front == [(10.0, 0.5), (100.0, 0.4)]
+    write_accuracy(tmp_path / "a.svg", chart)
+    write_accuracy(tmp_path / "a.pdf", chart)
+    svg = (tmp_path / "a.svg").read_text()
+    said = texts(svg)
+    for words in ("cheap $1 and $2", "hidden", "seconds to train", "DVE L2 (lower is better)", "10", "100", "1000"):
+        assert words in said, (words, said)
+    marks = re.findall(r'<use xlink:href="#m[^"]*" x="([\d.]+)" y="([\d.]+)" style="fill: #(?!000)', svg)
+    (x, y) = np.array(marks, float)[:3].T
+    assert x[1] - x[0] == pytest.approx(x[2] - x[1], rel=1e-3), "decades are as wide as each other"
+    assert (y[0] - y[1]) / (y[2] - y[1]) == pytest.approx((0.5 - 0.4) / (0.45 - 0.4), rel=1e-2)
+    assert b"/FontFile2" in (tmp_path / "a.pdf").read_bytes()
+
+
+def test_scores_of_frames_are_printed_with_gaps_and_controls(tmp_path):
+    frames = tuple(FrameScore(0.01 * k, None if k == 2 else 0.5, 0.9, 10, 0) for k in range(5))
+    agreement = {"l2": 0.5, "cos_sim": 0.9, "n": 10}
+    dve = SimpleNamespace(frames=frames)
+    scores = SimpleNamespace(dve=dve, controls={"constant": SimpleNamespace(**agreement)})
+    assert write_frame_scores(tmp_path / "l2.svg", scores)
+    svg = (tmp_path / "l2.svg").read_text()
+    line = re.search(r'<path d="([^"]*)"[^>]*stroke: #c2410c', svg)[1]
+    assert line.count("M") == 2, "cut where a frame has no score"
+    assert {"standing still", "one constant vector", "time (ms)"} <= set(texts(svg))
+    few = SimpleNamespace(dve=SimpleNamespace(frames=frames[:1]), controls={})
+    assert not write_frame_scores(tmp_path / "few.pdf", few) and not (tmp_path / "few.pdf").exists()
+
+
+def test_the_leaderboard_prints_its_charts(two, capsys):
+    board = two / "board"
+    assert gof(["evaluate", str(two / "nothing.npz"), "--truth", str(two / "data"), "--out", str(board)]) == 0
+    (board / "method.json").write_text(json.dumps({"name": "none", "train_seconds": 12}))
+    assert gof(["leaderboard", str(board), "--out", str(two / "lb"), "--figure", "pdf", "svg"]) == 0
+    files = sorted(path.name for path in (two / "lb").glob("accuracy_*"))
+    assert files == [f"accuracy_{score}_flame.{kind}" for score in ("psnr", "ssim") for kind in ("pdf", "svg")]
