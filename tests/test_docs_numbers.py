@@ -29,7 +29,7 @@ NOT_MEASURED = {  # (page, heading): what its figures are
     ("docs/renderer.md", "Dr.Jit arrays, differentiable"): "an example",
     ("docs/renderer.md", "torch, as gsplat"): "limits of the functions",
     ("docs/renderer.md", "Odd cases, and what happens in each"): "limits of the functions",
-    ("docs/renderer.md", "How it works"): "limits of the functions",
+    ("docs/renderer_inside.md", "How it works"): "limits of the functions",
 }
 
 

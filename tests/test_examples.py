@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^(?:\$ )?(?:gof|python|make|blender) .*$", re.MULTILINE)
-GROUPS = ("capture", "study", "benchmark")  # `gof GROUP WORK`: each work has options of its own
+GROUPS = ("capture", "figure", "study", "benchmark")  # `gof GROUP WORK`: each work has options of its own
 BLENDER, OTHERS, HOURS = (
     "needs Blender's window or an add-on installed in it",
     "needs other people's code",

@@ -115,6 +115,12 @@ def _chart(folder):
     pareto_figures([Row(name="ours", method="gof", l2=0.3, train_s=3.0)])
 
 
+def _figure(folder):
+    from gof.show.paper import require_figure
+
+    require_figure(folder / "figure.pdf")
+
+
 def _workers(folder):
     from gof_benchmark.generator.graph import cluster
 
@@ -135,6 +141,7 @@ def _workers(folder):
         (_viewer, "viser", "view"),
         (_witness, "mitsuba", "mitsuba"),
         (_chart, "plotly.graph_objects", "leaderboard"),
+        (_figure, "matplotlib.figure", "figures"),
         (_workers, "distributed", "generate"),
     ],
 )

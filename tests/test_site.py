@@ -6,8 +6,11 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote, urlparse
 
 import pytest
+
+from gof_benchmark.evidence.browser import Browser, chromium
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -22,13 +25,50 @@ def test_every_page_is_in_the_navigation_once():
     assert all((ROOT / page).is_file() for page in NAV)
 
 
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    if importlib.util.find_spec("mkdocs") is None:
+        pytest.skip("mkdocs is not installed: pip install '.[site]'")
+    folder = tmp_path_factory.mktemp("site")
+    subprocess.run([sys.executable, str(ROOT / "tools/site.py"), str(folder)], check=True)
+    return folder
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("mkdocs") is None, reason="mkdocs is not installed: pip install '.[site]'")
-def test_the_site_is_built_and_no_link_of_it_leads_nowhere(tmp_path):
-    subprocess.run([sys.executable, str(ROOT / "tools/site.py"), str(tmp_path)], check=True)
-    page = (tmp_path / "docs/reference.html").read_text(encoding="utf-8")
+def test_the_site_is_built_and_no_link_of_it_leads_nowhere(site):
+    page = (site / "docs/reference.html").read_text(encoding="utf-8")
     assert "standard deviation along the Gaussian" in page, "the reference holds the docstrings"
-    assert not re.findall(r'(?:src|<link[^>]*href)="https?://[^"]*', page), "nothing is fetched"
+    assert not re.findall(r'(?:src|<link[^>]*href)=(?:"?https?://|//)[^" >]*', page), "nothing is fetched"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(chromium() is None, reason="no Chromium here: the site is not opened")
+@pytest.mark.parametrize("page", ["index.html", "docs/figures.html"])
+def test_search_works_from_a_disk(site, page):
+    """Without a server, where browsers start no worker; and nothing but the site's own files is asked for."""
+    with Browser() as browser:
+        browser.ask("Emulation.setFocusEmulationEnabled", {"enabled": True})
+        browser.open((site / page).as_uri())
+        links = browser.run(SEARCH % "tomography", seconds=120)
+        assert links and all(link.startswith(site.as_uri()) for link in links)
+        found = [Path(unquote(urlparse(link).path)) for link in links]
+        assert any("tomography" in path.read_text(encoding="utf-8").lower() for path in found)
+        assert browser.errors == []
+        assert all(address.startswith(("file:", "about:")) for address in browser.requests)
+
+
+SEARCH = """new Promise(async (done) => {
+    const pause = (ms) => new Promise((after) => setTimeout(after, ms));
+    const input = document.querySelector(".md-search__input");
+    const links = () => [...document.querySelectorAll(".md-search-result__link")].map((a) => a.href);
+    input.focus();
+    input.value = "%s";
+    for (let k = 0; k < 400 && !links().length; k++) {
+        input.dispatchEvent(new KeyboardEvent("keyup", { bubbles: true }));
+        await pause(250);
+    }
+    done(links());
+})"""
 
 
 @pytest.mark.slow

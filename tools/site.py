@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "tools" / "site.yml"
 PAGES = ("README.md", "CONTRIBUTING.md", "docs/**/*.md", "benchmark/**/README.md", "firmware/README.md")
-STYLE = ROOT / "tools" / "site.css"
+BESIDE = (ROOT / "tools" / "site.css", ROOT / "tools" / "iframe-worker.js")
 LINK = re.compile(r"\]\(([^)#\s]+)")
 
 
@@ -35,7 +35,8 @@ def build(out: Path) -> int:
     with tempfile.TemporaryDirectory() as temporary:
         pages = Path(temporary) / "pages"
         stage(pages)
-        shutil.copyfile(STYLE, pages / STYLE.name)
+        for path in BESIDE:
+            shutil.copyfile(path, pages / path.name)
         config = Path(temporary) / "mkdocs.yml"
         config.write_text(f"docs_dir: {pages}\n{CONFIG.read_text(encoding='utf-8')}", encoding="utf-8")
         command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean", "-f", str(config)]

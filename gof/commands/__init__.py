@@ -50,6 +50,11 @@ COMMANDS = {
     "video": Command(
         "gof.commands.video", "results as a film from any view: picture, depth, velocity, side by side", 108
     ),
+    "figure": Command(
+        "gof.commands.figure",
+        "figures for papers, of your own data: what a method sees and makes, as PDF, SVG or PNG",
+        109,
+    ),
     "capture": Command(
         "gof.commands.capture", "the camera rig: LED board, frame times from footage, calibration, board masks", 120
     ),

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 from rich.table import Table
 
+from gof.commands.figure_compare import moment_of
 from gof.dataset import Dataset
-from gof.evaluate.leaderboard import COLUMNS, Leaderboard, Row, collect, rows_of, to_csv, to_markdown, used_columns
-from gof.evaluate.leaderboard_page import stream_plots, to_html
+from gof.errors import GofError
+from gof.evaluate.accuracy_chart import accuracy_charts
+from gof.evaluate.leaderboard import (
+    COLUMNS,
+    EvaluatedResult,
+    Leaderboard,
+    Row,
+    collect,
+    rows_of,
+    to_csv,
+    to_markdown,
+    used_columns,
+)
+from gof.evaluate.leaderboard_page import PagePicture, stream_plots, to_html
 from gof.files import atomic_path
 from gof.options import require_number
 from gof.records import write_record
+from gof.show.comparison import comparison, scored_subject
+from gof.show.curves import Kind, write_accuracy
+from gof.show.flat import page_pictures
+from gof.show.paper import require_figure
 from gof.terminal import console
 
 SHOWN = (
@@ -30,18 +48,20 @@ SHOWN = (
 
 @dataclass
 class LeaderboardConfig:
-    """Evaluated results side by side: table, stream plots of velocity, accuracy against time."""
+    """Evaluated results side by side: table, pictures with errors, stream plots of velocity, accuracy against time."""
 
     folders: tyro.conf.Positional[list[Path]]
     """Folders with scores.json of gof evaluate; also method.json ("name", "train_seconds") and costs.json, if there."""
     truth: Path | None = None
-    """Dataset folder: adds stream plots with the truth beside each method."""
+    """Dataset folder: adds the results' pictures side by side, and stream plots with the truth beside each method."""
     out: Path = Path("out/leaderboard")
     """Folder for leaderboard.json, .csv, .md and .html; older ones are replaced."""
     title: str = "Leaderboard"
     """Heading of the page."""
     time: float | None = None
-    """Time of the stream plots in seconds; default the middle frame."""
+    """Time of pictures and stream plots in seconds; default the held-out frame with most flame, and the middle one."""
+    figure: tuple[Kind, ...] = ()
+    """Also write the charts of accuracy against time for print: OUT/accuracy_l2.pdf and so on."""
     json: Path | None = None
     """Another file to write the rows to."""
 
@@ -53,13 +73,24 @@ def main(argv: list[str]) -> int:
     results = collect(config.folders)
     rows = rows_of(results)
     streams = stream_plots(results, Dataset.open(config.truth), config.time) if config.truth else []
+    charts = [
+        (chart, config.out / f"accuracy_{chart.key}.{kind}")
+        for chart in accuracy_charts(rows)
+        for kind in config.figure
+    ]
+    if charts:
+        require_figure(*(path for _, path in charts))
     write_record(config.out / "leaderboard.json", Leaderboard(tuple(rows)))
     if config.json is not None:
         write_record(config.json, Leaderboard(tuple(rows)))
-    pages = {"csv": to_csv(rows), "md": to_markdown(rows), "html": to_html(rows, streams, config.title)}
+    pictures, pictures_of = _side_by_side(results, config) if config.truth else ([], "")
+    page = to_html(rows, streams, config.title, pictures, pictures_of)
+    pages = {"csv": to_csv(rows), "md": to_markdown(rows), "html": page}
     for suffix, text in pages.items():
         with atomic_path(config.out / f"leaderboard.{suffix}") as temporary:
             temporary.write_text(text, encoding="utf-8")
+    for chart, path in charts:
+        write_accuracy(path, chart)
     out = console()
     out.print(_table(config.title, rows))
     for stream in streams:
@@ -67,7 +98,26 @@ def main(argv: list[str]) -> int:
             note = f"note: no stream plot of {stream.name}: {stream.reason}"
             out.print(note, style="yellow")
     out.print(f"written to {config.out}/leaderboard.html, .json, .csv, .md")
+    if charts:
+        out.print(f"for print: {', '.join(path.name for _, path in charts)}")
     return 0
+
+
+def _side_by_side(
+    results: list[EvaluatedResult], config: LeaderboardConfig
+) -> tuple[list[list[PagePicture | None]], str]:
+    """The page's grid of pictures of the results that are still there, and what it is of."""
+    dataset = Dataset.open(config.truth)
+    moment = moment_of(dataset, len(dataset.cameras) // 2, config.time)
+    subjects = []
+    for result in results:
+        with suppress(GofError):  # a result that is gone is named with the stream plots
+            subjects.append(scored_subject(result, moment))
+    if not subjects:
+        return [], ""
+    held_out = "held out" if moment.frame in dataset.test_frames else "not held out"
+    said = f"{moment.camera.name}, frame {moment.frame} at {moment.time_s:.3f} s, {held_out}"
+    return page_pictures(comparison(subjects, moment)), said
 
 
 def _table(title: str, rows: list[Row]) -> Table:

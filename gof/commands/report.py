@@ -14,6 +14,11 @@ from gof.evaluate.scores import Scores
 from gof.files import write_json
 from gof.progress import progress_bar
 from gof.report import Preview, build_report
+from gof.report.animation import brightest_frame
+from gof.show.curves import Kind, write_frame_scores
+from gof.show.fire_removal import fire_removal
+from gof.show.flat import page_pictures
+from gof.show.paper import require_figure
 
 
 @dataclass
@@ -32,6 +37,8 @@ class ReportConfig:
     """Result file; default OUT/result.npz, or OUT/reconstruct/result.npz."""
     camera: int | None = None
     """Number of the camera of the animation; default the middle one."""
+    figure: tuple[Kind, ...] = ()
+    """Also write the chart of L2 over time for print: OUT/pictures/l2.pdf and so on."""
     json: Path | None = None
     """Also write the page's name and size to this file."""
 
@@ -46,6 +53,10 @@ def main(argv: list[str]) -> int:
         raise GofError(f"--camera {config.camera}: the dataset has cameras 0 to {len(dataset.cameras) - 1}")
     result = config.result or _result_in(out)
     preview = Preview.read(out / "preview.json") if (out / "preview.json").exists() else None
+    charts = [out / "pictures" / f"l2.{kind}" for kind in config.figure]
+    if charts:
+        require_figure(*charts)
+    removal = fire_removal(dataset, brightest_frame(dataset), range(len(dataset.cameras)), result)
     with progress_bar("report") as progress:
         path = build_report(
             out,
@@ -55,8 +66,12 @@ def main(argv: list[str]) -> int:
             _stages([dataset.path, result.parent, out]),
             preview,
             camera=config.camera,
+            fire_removal=page_pictures(removal),
             progress=progress,
         )
+    for chart in charts:
+        if not write_frame_scores(chart, scores):
+            print(f"{chart}: not written, fewer than two frames have a score of velocity")
     if config.json:
         write_json(config.json, {"report": str(path), "bytes": path.stat().st_size})
     print(f"{path} ({path.stat().st_size / 2**20:.1f} MB)")

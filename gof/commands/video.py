@@ -12,6 +12,7 @@ from gof.commands.foreign_options import ForeignOptions
 from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.errors import GofError
+from gof.evaluate.scoring import is_flame_alone
 from gof.files import digest, write_json
 from gof.gaussians import TransientGaussians
 from gof.io.importers import ImportOptions
@@ -84,6 +85,8 @@ class VideoConfig:
     """What the results are called, in their order; default: their folders' names."""
     frame_time: float | None = None
     """Seconds between two frames, for results that count frames."""
+    flame_only: bool = False
+    """Other methods' results are flames alone: draw them over a camera's plate too, as ours are."""
     keep_frames: bool = False
     """Leave the frames as PNGs in the folder OUT.frames."""
     json: Path | None = None
@@ -104,14 +107,14 @@ def main(argv: list[str]) -> int:
     stop = (span[0] + span[1]) / 2 if config.stop is None else config.stop
     if not span[0] <= stop <= span[1]:
         raise GofError(f"--stop {stop:g}: the clip is from {span[0]:g} to {span[1]:g} s")
-    number = _camera_number(config.camera, dataset)
+    number = camera_number(config.camera, dataset)
     journey = _journey(config, results, dataset, number, stop)
     if out.suffix.lower() == STILL:
         config = replace(config, time="freeze", seconds=1 / config.fps)
     times, along = clock(config.time, span, config.slow, config.seconds, config.fps, stop)
     film_shots = shots(journey, times, along)
     still = None if config.scene is None else _still_scene(config.scene, options)
-    subjects, behind = _subjects(results, still, dataset, number, film_shots[0], config.path)
+    subjects, behind = _subjects(results, still, dataset, number, film_shots[0], config)
     recorded = _recorded(config, dataset, number)
     look = FilmOptions(config.panels, config.fps, config.reduced, config.keep_frames)
     with progress_bar("video") as progress:
@@ -162,7 +165,7 @@ def _span(results: list[Opened], dataset: Dataset | None) -> tuple[float, float]
     return min(first for first, _ in spans), max(last for _, last in spans)
 
 
-def _camera_number(name: str | None, dataset: Dataset | None) -> int | None:
+def camera_number(name: str | None, dataset: Dataset | None) -> int | None:
     """Of the dataset's camera of that name, by default the middle one; None without a dataset."""
     if dataset is None:
         if name is not None:
@@ -207,7 +210,7 @@ def _subjects(
     dataset: Dataset | None,
     number: int | None,
     first: Shot,
-    way: Way,
+    config: VideoConfig,
 ) -> tuple[list[Subject], dict[str, str]]:
     """The results with what lies behind them, and the latter in words by name."""
     subjects, words = [], {}
@@ -217,7 +220,9 @@ def _subjects(
             said = "its own still scene"
         elif still is not None:
             scene, said = still, "the still scene of --scene"
-        elif way == "camera":
+        elif not is_flame_alone(result.gaussians, result.method, config.flame_only):
+            said = "nothing, so black: another method's Gaussians may be the whole scene (else --flame-only)"
+        elif config.path == "camera":
             plate = fitted(background(dataset, number, result.path), first.camera.width, first.camera.height)
             said = f"the plate of {dataset.cameras[number].name}"
         else:
@@ -236,7 +241,7 @@ def _made_of(config: VideoConfig, results: list[Opened], dataset: Dataset | None
     files = [result.path for result in results] + ([config.scene] if config.scene else [])
     digests = [digest(file) if file.is_file() else str(file.resolve()) for file in files]
     plates = "" if dataset is None else dataset.identity()
-    return " ".join([*digests, plates, repr(config.foreign), repr(config.frame_time)])
+    return " ".join([*digests, plates, repr(config.foreign), repr(config.frame_time), str(config.flame_only)])
 
 
 def _figures(film) -> dict:

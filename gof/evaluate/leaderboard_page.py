@@ -14,7 +14,8 @@ from PIL import Image
 from gof import extras
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
-from gof.evaluate.leaderboard import COLUMNS, LOWER, EvaluatedResult, Row, best_rows, pareto, used_columns
+from gof.evaluate.accuracy_chart import AccuracyChart, accuracy_charts
+from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult, Row, best_rows, used_columns
 from gof.evaluate.sparse_grid import StoredField
 from gof.evaluate.streams import plots
 from gof.gaussians import MovingGaussians
@@ -23,7 +24,6 @@ from gof.io.importers import ImportOptions, read_result
 COLORS = ("#1769aa", "#c2410c", "#15803d", "#7e22ce", "#be123c", "#0e7490", "#854d0e", "#4b5563")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "star", "x", "triangle-down", "hexagon")
 PLOTLY = ("leaderboard", "a chart of score against time")  # the extra, and what for
-CHARTS = ("l2", "cos_sim", "psnr_flame", "ssim_flame")  # scores that are drawn against the time they took
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,14 @@ def read_again(result: EvaluatedResult) -> MovingGaussians:
         DataFormatError: the file is gone, or damaged.
     """
     origin = result.scores.import_
+    options = ImportOptions() if origin.options is None else origin.options.options()
+    gaussians = read_result(scored_file(result), options).gaussians
+    return gaussians if origin.alignment is None else gaussians.transformed(np.array(origin.alignment.matrix))
+
+
+def scored_file(result: EvaluatedResult) -> Path:
+    """The file behind the scores. Raises DataFormatError: it is gone."""
+    origin = result.scores.import_
     candidates = [result.folder / "result.npz", result.folder / "reconstruct" / "result.npz"]
     if origin.path is not None:
         candidates.insert(0, Path(origin.path))
@@ -69,9 +77,7 @@ def read_again(result: EvaluatedResult) -> MovingGaussians:
     if path is None:
         looked = ", ".join(map(str, candidates))
         raise DataFormatError(f"{result.folder}: the result is not there any more (looked for {looked})")
-    options = ImportOptions() if origin.options is None else origin.options.options()
-    gaussians = read_result(path, options).gaussians
-    return gaussians if origin.alignment is None else gaussians.transformed(np.array(origin.alignment.matrix))
+    return path
 
 
 def _uri(picture: Image.Image) -> str:
@@ -82,58 +88,68 @@ def _uri(picture: Image.Image) -> str:
 
 def pareto_figures(rows: Sequence[Row]) -> list[str]:
     """HTML of plotly charts: seconds to train (log) against a score, with the front that nobody beats."""
-    constant = next((row for row in rows if row.control and row.name.endswith("constant")), None)
-    out = []
-    for key in CHARTS:
-        shown = [row for row in rows if not row.control and getattr(row, key) is not None and row.train_s]
-        if shown:
-            out.append(_pareto_figure(key, shown, None if constant is None else getattr(constant, key)))
-    return out
+    return [_pareto_figure(chart) for chart in accuracy_charts(rows)]
 
 
-def _pareto_figure(key: str, shown: Sequence[Row], constant: float | None) -> str:
+def _pareto_figure(chart: AccuracyChart) -> str:
     go = extras.load("plotly.graph_objects", *PLOTLY)
-    column = COLUMNS[key]
-    points = [(row.train_s, getattr(row, key)) for row in shown]
-    front = [points[i] for i in pareto(points, column.better)]
     figure = go.Figure()
     figure.add_scatter(
-        x=[seconds for seconds, _ in front],
-        y=[score for _, score in front],
+        x=[seconds for seconds, _ in chart.front],
+        y=[score for _, score in chart.front],
         mode="lines",
         line={"color": "#e8772e", "shape": "hv"},
         name="nobody is better and faster",
         hoverinfo="skip",
     )
-    for number, (row, (seconds, score)) in enumerate(zip(shown, points, strict=True)):
+    for number, (name, (seconds, score)) in enumerate(zip(chart.names, chart.points, strict=True)):
         marker = {"size": 12, "color": COLORS[number % len(COLORS)], "symbol": SYMBOLS[number % len(SYMBOLS)]}
-        figure.add_scatter(x=[seconds], y=[score], mode="markers", name=row.name, marker=marker)
-    if constant is not None:
+        figure.add_scatter(x=[seconds], y=[score], mode="markers", name=name, marker=marker)
+    if chart.constant is not None:
         figure.add_hline(
-            y=constant,
+            y=chart.constant,
             line={"dash": "dot", "color": "#777"},
             annotation_text="one constant vector",
             annotation_position="top right",
         )
-    arrow = "lower is better" if column.better == LOWER else "higher is better"
     figure.update_layout(
         template="plotly_white",
         height=420,
         margin={"l": 64, "r": 24, "t": 44, "b": 50},
         legend={"orientation": "h", "y": -0.22, "font": {"size": 12}},
-        title={"text": f"{column.heading} ({arrow})", "font": {"size": 15}},
+        title={"text": chart.title, "font": {"size": 15}},
     )
-    times_s = [seconds for seconds, _ in points]
+    times_s = [seconds for seconds, _ in chart.points]
     low, high = np.log10([0.7 * min(times_s), 1.4 * max(times_s)])
     ticks = [f * 10.0**k for k in range(int(np.floor(low)), int(np.ceil(high))) for f in (1, 2, 5)]
     texts = [f"{tick:g}" for tick in ticks]
     figure.update_xaxes(type="log", title="seconds to train", range=[low, high], tickvals=ticks, ticktext=texts)
-    figure.update_yaxes(title=column.heading)
+    figure.update_yaxes(title=chart.heading)
     return figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True})
 
 
-def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str) -> str:
-    """The page; everything is inside it."""
+@dataclass(frozen=True)
+class PagePicture:
+    """A picture of a page as a data URI, with what stands above it and below."""
+
+    uri: str
+    title: str = ""
+    note: str = ""
+
+
+def to_html(
+    rows: Sequence[Row],
+    streams: Sequence[StreamPlots],
+    title: str,
+    pictures: Sequence[Sequence[PagePicture | None]] = (),
+    pictures_of: str = "",
+) -> str:
+    """The page; everything is inside it.
+
+    Args:
+        pictures: rows of a grid that compares the results; None leaves a place empty.
+        pictures_of: which camera and frame they are of.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     charts = pareto_figures(rows)
@@ -149,6 +165,8 @@ def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str) -> 
         table=list(zip(rows, cells, strict=True)),
         rows_of_others=any(row.other_footage for row in rows),
         streams=streams,
+        pictures=pictures,
+        pictures_of=pictures_of,
         charts=charts,
         plotlyjs=extras.load("plotly.offline", *PLOTLY).get_plotlyjs() if charts else "",
     )

@@ -24,15 +24,15 @@ from gof.reconstruct import ablations, stage_images
 from gof.reconstruct.background import BackgroundOptions, still_gaussians
 from gof.reconstruct.checkpoint import Spent, read_spent
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
-from gof.reconstruct.flow_field import FlowField, seen_flow_field
-from gof.reconstruct.flow_prior import FlowPrior
+from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import Method, rates_in_voxels
-from gof.reconstruct.observation import Observation, observe
+from gof.reconstruct.observation import Observation
 from gof.reconstruct.optical_flow import Flow
 from gof.reconstruct.optimize import Schedule, Units, optimize
 from gof.reconstruct.presets import STILL_STEPS
 from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
+from gof.reconstruct.seen import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
 
@@ -86,8 +86,7 @@ class Reconstruction:
 def see_motion(run: Run) -> Observation:
     """Pictures, masks, plates and optical flow of the training frames, changed as the ablation wants."""
     with run.log.measure("motion") as figures, progress_bar("motion") as progress:
-        observation = observe(run.dataset, run.method, run.flow, progress=progress)
-        observation = ablations.change_plates(run.settings.ablation, observation)
+        observation = observation_of(run.dataset, run.settings, run.flow, progress)
         stage_images.save_observation(run.out / "stages", observation)
         figures.update(frames=len(observation.frames), cameras=len(observation.cameras))
     _say_what_from(run, observation)
@@ -98,12 +97,8 @@ def _say_what_from(run: Run, observation: Observation) -> None:
     """Which frames, and what that was learned elsewhere, everything that follows comes from."""
     plates = [f"plates/{camera.name}.png" for camera in run.dataset.cameras]
     still = plates if run.settings.scene == "plates" else ["background.npz"]
-    learned = ["flow_prior"] if _uses_flow_prior(run) else []
+    learned = ["flow_prior"] if uses_flow_prior(run.settings) else []
     MadeFrom.of(["seeds.npz", *still, "result.npz", "result.ply"], observation.frames, learned).write(run.out)
-
-
-def _uses_flow_prior(run: Run) -> bool:
-    return run.settings.flow_prior and run.method.flow_prior
 
 
 # ---- Still scene: what the flame burns in, where it is not a plate ---------------------------------------------------
@@ -134,9 +129,7 @@ def still_steps(settings: ReconstructionSettings) -> int:
 def make_flow_field(run: Run, observation: Observation) -> FlowField:
     """The flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
     with run.log.measure("flow_field") as figures, progress_bar("flow field") as progress:
-        field = seen_flow_field(observation, run.method, run.settings.voxels, progress)
-        if _uses_flow_prior(run):
-            field = FlowPrior.load().correct(field, metres=run.dataset.description.in_metres)
+        field = flow_field_of(run.dataset, run.settings, observation, progress)
         stage_images.save_flow_field(run.out / "stages", field)
         voxels = field.voxels
         figures.update(

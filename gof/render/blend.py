@@ -1,7 +1,7 @@
 """Front-to-back alpha blending and its adjoint: one Dr.Jit lane draws one 4x4 pixel block.
 
 The 16 pixels of a block are unrolled in Python, so one fetched Gaussian serves 16 pixels and one gradient scatter
-collects from 16 pixels. See docs/renderer.md for the picture.
+collects from 16 pixels. See docs/renderer_inside.md for the picture.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from gof.costs import StageCost
 from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.errors import DataFormatError
+from gof.evaluate.leaderboard_page import PagePicture
 from gof.evaluate.scores import Scores
 from gof.files import atomic_path, path_in
 from gof.gaussians import TransientGaussians
@@ -34,6 +35,7 @@ def build_report(
     preview: Preview | None = None,
     stage_pictures: Path | None = None,
     camera: int | None = None,
+    fire_removal: Sequence[Sequence[PagePicture]] = (),
     progress: Callable[..., None] | None = None,
 ) -> Path:
     """Write out_dir/report.html, and out_dir/pictures/animation.webp and .png for use elsewhere; replaces older ones.
@@ -46,6 +48,7 @@ def build_report(
         stage_pictures: folder of PNGs with their captions (`gof.reconstruct.captions`); default: "stages" beside
             `result`.
         camera: number of the camera of the animation; default the middle one.
+        fire_removal: rows of pictures that show what the plates are worth, one for each camera.
         progress: progress(done, total, stage=name).
     Returns:
         path of report.html.
@@ -84,6 +87,7 @@ def build_report(
         "chart": l2_chart(scores),
         "stages": list(stages),
         "preview": _preview(preview, out_dir, dataset),
+        "fire_removal": fire_removal,
         "stage_pictures": _stage_pictures(stage_pictures or result.parent / "stages"),
         "machine": machine(),
         "versions": versions() | _provenance(dataset),

@@ -46,9 +46,16 @@ def screen_velocity(
     return _mean_along_rays(gaussians, camera, time_s, flow)
 
 
-def sideways_velocity(gaussians: TransientGaussians, camera: Camera, time_s: float) -> ScreenVelocity:
-    """What of the velocity is parallel to the picture, in m/s instead of px/s: the same from near and from far."""
-    return _mean_along_rays(gaussians, camera, time_s, gaussians.velocity @ camera.world_to_camera[:2, :3].T)
+def sideways_velocity(
+    gaussians: TransientGaussians, camera: Camera, time_s: float, velocity: np.ndarray | None = None
+) -> ScreenVelocity:
+    """What of the gas' velocity is parallel to the picture, in m/s instead of px/s: the same from near and from far.
+
+    Args:
+        velocity: (N, 3) m/s to show in place of their own; where they are drawn does not change.
+    """
+    v = gaussians.moving_gas if velocity is None else velocity
+    return _mean_along_rays(gaussians, camera, time_s, v @ camera.world_to_camera[:2, :3].T)
 
 
 def _mean_along_rays(
@@ -75,14 +82,30 @@ def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray
         longest: speed of full brightness, in the velocity's unit; an arrow of that speed reaches its neighbour.
         scale: whole factor by which the panel is larger than the picture.
     """
-    color = direction_colors(velocity.flow, longest) * velocity.alpha[..., None] + GROUND * (
-        1 - velocity.alpha[..., None]
-    )
     height, width = velocity.alpha.shape
-    spacing_px = width / ARROWS_ACROSS
-    panel = cv2.resize(
-        (color * 255 + 0.5).astype(np.uint8), (scale * width, scale * height), interpolation=cv2.INTER_CUBIC
-    )
+    panel = cv2.resize(colours(velocity, longest), (scale * width, scale * height), interpolation=cv2.INTER_CUBIC)
+    for tail, head in arrows(velocity, longest):
+        ends = [tuple(round(c * scale * 16) for c in end) for end in (tail.tolist(), head.tolist())]  # 1/16 px
+        cv2.arrowedLine(panel, *ends, (255, 255, 255), 1, cv2.LINE_AA, shift=4, tipLength=0.35)
+    return panel
+
+
+def colours(velocity: ScreenVelocity, longest: float) -> np.ndarray:
+    """(H, W, 3) uint8: direction colours over a dark ground; `longest` as in `draw`."""
+    alpha = velocity.alpha[..., None]
+    color = direction_colors(velocity.flow, longest) * alpha + GROUND * (1 - alpha)
+    return (color * 255 + 0.5).astype(np.uint8)
+
+
+def arrows(velocity: ScreenVelocity, longest: float, across: int = ARROWS_ACROSS) -> np.ndarray:
+    """(A, 2, 2) tails and heads in px (x, y), on a grid with `across` places from left to right; faint ones left out.
+
+    Args:
+        longest: as in `draw`.
+    """
+    height, width = velocity.alpha.shape
+    spacing_px = width / across
+    found = []
     for y in np.arange(spacing_px / 2, height, spacing_px):
         for x in np.arange(spacing_px / 2, width, spacing_px):
             i, j = int(y), int(x)
@@ -93,10 +116,8 @@ def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray
             if size < 0.1 * spacing_px:
                 continue
             arrow *= min(1.0, 1.2 * spacing_px / size)
-            tail, head = (np.array([x, y]) - arrow / 2) * scale, (np.array([x, y]) + arrow / 2) * scale
-            ends = [tuple(round(c * 16) for c in p.tolist()) for p in (tail, head)]  # 1/16 px
-            cv2.arrowedLine(panel, *ends, (255, 255, 255), 1, cv2.LINE_AA, shift=4, tipLength=0.35)
-    return panel
+            found.append((np.array([x, y]) - arrow / 2, np.array([x, y]) + arrow / 2))
+    return np.array(found).reshape(-1, 2, 2)
 
 
 def legend(size: int = 160) -> np.ndarray:

@@ -108,10 +108,10 @@ def depth_colours(depth: np.ndarray, alpha: np.ndarray, scales: Scales) -> np.nd
     return to_bytes(alpha[..., None] * colour + (1 - alpha[..., None]) * GROUND)
 
 
-def error_colours(drawn: np.ndarray, recorded: np.ndarray) -> np.ndarray:
-    """(H, W, 3) uint8 of two pictures (H, W, 3) uint8: the mean difference of the channels, black none, bright 0.5."""
+def error_colours(drawn: np.ndarray, recorded: np.ndarray, most: float = MOST_ERROR) -> np.ndarray:
+    """(H, W, 3) uint8 of two pictures (H, W, 3) uint8: the channels' mean difference, black none, bright `most`."""
     error = np.abs(drawn.astype(np.float32) - recorded).mean(-1) / 255
-    share = np.uint8(255 * np.clip(error / MOST_ERROR, 0, 1) + 0.5)
+    share = np.uint8(255 * np.clip(error / most, 0, 1) + 0.5)
     return np.ascontiguousarray(cv2.applyColorMap(share, ERROR_COLOURS)[..., ::-1])
 
 

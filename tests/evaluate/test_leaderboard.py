@@ -163,6 +163,9 @@ def test_page(results, capsys):
     assert "A &lt;board&gt;" in page and "Exact | &lt;b&gt;method" in page
     assert not re.search(r'<(script|link|img)[^>]+(src|href)="(?!data:)', page)  # nothing is loaded from elsewhere
     assert page.count('<img src="data:image/png;base64') == 8 and page.count('class="plotly-graph-div"') == 2
+    side_by_side = 'alt="(truth|Exact[^"]*|slow|enlarged part|error[^"]*|true velocity|velocity)"'
+    assert len(re.findall(side_by_side, page)) == 3 * (1 + 2 + 1 + 1), "of truth, exact and slow; of gone nothing"
+    assert "held out. Each result is drawn as it was scored" in page
     assert read_record(Leaderboard, out / "leaderboard.json").rows == tuple(rows_of(collect([*map(Path, arguments)])))
     assert (out / "leaderboard.csv").is_file() and (out / "leaderboard.md").is_file()
 

@@ -65,8 +65,9 @@ def test_all_images_decode_and_the_animation_has_every_frame(out, page):
     ]
     for image in images:
         image.load()
-    # animation, still, legend, truth/reconstruction/difference of 2 cameras, preview pair, one stage picture
-    assert len(images) == 3 + 6 + 2 + 1
+    # animation, still, legend, truth/reconstruction/difference of 2 cameras, preview pair, one stage picture,
+    # and of each camera picture, plate, light above it, difference
+    assert len(images) == 3 + 6 + 2 + 1 + 2 * 4
     animated = [i for i in images if getattr(i, "n_frames", 1) > 1]
     assert len(animated) == 1 and animated[0].n_frames == len(Dataset.open(out / "dataset").times_s)
     assert (out / "pictures/animation.webp").stat().st_size > 1000 and (out / "pictures/animation.png").exists()

@@ -221,6 +221,17 @@ def test_command_from_a_camera_has_its_plate_and_what_it_recorded(made, capsys):
     assert abs(int(frames[0][60, 73].mean()) - 64) < 6, "the plate, 0.25"
 
 
+def test_another_methods_gaussians_are_not_helped_by_our_plate(made, capsys):
+    """They may be the whole scene: `gof evaluate` draws them over black, and so does a film."""
+    assert gof(["convert", str(made / "fire.npz"), str(made / "theirs.ftgs.ply")]) == 0
+    asked = ["video", str(made / "theirs.ftgs.ply"), "--dataset", str(made / "data"), "--path", "camera"]
+    asked += ["--time-unit", "0.2", "--panels", "rgb", "--out", str(made / "b.png")]
+    for words, said, level in (([], "may be the whole scene", 0), (["--flame-only"], "the plate of", 64)):
+        assert gof([*asked, *words]) == 0
+        assert said in " ".join(capsys.readouterr().out.split())
+        assert abs(int(cv2.imread(str(made / "b.png"))[60, 33].mean()) - level) < 6
+
+
 def test_command_two_results_and_a_still_scene(made, capsys):
     one((0, 1, 1), dynamic=False, scale=0.5, color=(0, 0, 1)).save(made / "still.npz")
     flame(20).save(made / "other.npz")

@@ -1,7 +1,7 @@
 """Front-to-back alpha blending and its adjoint: the 16 pixels of a block are one vector, and walk the block's list.
 
-The mathematics and its derivation stand in `gof.render.blend` and docs/renderer.md. A Gaussian's record is a cache
-line: mean_x, mean_y, a, b, c, log2_opacity and up to ten channels. Its gradient is one too, made of `block_sums`.
+The mathematics and its derivation stand in `gof.render.blend` and docs/renderer_inside.md. A Gaussian's record is a
+cache line: mean_x, mean_y, a, b, c, log2_opacity and up to ten channels. Its gradient is one too, made of `block_sums`.
 """
 
 from __future__ import annotations

@@ -1,0 +1,45 @@
+"""`gof figure`: names its parts and loads only the one that is asked for."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+PARTS = {
+    "modalities": (
+        "gof.commands.figure_modalities",
+        "of one camera and time: picture, plate, mask, depth, optical flow, flow field, seeds, result, velocities",
+    ),
+    "compare": (
+        "gof.commands.figure_compare",
+        "results beside what was recorded: pictures, enlarged parts, errors, velocities",
+    ),
+    "removal": ("gof.commands.figure_removal", "fire removal: picture, plate, what was taken out, what is left"),
+}
+
+HELP = """\
+gof figure - figures for papers, of your own data: PDF and SVG with letters and lines as vectors, or PNG.
+
+usage: gof figure PART [OPTIONS]        gof figure PART --help explains one part
+
+{parts}
+
+what people type:
+  gof figure modalities out/fire --dataset data/fire --out modalities.pdf
+  gof figure compare out/fire out/other.ply --names ours theirs --dataset data/fire --out compare.pdf
+  gof figure removal data/fire --out removal.pdf
+
+Figures need the extra "figures" (matplotlib). Every part writes what its tiles show with --json FILE. Films and single
+panels: gof video.
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Make one figure."""
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(HELP.format(parts="\n".join(f"  {name:<11} {text}" for name, (_, text) in PARTS.items())))
+        return 0
+    if argv[0] not in PARTS:
+        print(f"gof figure: no part '{argv[0]}'; parts: {', '.join(PARTS)}", file=sys.stderr)
+        return 2
+    return importlib.import_module(PARTS[argv[0]][0]).main(argv[1:]) or 0

@@ -1,0 +1,106 @@
+"""`gof figure modalities`: all that a method sees and makes of one picture, side by side."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from gof.commands.video import camera_number
+from gof.dataset import Dataset
+from gof.errors import GofError
+from gof.files import write_json
+from gof.options import require_number
+from gof.progress import progress_bar
+from gof.reconstruct.seen import see_again
+from gof.share.opened import dataset_beside
+from gof.show.modalities import Sources, modalities, training_frame
+from gof.show.paper import WIDTH_IN, require_figure, write_sheet
+from gof.show.tiles import facts
+from gof.terminal import console
+
+PORTRAIT, LANDSCAPE = 6, 4  # tiles in a row
+
+
+@dataclass
+class ModalitiesConfig:
+    """Draw what a method sees and makes of one camera's picture: the paper's figure of modalities, of your own data.
+
+    Picture, plate, flame mask, depth (stereo; monocular with --depth-weights; maps of gof ingest and gof depth where
+    there are such), optical flow, fused flow field, seeds, result, its velocity and, of a simulated fire, the true one.
+    What is seen before any Gaussian is computed again by the run's own settings: seconds to minutes. What cannot be
+    made is left out, and it is said why.
+
+    What people type:
+      gof figure modalities out/demo                                       a demo's, modalities.pdf beside its result
+      gof figure modalities out/fire --dataset data/fire --camera cam_1 --time 0.11 --out modalities.png
+    """
+
+    result: tyro.conf.Positional[Path]
+    """Folder of a `gof reconstruct`, finished or not, or of a `gof demo`."""
+    dataset: Path | None = None
+    """Dataset folder it is of; default: the one in a demo's folder."""
+    out: tuple[Path, ...] = ()
+    """Files to write (.pdf, .svg, .png); default: modalities.pdf in the folder of the reconstruction."""
+    camera: str | None = None
+    """Name of the camera; default: the middle one."""
+    time: float | None = None
+    """Seconds on the dataset clock, of which the nearest training frame is taken; default: the brightest one."""
+    depth_weights: Path | None = None
+    """Folder of a Depth-Anything-V2 checkpoint, for monocular depth; never downloaded."""
+    depth: Path | None = None
+    """Folder of `gof depth --all-frames`, for the depth of this very frame."""
+    flow_weights: Path | None = None
+    """Folder of the MEMFOF checkpoint, where the run had --flow memfof."""
+    columns: int | None = None
+    """Tiles in a row; default at most 6 of upright pictures, else 4."""
+    width: float = WIDTH_IN
+    """Inches of the page."""
+    json: Path | None = None
+    """Also write camera, frame and tiles, with what their colours mean, to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof figure modalities`."""
+    config = tyro.cli(ModalitiesConfig, prog="gof figure modalities", args=argv)
+    require_number("--time", config.time)
+    require_number("--columns", config.columns, least=1, most=12)
+    require_number("--width", config.width, least=1, most=100)
+    run = run_folder(config.result)
+    folder = config.dataset or dataset_beside(run)
+    if folder is None:
+        raise GofError(f"{run}: name the dataset it was made of (--dataset)")
+    files = config.out or (run / "modalities.pdf",)
+    require_figure(*files)
+    dataset = Dataset.open(folder)
+    camera = camera_number(config.camera, dataset)
+    frame = training_frame(dataset, camera, config.time)
+    with progress_bar("modalities") as progress:
+        seen = see_again(dataset, run, config.flow_weights, progress)
+    found = modalities(dataset, seen, Sources(run, config.depth_weights, config.depth), camera, frame)
+    view = dataset.cameras[camera]
+    columns = config.columns or even(len(found.tiles), PORTRAIT if view.height > view.width else LANDSCAPE)
+    rows = [found.tiles[k : k + columns] for k in range(0, len(found.tiles), columns)]
+    out = console()
+    out.print(f"{view.name}, frame {frame} at {dataset.camera_times_s(camera)[frame]:.4f} s")
+    for name, why in found.missing.items():
+        out.print(f"left out: {name} ({why})")
+    for file in files:
+        write_sheet(file, rows, config.width)
+        out.print(f"{file}: {len(found.tiles)} pictures")
+    if config.json:
+        write_json(config.json, {"camera": view.name, "frame": frame} | facts(rows) | {"left_out": found.missing})
+    return 0
+
+
+def even(count: int, most: int) -> int:
+    """Columns of as few rows as `most` columns make, so filled that the last row is not left nearly empty."""
+    return math.ceil(count / math.ceil(count / most))
+
+
+def run_folder(path: Path) -> Path:
+    """The folder of the reconstruction that a user means by it, or by a demo's folder."""
+    inner = path / "reconstruct"
+    return inner if not (path / "settings.json").is_file() and (inner / "settings.json").is_file() else path

@@ -1,0 +1,85 @@
+"""What a reconstruction sees before any Gaussian: computed in a run, and again later for whoever wants to show it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gof.dataset import Dataset
+from gof.dataset.leaks import refuse_leaks
+from gof.errors import GofError
+from gof.reconstruct import ablations
+from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_prior import FlowPrior
+from gof.reconstruct.methods import METHODS
+from gof.reconstruct.observation import Observation, observe
+from gof.reconstruct.optical_flow import Flow, flow_method
+from gof.reconstruct.settings import FILE, ReconstructionSettings
+from gof.reconstruct.shrink import shrink
+from gof.records import read_record
+
+Progress = Callable[..., None]  # progress(done, total)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a run saw: the dataset at the size that was reconstructed, its observation and its flow field."""
+
+    dataset: Dataset
+    observation: Observation
+    field: FlowField
+
+
+def observation_of(
+    dataset: Dataset, settings: ReconstructionSettings, flow: Flow, progress: Progress | None = None
+) -> Observation:
+    """Pictures, masks, plates and optical flow of the training frames, changed as the ablation wants.
+
+    Args:
+        dataset: at the size that is reconstructed.
+    """
+    observation = observe(dataset, METHODS[settings.method], flow, progress=progress)
+    return ablations.change_plates(settings.ablation, observation)
+
+
+def flow_field_of(
+    dataset: Dataset, settings: ReconstructionSettings, observation: Observation, progress: Progress | None = None
+) -> FlowField:
+    """The flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
+    field = seen_flow_field(observation, METHODS[settings.method], settings.voxels, progress)
+    if uses_flow_prior(settings):
+        field = FlowPrior.load().correct(field, metres=dataset.description.in_metres)
+    return field
+
+
+def uses_flow_prior(settings: ReconstructionSettings) -> bool:
+    """Whether what was learned from other fires has a part in the velocities."""
+    return settings.flow_prior and METHODS[settings.method].flow_prior
+
+
+def see_again(
+    dataset: Dataset, folder: Path, flow_weights: Path | None = None, progress: Progress | None = None
+) -> Seen:
+    """What the reconstruction in a folder saw, by its own settings. Nothing is written.
+
+    Args:
+        dataset: as it was opened, at full size.
+        flow_weights: folder of the MEMFOF checkpoint, where the run's flow was "memfof".
+        progress: progress(done, total, stage=name).
+    Raises:
+        GofError: no reconstruction is there, it is of another dataset, or see `observe` and `seen_flow_field`.
+    """
+    if not (folder / FILE).is_file():
+        raise GofError(f"{folder}: no {FILE}; name the folder of a `gof reconstruct`, finished or not")
+    settings = read_record(ReconstructionSettings, folder / FILE)
+    if settings.dataset != dataset.identity():
+        raise GofError(
+            f"{folder}: was made of the dataset '{settings.dataset}', and {dataset.path} is '{dataset.identity()}'"
+        )
+    refuse_leaks(dataset)
+    small, flow = shrink(dataset, settings.longest_side), flow_method(settings.flow, flow_weights)
+    say = progress or (lambda *done, **stage: None)
+    observation = observation_of(small, settings, flow, lambda done, of: say(done, of, stage="motion"))
+    field = flow_field_of(small, settings, observation, lambda done, of: say(done, of, stage="flow field"))
+    return Seen(small, observation, field)
