@@ -24,6 +24,7 @@ from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import shrink
+from gof_benchmark.evidence.small import SMALL
 
 
 def _seeding(**fields) -> Method:
@@ -69,10 +70,8 @@ class Choices:
     """Folder for the reconstructions; finished ones are kept."""
     only: tuple[str, ...] = ()
     """Names of rows; all of them without."""
-    gaussians: int = 15_000
-    iterations: int = 800
-    voxels: int = 72
-    longest_side: int = 160
+    effort: tyro.conf.OmitArgPrefixes[Effort] = SMALL
+    """Of every reconstruction."""
     seed: int = 0
     json: Path | None = None
     """Also write the figures to this file."""
@@ -117,13 +116,12 @@ def main(argv: list[str] | None = None) -> None:
 def run_one(dataset: Dataset, name: str, config: Choices) -> Row:
     """Reconstruct by the row's method and score; kept when it is there already."""
     folder = config.out / name.replace(" ", "_").replace("'", "").replace(",", "")
-    effort = Effort(config.iterations, config.gaussians, config.voxels, config.longest_side)
-    settings = ReconstructionSettings.of(dataset, effort, seed=config.seed)
+    settings = ReconstructionSettings.of(dataset, config.effort, seed=config.seed)
     known = folder / "row.json"
     with patch.dict(METHODS, gof=ROWS[name]):
         result = reconstruct(dataset, settings, folder)  # refuses a row of another dataset or effort
     if not known.exists():
-        scores = evaluate(result.path, shrink(dataset, config.longest_side))
+        scores = evaluate(result.path, shrink(dataset, config.effort.longest_side))
         passing = scores.dve.fluctuation
         figures = scores.dve.l2, scores.dve.cos_sim, passing.l2, passing.cos_sim, scores.psnr_flame, scores.psnr
         write_json(known, asdict(Row(name, *figures)))

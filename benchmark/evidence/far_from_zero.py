@@ -25,6 +25,7 @@ from gof.gaussians import TransientGaussians
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
+from gof_benchmark.evidence.small import SMALL
 
 UTM_AND_UNIX = Datum((5e5, 5e6, 100.0), 1.7e9)
 
@@ -37,10 +38,8 @@ class FarFromZero:
     """With true velocity, as `gof generate` writes it."""
     out: Path = Path("out/far")
     """Folder for the copy and the reconstructions; finished ones are kept."""
-    iterations: int = 400
-    gaussians: int = 5_000
-    voxels: int = 40
-    longest_side: int = 160
+    effort: tyro.conf.OmitArgPrefixes[Effort] = SMALL
+    """Of both reconstructions."""
     seed: int = 0
 
 
@@ -92,8 +91,7 @@ def moved_copy(folder: Path, out: Path, by: Datum) -> Path:
 
 def _row(name: str, folder: Path, out: Path, config: FarFromZero) -> None:
     dataset = Dataset.open(folder)
-    effort = Effort(config.iterations, config.gaussians, config.voxels, config.longest_side)
-    made = reconstruct(dataset, ReconstructionSettings.of(dataset, effort, seed=config.seed), out)
+    made = reconstruct(dataset, ReconstructionSettings.of(dataset, config.effort, seed=config.seed), out)
     _print(name, TransientGaussians.load(made.path), dataset)
 
 

@@ -24,6 +24,7 @@ from gof.files import read_json, write_json
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
+from gof_benchmark.evidence.small import SMALL
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,8 @@ class WrongClocks:
     """Folder for the reconstructions; finished ones are kept."""
     errors: tuple[float, ...] = (0, 0.5, 1, 2, 4)
     """Mistakes, in units of what rounding to the nearest frame does."""
-    gaussians: int = 15_000
-    iterations: int = 800
-    voxels: int = 72
-    longest_side: int = 160
+    effort: tyro.conf.OmitArgPrefixes[Effort] = SMALL
+    """Of every reconstruction."""
     seed: int = 0
     json: Path | None = None
     """Also write the figures to this file."""
@@ -118,9 +117,8 @@ def _reconstruct_and_score(dataset: Dataset, error: float, config: WrongClocks, 
     left_out = shutil.ignore_patterns(".*", "*.zarr", "*.blend")
     shutil.copytree(dataset.path, copy, ignore=left_out, dirs_exist_ok=True)
     wrong.description.write(copy)
-    effort = Effort(config.iterations, config.gaussians, config.voxels, config.longest_side)
     believed = Dataset.open(copy)
-    result = reconstruct(believed, ReconstructionSettings.of(believed, effort, seed=config.seed), folder).path
+    result = reconstruct(believed, ReconstructionSettings.of(believed, config.effort, seed=config.seed), folder).path
     true = evaluate(result, dataset)
     pictures_alone = replace(wrong, description=replace(wrong.description, velocity=None))
     shifts = error * mistakes(dataset).mean(1) / dataset.frame_time_s

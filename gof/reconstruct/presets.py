@@ -16,8 +16,10 @@ class Effort:
     """Settings that trade quality for time.
 
     Attributes:
-        iterations: optimisation steps.   gaussians: in all frames together.
-        voxels: along the longest side of the flame's box.   longest_side: of the pictures, px; larger ones are shrunk.
+        iterations: optimisation steps.
+        gaussians: in all frames together.
+        voxels: along the longest side of the flame's box.
+        longest_side: of the pictures, px; larger ones are shrunk.
 
     Raises:
         GofError: one of them is below its least.
