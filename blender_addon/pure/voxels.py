@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .camera_poses import rotation_matrix
 from .io.cloud import GaussianCloud
 
 REACH = 3.0  # standard deviations; what is farther away is left out
@@ -79,7 +80,7 @@ def grids_at(
     for row in np.flatnonzero(opacity >= FAINT):
         scale = cloud.scale[row].astype(np.float64)
         wide = np.maximum(scale, voxel_m / 2)
-        turn = _matrix(cloud.rotation[row].astype(np.float64))
+        turn = rotation_matrix(cloud.rotation[row].astype(np.float64))
         half = REACH * np.sqrt((turn**2 * wide**2).sum(axis=1))
         first = np.maximum(np.floor((place[row] - half - low) / voxel_m), 0).astype(int)
         last = np.minimum(np.ceil((place[row] + half - low) / voxel_m), shape).astype(int)
@@ -110,14 +111,3 @@ def index_to_world(low: np.ndarray, voxel_m: float) -> np.ndarray:
     matrix = np.diag([voxel_m, voxel_m, voxel_m, 1.0])
     matrix[:3, 3] = low
     return matrix
-
-
-def _matrix(quaternion: np.ndarray) -> np.ndarray:
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

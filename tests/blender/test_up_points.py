@@ -1,7 +1,6 @@
 """Which way is up, from marked points and from accelerometers, of a tilted rig whose vertical Blender itself says."""
 
 import json
-import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from gof.errors import GofError
 from gof.ingest import accelerometer, gpmf
 from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY, in_blender
+from tests.ingest.gopro import track, with_track
 
 pytest.importorskip("bpy", reason="renders with the bpy wheel")
 pytest.importorskip("pycolmap")
@@ -126,56 +126,6 @@ def test_a_floor_that_is_none_is_named(filmed, tmp_path):
         made(filmed, tmp_path, "points", wrong)
 
 
-def gopro_track(up: np.ndarray, order: str) -> bytes:
-    """A GPMF sample as a GoPro writes it whose top shows along `up` in Blender's camera axes (x right, y up, z back).
-
-    GoPro's axes: X left, Y back, Z top; the accelerometer shows 9.81 to the top.
-    """
-    body = {"X": -up[0], "Y": up[2], "Z": up[1]}
-    stored = [9.81 * body[axis.upper()] * (1 if axis.isupper() else -1) for axis in order]
-    values = np.round(np.array([stored] * 50) * 417).astype(">i2").tobytes()
-
-    def entry(name, kind, size, data):
-        return struct.pack(">4scBH", name, kind, size, len(data) // max(size, 1)) + data + b"\0" * (-len(data) % 4)
-
-    nested = b"".join(
-        [
-            entry(b"SCAL", b"s", 2, struct.pack(">h", 417)),
-            entry(b"ORIN", b"c", 1, order.encode()),
-            entry(b"ACCL", b"s", 6, values),
-        ]
-    )
-    stream = struct.pack(">4scBH", b"STRM", b"\0", 1, len(nested)) + nested
-    return struct.pack(">4scBH", b"DEVC", b"\0", 1, len(stream)) + stream
-
-
-def box(kind: bytes, *parts: bytes) -> bytes:
-    return struct.pack(">I4s", 8 + sum(map(len, parts)), kind) + b"".join(parts)
-
-
-def with_track(video: Path, sample: bytes) -> None:
-    """Add a GPMF track of one sample to an MP4 file whose `moov` stands at its end, as OpenCV writes it."""
-    data = video.read_bytes()
-    at = data.rindex(b"moov") - 4
-    old = data[at + 8 :]
-
-    def trak(offset):
-        tables = (
-            box(b"stsd", struct.pack(">II", 0, 1), box(b"gpmd", bytes(6), struct.pack(">HI", 1, 0))),
-            box(b"stts", struct.pack(">IIII", 0, 1, 1, 1000)),
-            box(b"stsc", struct.pack(">IIIII", 0, 1, 1, 1, 1)),
-            box(b"stsz", struct.pack(">III", 0, len(sample), 1)),
-            box(b"stco", struct.pack(">III", 0, 1, offset)),
-        )
-        head = box(b"mdhd", struct.pack(">IIIIIHH", 0, 0, 0, 1000, 1000, 0, 0))
-        kind = box(b"hdlr", bytes(8), b"meta", bytes(12), b"GoPro MET\0")
-        known = box(b"tkhd", struct.pack(">IIIII", 0, 0, 0, 9, 0), bytes(64))
-        return box(b"trak", known, box(b"mdia", head, kind, box(b"minf", box(b"stbl", *tables))))
-
-    offset = at + 8 + len(old) + len(trak(0)) + 8
-    video.write_bytes(data[:at] + box(b"moov", old, trak(offset)) + box(b"mdat", sample))
-
-
 def test_the_command_believes_two_cameras_that_agree(filmed, tmp_path):
     folder, _, ups = filmed
     videos = []
@@ -187,7 +137,7 @@ def test_the_command_believes_two_cameras_that_agree(filmed, tmp_path):
             writer.write(picture)
         writer.release()
         if c < 2:
-            with_track(videos[-1], gopro_track(up, "zxY"))
+            with_track(videos[-1], track(up, "zxY"))
     config = IngestConfig(videos, tmp_path / "set", fov=FOV_DEG, fps=(100.0,), board="none", baseline_m=1.0)
     dataset = Dataset.open(ingest(config).folder)
     up = json.loads((tmp_path / "set/poses.json").read_text())["report"]["up"]
@@ -198,5 +148,5 @@ def test_the_command_believes_two_cameras_that_agree(filmed, tmp_path):
 @pytest.mark.parametrize("order", ["ZXY", "YxZ", "XzY", "zxY"])  # HERO5, HERO7, MAX, HERO8
 def test_accelerometers_axes_are_blenders(filmed, order):
     for up in filmed[2]:
-        found = accelerometer._stored_up(list(gpmf._streams(gopro_track(up, order))))
+        found = accelerometer._stored_up(list(gpmf._streams(track(up, order))))
         np.testing.assert_allclose(found * [1, -1, -1], up, atol=2e-3)

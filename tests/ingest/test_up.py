@@ -1,5 +1,6 @@
 """Which way is up, against drawn scenes whose vertical is known, and silence where nothing shows it."""
 
+import os
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ from gof.ingest.plumb import up_from_points
 from gof.ingest.sfm import PoseError
 from gof.ingest.up import Edges, angle_deg, cameras_up, up_from_board, up_from_edges
 from tests.conftest import look_at
+from tests.ingest.gopro import film, track
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, lens
 
 
@@ -152,32 +154,43 @@ def test_points_that_do_not_hold_the_vertical_are_refused():
 
 # ---- accelerometers --------------------------------------------------------------------------------------------------
 
-SAMPLE = Path(__file__).parent / "gopro_max.mp4"
-"""Three seconds of the sensor track, without pictures, of a file that GoPro publishes with its parser: a MAX, carried
-along a path, looking a little down (samples/max-heromode.mp4 of github.com/gopro/gpmf-parser, Apache-2.0 or MIT)."""
+DOWN_7 = np.array([0.0, np.cos(np.deg2rad(7)), np.sin(np.deg2rad(7))])
+"""Where the top shows, in Blender's camera axes, of a camera that looks 7 degrees down."""
+IN_PICTURE = DOWN_7 * [1, -1, -1]
 
 
+def test_what_the_camera_says_of_gravity_is_believed_before_its_accelerometer(tmp_path):
+    """HERO8 writes zeros, and is asked for its accelerometer; one that shakes is not believed."""
+    elsewhere = np.array([0.6, 0.8, 0.0])
+    known = film(tmp_path / "known.mp4", track(elsewhere, "XzY", gravity=-IN_PICTURE))
+    np.testing.assert_allclose(read_tilt(known, "none").up, IN_PICTURE, atol=1e-4)
+    silent = film(tmp_path / "silent.mp4", track(DOWN_7, "zxY", gravity=np.zeros(3)))
+    np.testing.assert_allclose(read_tilt(silent, "none").up, IN_PICTURE, atol=1e-3)
+    carried = read_tilt(film(tmp_path / "carried.mp4", track(DOWN_7, "zxY", shake=3.0)), "none")
+    assert carried.up is None and "moved" in carried.why
+
+
+@pytest.mark.skipif("GOF_GOPRO_SAMPLE" not in os.environ, reason="GOF_GOPRO_SAMPLE: GoPro's samples/max-heromode.mp4")
 def test_a_real_gopros_gravity_and_its_accelerometer_agree(monkeypatch):
-    """The camera's own sensor fusion (GRAV) and the raw accelerometer are stored in axes of their own."""
-    found = list(gpmf.streams(SAMPLE))
-    by_gravity = read_tilt(SAMPLE, "none").up
-    np.testing.assert_allclose(
-        by_gravity, [0, -0.992, -0.12], atol=0.02
-    )  # 7 degrees down; the horizon is above the middle
-    raw = [stream for stream in found if "ACCL" in stream]
+    """A MAX, carried along a path, 7 degrees down (the horizon is above the middle): github.com/gopro/gpmf-parser."""
+    sample = Path(os.environ["GOF_GOPRO_SAMPLE"])
+    by_gravity = read_tilt(sample, "none").up
+    np.testing.assert_allclose(by_gravity, [0, -0.992, -0.12], atol=0.02)
+    raw = [stream for stream in gpmf.streams(sample) if "ACCL" in stream]
     assert "moved" in accelerometer._stored_up(raw), "it is carried"
     monkeypatch.setattr(accelerometer, "MOST_SHAKE", 9.0)
     assert angle_deg(accelerometer._stored_up(raw), by_gravity) < 3
     assert {str(stream["ORIN"]) for stream in raw} == {"XzY"}
 
 
-def test_a_lying_picture_is_told_from_an_upright_one():
-    assert "degrees from upright; give --turn" in read_tilt(SAMPLE, "clockwise").why
-    assert "179 degrees from upright" in read_tilt(SAMPLE, "half").why
+def test_a_lying_picture_is_told_from_an_upright_one(tmp_path):
+    sample = film(tmp_path / "a.mp4", track(DOWN_7, "ZXY"))
+    assert "90 degrees from upright; give --turn" in read_tilt(sample, "clockwise").why
+    assert "180 degrees from upright" in read_tilt(sample, "half").why
 
 
 def test_files_without_a_track_say_nothing_and_damaged_ones_are_named(tmp_path):
-    data = SAMPLE.read_bytes()
+    data = film(tmp_path / "whole.mp4", track(DOWN_7, "XzY", gravity=-IN_PICTURE)).read_bytes()
     picture = tmp_path / "folder"
     picture.mkdir()
     assert read_tilt(picture, "none") == Tilt()
