@@ -1,13 +1,15 @@
 """Rows of other methods beside ours on scenes of GoF-Bench, trained by their own code on this machine's processor.
 
     python -m gof_benchmark.evidence.baseline_rows WORK/standard OUT --wu 4DGaussians --yang 4d-gaussian-splatting \
-        --freetime FreeTimeGsVanilla [--scenes jet logs foam_two_burners] [--steps 3000] [--python THEIRS/bin/python]
+        --freetime FreeTimeGsVanilla [--scenes jet logs foam_two_burners] [--rows freetime gof ...] [--steps 3000] \
+        [--python THEIRS/bin/python]
 
 Every scene is seen in smaller pictures, every method is trained for the same number of steps with the settings that its
 authors give for a scene of this kind, schedules shortened in proportion; then ours: with the flow prior, without, and
 `--method paper` for as many steps, and once more for as many processor seconds as the slowest of the others took. Each
-becomes a submission in OUT/submissions, is checked, and all are scored into OUT/board. What is finished is not done
-again, so it may be stopped and started as one likes. THEIRS is a Python with the packages of docs/baselines.md.
+becomes a submission in OUT/submissions, is checked, and all are scored into OUT/board. Rows are made in turn, each on
+all scenes, the cheap ones first. What is finished is not done again, so it may be stopped and started as one likes.
+THEIRS is a Python with the packages of docs/baselines.md.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ OURS = {  # name in the submission's folder: (name of the row, options, what it 
     "gof_paper": ("gof, --method paper", ("--method", "paper"), []),
     "gof_long": ("gof, as long as the slowest", (), ["the flow prior, learned on the dev fires"]),
 }
+ROWS = ("freetime", "gof", "gof_no_prior", "gof_paper", "yang", "wu", "gof_long")  # the cheap ones first
 
 
 @dataclass(frozen=True)
@@ -56,10 +59,14 @@ class BaselineRows:
     """Checkout of fudan-zvg/4d-gaussian-splatting."""
     freetime: Path | None = None
     """Checkout of raiscui/FreeTimeGsVanilla."""
+    rows: tuple[str, ...] = ROWS
+    """Which of them, in this order; others' only where their checkout is given."""
     steps: int = 3000
     """Of every training, one picture each."""
     longest_side: int = 160
     """Of the pictures, px."""
+    ours: tuple[str, ...] = tuple(OURS)
+    """Which rows of ours; `gof_long` takes as long as the slowest of the others."""
     seeds: int = 1
     """Runs of each of ours; the others' scripts fix their seed."""
     split: str = "test"
@@ -283,20 +290,27 @@ def main(argv: list[str] | None = None) -> None:
     """Train, add, check, score."""
     config = tyro.cli(BaselineRows, prog="python -m gof_benchmark.evidence.baseline_rows", args=argv)
     paths = {name: getattr(config, name) for name in ("suite", "out", *OTHERS)}
+    strange = [name for name in config.ours if name not in OURS]
+    if strange:
+        raise SystemExit(f"--ours {' '.join(strange)}: there are {', '.join(OURS)}")
     config = replace(config, **{name: path.resolve() for name, path in paths.items() if path is not None})
     small = config.out / "pictures" / config.suite.resolve().name
-    others = [name for name in OTHERS if getattr(config, name)]
+    if unknown := set(config.rows) - set(ROWS):
+        raise GofError(f"--rows: {', '.join(sorted(unknown))} unknown; there are {', '.join(ROWS)}")
+    rows = [name for name in config.rows if name in OURS or getattr(config, name)]
     for scene in config.scenes:
         if not (small / scene / "freetimegs/sparse").is_dir():
             shutil.rmtree(small / scene, ignore_errors=True)
             words = [f"{config.suite / scene}", f"{small / scene}", "--longest-side", f"{config.longest_side}"]
             shrunk.main([*words, "--views", *VIEWS])
-        for name in others:
-            train_other(config, name, small / scene, config.out)
-        for name in OURS:
+    for name in rows:
+        for scene in config.scenes:
+            if name in OTHERS:
+                train_other(config, name, small / scene, config.out)
+                continue
             for seed in range(config.seeds):
                 train_ours(config, name, small / scene, config.out, seed)
-    submissions = [f"{config.out / 'submissions' / name}" for name in (*OURS, *others)]
+    submissions = [f"{config.out / 'submissions' / name}" for name in rows]
     for submission in submissions:
         subprocess.run([sys.executable, "-m", "gof", "benchmark", "check", submission, f"{small}"], check=False)
     words = ["score", *submissions, f"{small}", "--out", f"{config.out / 'board'}", "--split", config.split]
