@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from gof.gaussians import TransientGaussians
 from gof.io.importers.ply_sequence import clock_notes, difference_notes
 from gof.io.importers.source import Imported, ImportOptions, Source
+from gof.results import PLY_SOURCE as SAYS
 from gof.trajectory import SCHEMA, Trajectory
 
 OPTIONS = ()  # seconds and metres: nothing is left to say
@@ -26,3 +29,20 @@ def read(source: Source, options: ImportOptions) -> Imported:
         notes = [*difference_notes(trajectory), *clock_notes(trajectory, options)]
         return Imported(trajectory, "trajectory", source.path, notes)
     return Imported(TransientGaussians.load(source.path), "gof", source.path)
+
+
+def converted(method: str, path: Path) -> str:
+    """What a file of ours says it was made from, where that is the result at `path`, read as `method`."""
+    return f"{method}: {path.name}"
+
+
+def converted_from(source: Source) -> str:
+    """Method of the result that a file of ours was converted from; "" or other words where it was made in another way.
+
+    A result is not ours for being in our format: another method's is the whole scene, and is drawn so.
+    """
+    if source.path.suffix == ".npz":
+        said = str(source.npz.get("source", ""))
+    else:
+        said = next((c for c in source.ply.comments if c.startswith(SAYS)), "").removeprefix(SAYS)
+    return said.partition(": ")[0]
