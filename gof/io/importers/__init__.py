@@ -84,7 +84,7 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     try:
         _refuse_unused(name, options)
         imported = METHODS[name].read(source, options)
-        if METHODS[name] is own and (method := own.converted_from(source)) in METHODS:
+        if imported.method == "gof" and (method := own.converted_from(source)) in METHODS:
             imported = replace(imported, method=method)
         _require_digits(imported.gaussians)
         return imported

@@ -11,6 +11,7 @@ from gof.results import PLY_SOURCE as SAYS
 from gof.trajectory import SCHEMA, Trajectory
 
 OPTIONS = ()  # seconds and metres: nothing is left to say
+UNSIGNED = "the file does not say what it was made from, so it counts as a result of gof reconstruct"
 
 
 def matches(source: Source) -> bool:
@@ -28,7 +29,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
         trajectory = Trajectory.from_arrays(source.npz, source.path)
         notes = [*difference_notes(trajectory), *clock_notes(trajectory, options)]
         return Imported(trajectory, "trajectory", source.path, notes)
-    return Imported(TransientGaussians.load(source.path), "gof", source.path)
+    return Imported(TransientGaussians.load(source.path), "gof", source.path, [] if made_from(source) else [UNSIGNED])
 
 
 def converted(method: str, path: Path) -> str:
@@ -41,8 +42,11 @@ def converted_from(source: Source) -> str:
 
     A result is not ours for being in our format: another method's is the whole scene, and is drawn so.
     """
+    return made_from(source).partition(": ")[0]
+
+
+def made_from(source: Source) -> str:
+    """What a file of ours says of that: "gof reconstruct demo", or the words of `converted`; "" for nothing."""
     if source.path.suffix == ".npz":
-        said = str(source.npz.get("source", ""))
-    else:
-        said = next((c for c in source.ply.comments if c.startswith(SAYS)), "").removeprefix(SAYS)
-    return said.partition(": ")[0]
+        return str(source.npz.get("source", ""))
+    return next((c for c in source.ply.comments if c.startswith(SAYS)), "").removeprefix(SAYS)
