@@ -21,6 +21,7 @@ from gof.evaluate.statistics import Estimate, over_frames, over_runs, over_scene
 from gof.evaluate.training_curve import TrainingCurve
 
 RANKED = ("l2", "cos_sim", "psnr_flame", "ssim_flame")  # figures that every frame has
+CONTROL = "control: "  # before a control's name
 CONTROLS = ("zero", "constant", "height_mean", "true_centre")
 WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, CosSim 0, by definition
 UNIFORM = ("zero", "constant")  # vorticity: L2 1, and no divergence
@@ -247,11 +248,12 @@ def _alone(scene: ScoredScene, methods: dict[str, AboutMethod]) -> BoardScene:
 
 
 def _control_rows(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
-    """The permanent rows, on the Gaussians of the first method that was in every scene."""
-    whose = next((name for name in methods if all(name in scene.runs for scene in scenes)), None)
-    if whose is None or not scenes:
+    """The permanent rows, on the Gaussians of the first method that was in every scene; else of the first in each."""
+    everywhere = [name for name in methods if all(name in scene.runs for scene in scenes)]
+    whose = [next(name for name in (*everywhere, *methods) if name in scene.runs) for scene in scenes if scene.runs]
+    if len(whose) < len(scenes) or not scenes:
         return []
-    runs = [scene.runs[whose][0] for scene in scenes]
+    runs = [scene.runs[name][0] for name, scene in zip(whose, scenes, strict=True)]
     rows = [_control_row(name, [run.scores for run in runs]) for name in CONTROLS]
     plate = {f"{key}": f"{key}_plate" for key in ("psnr_flame", "ssim_flame", "psnr", "ssim")}
     rows.append(
@@ -259,8 +261,8 @@ def _control_rows(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]
     )
     return [
         BoardRow(
-            name=f"control: {name}",
-            what=f"{meaning}, on the Gaussians of {whose}",
+            name=f"{CONTROL}{name}",
+            what=f"{meaning}, on the Gaussians of {', then '.join(dict.fromkeys(whose))}",
             competes=False,
             scenes=len(scenes),
             runs=len(scenes),

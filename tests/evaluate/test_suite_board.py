@@ -114,6 +114,29 @@ def test_who_is_not_everywhere_competes_with_nobody():
     assert in_one["full"]["l2"].rank is None and in_one["part"]["l2"].rank is None, "nor in one scene"
 
 
+def test_a_mean_over_fewer_scenes_says_so_on_the_page():
+    scenes = [
+        scene("a", full=0.1, other=0.2, part=-0.3),
+        scene("b", full=0.1, other=0.2),
+        scene("c", full=0, other=0.1),
+    ]
+    found = board("t", methods("full", "other", "part"), scenes)
+    page, table = to_html(found), to_markdown(found)
+    assert page.count("<small>1 of 3 scenes</small>") == 1 and "3 of 3 scenes" not in re.sub(r"<li>.*", "", page)
+    assert "| *part (1 of 3 scenes)* | poses | nothing |" in table and "| full | poses | nothing |" in table
+    assert rows(found)["part"].figures["l2"].wins is None
+    assert [rows(found)[name].figures["l2"].rank for name in ("full", "other")] == [1, 2], "as without the third"
+    assert found.scenes[0].figures["part"]["l2"].rank == 1, "in its own scene it competes"
+    assert "nobody is ranked" not in page
+
+
+def test_where_nobody_is_everywhere_controls_stay_and_it_is_said():
+    found = board("t", methods("one", "two"), [scene("a", one=0.0), scene("b", two=0.1)])
+    assert not any(row.competes for row in found.rows) and "so nobody is ranked here" in to_html(found)
+    zero = rows(found)["control: zero"]
+    assert zero.scenes == 2 and zero.what.endswith("on the Gaussians of one, then two")
+
+
 def test_controls_are_always_there():
     found = rows(board("t", methods("one"), [scene("a", one=0.0), scene("b", one=0.1)]))
     assert [name for name in found if name.startswith("control")] == [
@@ -146,7 +169,7 @@ def test_page_and_tables(tmp_path):
     assert read_record(SuiteBoard, tmp_path / "board.json") == found
     page = to_html(found)
     assert "A &lt;b&gt;title&lt;/b&gt;" in page and "3 of 3 wins" in page and "seeds ±" in page
-    assert "knew before: nothing" in page and page.count("<h3>") == 3
+    assert "given: poses" in page and "knew before: nothing" in page and page.count("<h3>") == 3
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is fetched"
     assert "| **0.5" in to_markdown(found) and "*control: zero*" in to_markdown(found)
 

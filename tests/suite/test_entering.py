@@ -77,7 +77,7 @@ def test_one_page_comes_out(work, tmp_path, capsys):
     assert benchmark.main(arguments) == 0
     found = read_record(SuiteBoard, tmp_path / "board.json")
     rows = {row.name: row for row in found.rows}
-    assert found.title == "GoF-Bench 1, smoke, test scenes, pictures 48x80"
+    assert found.title == f"GoF-Bench 1, smoke, 2 of {len(scenes_of('smoke', 'test'))} test scenes, pictures 48x80"
     assert (rows["good"].runs, rows["bad"].runs) == (4, 2)
     l2 = {name: rows[name].figures["l2"] for name in ("good", "bad")}
     assert l2["good"].mean < l2["bad"].mean and l2["good"].wins == 2 and l2["good"].seed_sd > 0
