@@ -20,7 +20,7 @@ from gof.evaluate import evaluate as score_it
 from gof.fields import VelocityField
 from gof.motion import Motion, State
 from gof.trajectory import Trajectory
-from tests.conftest import arc, write_dataset
+from tests.conftest import arc, random_gaussians, write_dataset
 from tests.io import lookalikes
 from tests.io.lookalikes import logistic, yang_covariance
 
@@ -133,6 +133,33 @@ def test_4dgs_of_yang(dataset, tmp_path):
     scores = evaluate(tmp_path / "chkpnt30000.pth", dataset, tmp_path / "s.json", "--time-unit", 1)
     check(scores, "yang", state)
     assert main(["evaluate", str(tmp_path / "chkpnt30000.pth"), "--truth", str(dataset)]) == 1  # 1 s in a clip of 0.16
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".ply"])
+def test_a_result_in_our_format_is_still_theirs(dataset, tmp_path, suffix):
+    """Converted, twice, it is drawn as before, never over our plates, though no Gaussian of it is known to stand still."""
+    lookalikes.yang(tmp_path / "chkpnt30000.pth")
+    theirs = evaluate(tmp_path / "chkpnt30000.pth", dataset, tmp_path / "s.json", "--time-unit", 1)
+    once, twice = tmp_path / f"once{suffix}", tmp_path / f"twice{suffix}"
+    assert main(["convert", str(tmp_path / "chkpnt30000.pth"), str(once), "--time-unit", "1"]) == 0
+    assert main(["convert", str(once), str(twice)]) == 0
+    for result in (once, twice):
+        scores = evaluate(result, dataset, tmp_path / "t.json")
+        assert scores["dynamic_gaussians"] == scores["gaussians"]
+        assert scores["import"]["method"] == "yang" and not scores["import"]["over_plates"]
+        assert scores["psnr"] == pytest.approx(theirs["psnr"], abs=1e-3)
+    asked = evaluate(once, dataset, tmp_path / "t.json", "--flame-only")
+    assert asked["import"]["over_plates"] and abs(asked["psnr"] - theirs["psnr"]) > 0.1
+
+
+def test_a_flame_of_ours_is_drawn_over_the_plates_also_when_converted(dataset, tmp_path):
+    flame = random_gaussians(20)
+    flame.dynamic[:] = True
+    flame.save(tmp_path / "a.npz", source="gof reconstruct fire: quick")
+    assert main(["convert", str(tmp_path / "a.npz"), str(tmp_path / "b.ply")]) == 0
+    for name in ("a.npz", "b.ply"):
+        scores = evaluate(tmp_path / name, dataset, tmp_path / "s.json")
+        assert scores["import"]["method"] == "gof" and scores["import"]["over_plates"]
 
 
 def freetime_state(raw, to_world=SAME):
