@@ -137,7 +137,7 @@ def test_4dgs_of_yang(dataset, tmp_path):
 
 @pytest.mark.parametrize("suffix", [".npz", ".ply"])
 def test_a_result_in_our_format_is_still_theirs(dataset, tmp_path, suffix):
-    """Converted, even twice, it is drawn as before: never over our plates, though none of its Gaussians stands still."""
+    """Converted, even twice, it is drawn as before, never over our plates; it says of no Gaussian that it is still."""
     lookalikes.yang(tmp_path / "chkpnt30000.pth")
     theirs = evaluate(tmp_path / "chkpnt30000.pth", dataset, tmp_path / "s.json", "--time-unit", 1)
     once, twice = tmp_path / f"once{suffix}", tmp_path / f"twice{suffix}"
