@@ -46,6 +46,11 @@ def remark(figure: Figure | None, scenes: int) -> str:
     return ", ".join(parts)
 
 
+def partly(row: BoardRow, board: SuiteBoard) -> str:
+    """That its means are of fewer scenes than the others'; "" where they are not."""
+    return f"in {row.scenes} of {len(board.scenes)} scenes" if row.scenes < len(board.scenes) else ""
+
+
 def to_markdown(board: SuiteBoard) -> str:
     """Those that share the first place of a column in bold; rows that do not compete in italics."""
     keys = used(board.rows)
@@ -58,7 +63,8 @@ def to_markdown(board: SuiteBoard) -> str:
             figure = row.figures.get(key)
             text = " ".join(filter(None, (value(key, figure), _in_brackets(remark(figure, len(board.scenes))))))
             cells.append(f"**{text}**" if i in marked[key] else text)
-        lines.append(f"| {name if row.competes else f'*{name}*'} | " + " | ".join(cells) + " |")
+        name = " ".join(filter(None, (name if row.competes else f"*{name}*", _in_brackets(partly(row, board)))))
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -83,7 +89,8 @@ def to_html(board: SuiteBoard) -> str:
             }
             for key in keys
         ]
-        table.append(({"name": row.name, "method": row.what, "competes": row.competes}, cells))
+        about = {"name": row.name, "method": row.what, "competes": row.competes, "small": partly(row, board)}
+        table.append((about, cells))
     environment = Environment(loader=PackageLoader("gof.evaluate", "."), autoescape=True, undefined=StrictUndefined)
     return environment.get_template("suite.html").render(
         title=board.title,
