@@ -7,7 +7,7 @@ from pathlib import Path
 from gof.gaussians import TransientGaussians
 from gof.io.importers.ply_sequence import clock_notes, difference_notes
 from gof.io.importers.source import Imported, ImportOptions, Source
-from gof.results import PLY_SOURCE
+from gof.results import PLY_SOURCE as SAYS
 from gof.trajectory import SCHEMA, Trajectory
 
 OPTIONS = ()  # seconds and metres: nothing is left to say
@@ -44,5 +44,5 @@ def converted_from(source: Source) -> str:
     if source.path.suffix == ".npz":
         said = str(source.npz.get("source", ""))
     else:
-        said = next((c for c in source.ply.comments if c.startswith(PLY_SOURCE)), "").removeprefix(PLY_SOURCE)
+        said = next((c for c in source.ply.comments if c.startswith(SAYS)), "").removeprefix(SAYS)
     return said.partition(": ")[0]
