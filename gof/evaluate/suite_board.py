@@ -63,7 +63,10 @@ class Figure:
 
 @dataclass(frozen=True)
 class BoardRow:
-    """A method, or a control; `figures` by the names of `gof.evaluate.leaderboard.COLUMNS`."""
+    """A method, or a control; `figures` by the names of `gof.evaluate.leaderboard.COLUMNS`.
+
+    `over_plates`: it is a flame alone, drawn over fire-free plates; None for a control, and where runs differ.
+    """
 
     name: str
     what: str
@@ -73,6 +76,7 @@ class BoardRow:
     given: tuple[str, ...]
     prior: tuple[str, ...] | None
     figures: dict[str, Figure]
+    over_plates: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -135,7 +139,13 @@ def _row(
         given=about.given,
         prior=about.prior,
         figures={key: figure for key, figure in figures.items() if figure is not None},
+        over_plates=_over_plates([run.scores for scene in here for run in scene.runs[name]]),
     )
+
+
+def _over_plates(scores: Sequence[Scores]) -> bool | None:
+    said = {one.import_.over_plates for one in scores}
+    return said.pop() if len(said) == 1 else None
 
 
 def _plain(value: Callable, name: str, scenes: Sequence[ScoredScene]) -> Figure | None:

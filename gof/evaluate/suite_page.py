@@ -46,9 +46,9 @@ def remark(figure: Figure | None, scenes: int) -> str:
     return ", ".join(parts)
 
 
-def missing(row: BoardRow, scenes: int) -> str:
-    """That a mean is over fewer scenes than the others'; empty where it is not."""
-    return f"{row.scenes} of {scenes} scenes" if row.scenes < scenes else ""
+def partly(row: BoardRow, board: SuiteBoard) -> str:
+    """That its means are of fewer scenes than the others'; "" where they are not."""
+    return f"in {row.scenes} of {len(board.scenes)} scenes" if row.scenes < len(board.scenes) else ""
 
 
 def marks(row: BoardRow) -> tuple[str, str]:
@@ -66,14 +66,15 @@ def to_markdown(board: SuiteBoard) -> str:
     headings = ["method", "given", "knew before", *(COLUMNS[key].heading for key in keys)]
     lines = [f"| {' | '.join(headings)} |", "|---|---|---|" + "---:|" * len(keys)]
     for i, row in enumerate(board.rows):
-        name = " ".join(filter(None, (in_markdown(row.name), _in_brackets(missing(row, len(board.scenes))))))
+        name = in_markdown(row.name)
         given, knew = map(in_markdown, marks(row))
         cells = []
         for key in keys:
             figure = row.figures.get(key)
             text = " ".join(filter(None, (value(key, figure), _in_brackets(remark(figure, len(board.scenes))))))
             cells.append(f"**{text}**" if i in marked[key] else text)
-        lines.append(f"| {name if row.competes else f'*{name}*'} | {given} | {knew} | " + " | ".join(cells) + " |")
+        name = " ".join(filter(None, (name if row.competes else f"*{name}*", _in_brackets(partly(row, board)))))
+        lines.append(f"| {name} | {given} | {knew} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -99,7 +100,7 @@ def to_html(board: SuiteBoard) -> str:
             for key in keys
         ]
         given, knew = marks(row)
-        small = missing(row, len(board.scenes)), given and f"given: {given}", knew and f"knew before: {knew}"
+        small = partly(row, board), given and f"given: {given}", knew and f"knew before: {knew}"
         about = {"name": row.name, "method": row.what, "competes": row.competes}
         table.append((about | {"small": [one for one in small if one]}, cells))
     environment = Environment(loader=PackageLoader("gof.evaluate", "."), autoescape=True, undefined=StrictUndefined)

@@ -122,8 +122,8 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
     ]
     found = board("t", methods("full", "other", "part"), scenes)
     page, table = to_html(found), to_markdown(found)
-    assert page.count("<small>1 of 3 scenes</small>") == 1 and "3 of 3 scenes" not in re.sub(r"<li>.*", "", page)
-    assert "| *part (1 of 3 scenes)* | poses | nothing |" in table and "| full | poses | nothing |" in table
+    assert page.count("<small>in 1 of 3 scenes</small>") == 1
+    assert "| *part* (in 1 of 3 scenes) | poses | nothing |" in table and "| full | poses | nothing |" in table
     assert rows(found)["part"].figures["l2"].wins is None
     assert [rows(found)[name].figures["l2"].rank for name in ("full", "other")] == [1, 2], "as without the third"
     assert found.scenes[0].figures["part"]["l2"].rank == 1, "in its own scene it competes"
@@ -172,6 +172,35 @@ def test_page_and_tables(tmp_path):
     assert "given: poses" in page and "knew before: nothing" in page and page.count("<h3>") == 3
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is fetched"
     assert "| **0.5" in to_markdown(found) and "*control: zero*" in to_markdown(found)
+
+
+def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
+    """A flame over plates beside whole scenes; one method in one scene of two, one whose runs were not drawn alike."""
+
+    def drawn(here: ScoredScene, **over_plates) -> ScoredScene:
+        runs = {
+            name: tuple(
+                replace(run, scores=replace(run.scores, import_=replace(run.scores.import_, over_plates=said)))
+                for run, said in zip(here.runs[name], np.atleast_1d(over_plates[name]).tolist(), strict=True)
+            )
+            for name in here.runs
+        }
+        return replace(here, runs=runs)
+
+    scenes = [
+        drawn(scene("a", flame=0.0, whole=0.1, mixed=[0.1, 0.2]), flame=True, whole=False, mixed=[True, False]),
+        drawn(scene("b", flame=0.0, mixed=0.1), flame=True, mixed=True),
+    ]
+    found = board("t", methods("flame", "whole", "mixed"), scenes)
+    assert {name: row.over_plates for name, row in rows(found).items()} == {
+        **dict.fromkeys(rows(found)),
+        "flame": True,
+        "whole": False,
+    }
+    page = to_html(found)
+    assert page.count("a flame alone, drawn over") == 1 and page.count("drawn as it is, as a whole scene") == 1
+    assert re.findall(r"<td[^>]*>(\w+)<small>(in 1 of 2 scenes)</small>", page) == [("whole", "in 1 of 2 scenes")]
+    assert "*whole* (in 1 of 2 scenes)" in to_markdown(found)
 
 
 def test_a_training_that_stopped_falling_is_told_from_one_that_had_not():
