@@ -81,7 +81,8 @@ class BoardRow:
 
 @dataclass(frozen=True)
 class BoardScene:
-    """One scene alone: `figures` by method, then by name; the training `curves` of methods that have one."""
+    """One scene alone: `figures` by method, then by name; the training `curves` of methods that have one; `controls`
+    as `figures`, without ranks."""
 
     name: str
     split: str
@@ -90,6 +91,7 @@ class BoardScene:
     eddies: float
     figures: dict[str, dict[str, Figure]] = field(default_factory=dict)
     curves: dict[str, TrainingCurve] = field(default_factory=dict)
+    controls: dict[str, dict[str, Figure]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -111,9 +113,9 @@ def board(title: str, methods: dict[str, AboutMethod], scenes: Sequence[ScoredSc
     ]
     places = {key: _places(key, competing, scenes) for key in RANKED}
     rows = [_row(name, about, scenes, name in competing, places) for name, about in methods.items()]
-    return SuiteBoard(
-        title, (*rows, *_control_rows(methods, scenes)), tuple(_alone(scene, methods) for scene in scenes)
-    )
+    whose = _whose(methods, scenes)
+    alone = tuple(_alone(scene, methods, whose) for scene in scenes)
+    return SuiteBoard(title, (*rows, *_control_rows(whose, scenes)), alone)
 
 
 # ---------------------------------------------------------------- one method
@@ -234,7 +236,7 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
     }
 
 
-def _alone(scene: ScoredScene, methods: dict[str, AboutMethod]) -> BoardScene:
+def _alone(scene: ScoredScene, methods: dict[str, AboutMethod], whose: dict[str, str]) -> BoardScene:
     """The figures of every method in one scene, with ranks of that scene alone; unfinished trainings have none."""
     names = list(scene.runs)
     stopped = {name for name, about in methods.items() if about.unfinished}
@@ -251,19 +253,25 @@ def _alone(scene: ScoredScene, methods: dict[str, AboutMethod]) -> BoardScene:
     eddy = scene.eddy_time
     eddies = clip_s / max(eddy.seconds, 1e-9)
     curves = {name: curve.thinned(POINTS) for name, curve in scene.curves.items()}
-    return BoardScene(scene.name, scene.split, eddy.seconds, eddy.at_least, eddies, figures, curves)
+    controls = {row.name: row.figures for row in _control_rows(whose, [scene])}
+    return BoardScene(scene.name, scene.split, eddy.seconds, eddy.at_least, eddies, figures, curves, controls)
 
 
 # ---------------------------------------------------------------- controls
 
 
-def _control_rows(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
-    """The permanent rows, on the Gaussians of the first method that was in every scene; else of the first in each."""
+def _whose(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> dict[str, str]:
+    """By scene the method whose Gaussians the controls have: the first that is in every scene, else the first there."""
     everywhere = [name for name in methods if all(name in scene.runs for scene in scenes)]
-    whose = [next(name for name in (*everywhere, *methods) if name in scene.runs) for scene in scenes if scene.runs]
-    if len(whose) < len(scenes) or not scenes:
+    return {s.name: next(name for name in (*everywhere, *methods) if name in s.runs) for s in scenes if s.runs}
+
+
+def _control_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
+    """The permanent rows."""
+    if not scenes or any(scene.name not in whose for scene in scenes):
         return []
-    runs = [scene.runs[name][0] for name, scene in zip(whose, scenes, strict=True)]
+    runs = [scene.runs[whose[scene.name]][0] for scene in scenes]
+    names = ", then ".join(dict.fromkeys(whose[scene.name] for scene in scenes))
     rows = [_control_row(name, [run.scores for run in runs]) for name in CONTROLS]
     plate = {f"{key}": f"{key}_plate" for key in ("psnr_flame", "ssim_flame", "psnr", "ssim")}
     rows.append(
@@ -272,7 +280,7 @@ def _control_rows(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]
     return [
         BoardRow(
             name=f"{CONTROL}{name}",
-            what=f"{meaning}, on the Gaussians of {', then '.join(dict.fromkeys(whose))}",
+            what=f"{meaning}, on the Gaussians of {names}",
             competes=False,
             scenes=len(scenes),
             runs=len(scenes),

@@ -130,7 +130,7 @@ def _scene(scene: BoardScene) -> dict:
                 for key in keys
             ],
         )
-        for name, figures in scene.figures.items()
+        for name, figures in (scene.figures | scene.controls).items()
     ]
     return {
         "name": scene.name,

@@ -135,6 +135,11 @@ def test_where_nobody_is_everywhere_controls_stay_and_it_is_said():
     assert not any(row.competes for row in found.rows) and "so nobody is ranked here" in to_html(found)
     zero = rows(found)["control: zero"]
     assert zero.scenes == 2 and zero.what.endswith("on the Gaussians of one, then two")
+    page = to_html(found)
+    for alone in found.scenes:
+        assert alone.controls["control: zero"]["l2"].mean == pytest.approx(1, abs=1e-6)
+        assert alone.controls["control: zero"]["l2"].rank is None
+    assert page.count('<tr class="control"><td>control: zero</td>') == 2, "in each scene's table"
 
 
 def test_controls_are_always_there():
