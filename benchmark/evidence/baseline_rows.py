@@ -7,10 +7,10 @@
 Every scene is seen in smaller pictures, every method is trained for the same number of steps with the settings that its
 authors give for a scene of this kind, schedules shortened in proportion; then ours: with the flow prior, without, and
 `--method paper` for as many steps, and once more for as many processor seconds as the slowest of the others took. Each
-becomes a submission in OUT/submissions, is checked, and all that are there are scored into OUT/board. Rows are made in
-turn, each on all scenes, the cheap ones first. What is finished is not done again, so it may be stopped and started as
-one likes, or made in parts: others' rows are those whose checkout is given, ours those of `--ours`. THEIRS is a Python
-with the packages of docs/baselines.md.
+becomes a submission in OUT/submissions and is checked; all that are there are scored into OUT/board, and scene by scene
+into OUT/SCENE.md. Rows are made in turn, each on all scenes, the cheap ones first. What is finished is not done again,
+so it may be stopped and started as one likes, or made in parts: others' rows are those whose checkout is given, ours
+those of `--ours`. THEIRS is a Python with the packages of docs/baselines.md.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.files import write_json
 from gof.records import write_record
+from gof_benchmark.evidence.scene_rows import table
 from gof_benchmark.views import shrunk
 
 VIEWS = ("dnerf", "points", "hypernerf", "freetimegs")
-GIVEN = {"others": ["poses", "starting points"], "ours": ["poses", "plates", "masks"]}
+GIVEN = {"others": ["poses", "starting points"], "ours": ["poses", "plates"]}
 AUTHORS = {"wu": "Guanjun Wu et al.", "yang": "Zeyu Yang et al.", "freetime": "the authors of FreeTimeGsVanilla"}
 OURS = {  # name in the submission's folder: (name of the row, options, what it knew before)
     "gof": ("gof", (), ["the flow prior, learned on the dev fires"]),
@@ -67,7 +68,7 @@ class BaselineRows:
     ours: tuple[str, ...] = tuple(OURS)
     """Which rows of ours, or none; `gof_long` takes as long as the slowest of the others that are there."""
     seeds: int = 1
-    """Runs of each of ours; the others' scripts fix their seed."""
+    """Runs of each of ours; the others have one, with the seed that their scripts set."""
     split: str = "test"
     """Of the scenes: test or dev."""
     python: Path = Path(sys.executable)
@@ -311,8 +312,11 @@ def main(argv: list[str] | None = None) -> None:
     for name in rows:
         words = ["check", f"{submissions / name}", f"{small}"]
         subprocess.run([sys.executable, "-m", "gof", "benchmark", *words], check=False)
-    there = [f"{submissions / name}" for name in ROWS if (submissions / name / "method.json").is_file()]
-    words = ["score", *there, f"{small}", "--out", f"{config.out / 'board'}", "--split", config.split]
+    there = [submissions / name for name in ROWS if (submissions / name / "method.json").is_file()]
+    for scene in config.scenes:
+        (config.out / f"{scene}.md").write_text(table(there, scene), encoding="utf-8")
+        print(table(there, scene))
+    words = ["score", *map(str, there), f"{small}", "--out", f"{config.out / 'board'}", "--split", config.split]
     subprocess.run([sys.executable, "-m", "gof", "benchmark", *words], check=True)
 
 

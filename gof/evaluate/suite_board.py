@@ -82,7 +82,7 @@ class BoardRow:
 @dataclass(frozen=True)
 class BoardScene:
     """One scene alone: `figures` by method, then by name; the training `curves` of methods that have one; `controls`
-    as `figures`, without ranks."""
+    as `figures`, without ranks, on the Gaussians of `controls_on`."""
 
     name: str
     split: str
@@ -92,6 +92,7 @@ class BoardScene:
     figures: dict[str, dict[str, Figure]] = field(default_factory=dict)
     curves: dict[str, TrainingCurve] = field(default_factory=dict)
     controls: dict[str, dict[str, Figure]] = field(default_factory=dict)
+    controls_on: str = ""
 
 
 @dataclass(frozen=True)
@@ -254,16 +255,29 @@ def _alone(scene: ScoredScene, methods: dict[str, AboutMethod], whose: dict[str,
     eddies = clip_s / max(eddy.seconds, 1e-9)
     curves = {name: curve.thinned(POINTS) for name, curve in scene.curves.items()}
     controls = {row.name: row.figures for row in _control_rows(whose, [scene])}
-    return BoardScene(scene.name, scene.split, eddy.seconds, eddy.at_least, eddies, figures, curves, controls)
+    return BoardScene(
+        scene.name, scene.split, eddy.seconds, eddy.at_least, eddies, figures, curves, controls, whose[scene.name]
+    )
 
 
 # ---------------------------------------------------------------- controls
 
 
 def _whose(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> dict[str, str]:
-    """By scene the method whose Gaussians the controls have: the first that is in every scene, else the first there."""
-    everywhere = [name for name in methods if all(name in scene.runs for scene in scenes)]
-    return {s.name: next(name for name in (*everywhere, *methods) if name in s.runs) for s in scenes if s.runs}
+    """By scene the method whose Gaussians the controls have: a flame alone, if one is there, and one of every scene.
+
+    Of a whole scene most Gaussians are the room, where the true velocity is zero: a control there is that of a room.
+    """
+
+    def last(name: str, scene: ScoredScene) -> tuple[bool, bool]:
+        flame = all(run.scores.import_.over_plates for run in scene.runs[name])
+        return not flame, not all(name in other.runs for other in scenes)
+
+    found = {}
+    for scene in scenes:
+        if there := [name for name in methods if name in scene.runs]:
+            found[scene.name] = min(there, key=lambda name, scene=scene: last(name, scene))
+    return found
 
 
 def _control_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[BoardRow]:

@@ -138,6 +138,7 @@ def _scene(scene: BoardScene) -> dict:
         "eddy_time_s": scene.eddy_time_s,
         "at_least": scene.at_least,
         "eddies": scene.eddies,
+        "controls_on": scene.controls_on,
         "headings": [COLUMNS[key].heading for key in keys],
         "rows": rows,
         "curves": [_curve(name, curve) for name, curve in scene.curves.items()],

@@ -47,6 +47,20 @@ def scene(name: str, **methods) -> ScoredScene:
     return ScoredScene(name, "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
 
 
+def drawn(here: ScoredScene, **over_plates) -> ScoredScene:
+    """A scene whose methods are flames over plates (True), or whole scenes; one word for all runs, or one per run."""
+    runs = {
+        name: tuple(
+            replace(run, scores=replace(run.scores, import_=replace(run.scores.import_, over_plates=said)))
+            for run, said in zip(
+                here.runs[name], np.resize(over_plates[name], len(here.runs[name])).tolist(), strict=True
+            )
+        )
+        for name in here.runs
+    }
+    return replace(here, runs=runs)
+
+
 def curve(losses) -> TrainingCurve:
     steps = range(10, 10 * len(losses) + 1, 10)
     return TrainingCurve(tuple(steps), tuple(0.5 * k for k in steps), tuple(map(float, losses)))
@@ -136,10 +150,27 @@ def test_where_nobody_is_everywhere_controls_stay_and_it_is_said():
     zero = rows(found)["control: zero"]
     assert zero.scenes == 2 and zero.what.endswith("on the Gaussians of one, then two")
     page = to_html(found)
+    assert [alone.controls_on for alone in found.scenes] == ["one", "two"]
     for alone in found.scenes:
         assert alone.controls["control: zero"]["l2"].mean == pytest.approx(1, abs=1e-6)
         assert alone.controls["control: zero"]["l2"].rank is None
     assert page.count('<tr class="control"><td>control: zero</td>') == 2, "in each scene's table"
+
+
+def test_controls_are_of_a_flame_alone_if_there_is_one():
+    """The room that a whole scene brings along does not move: a control on it says nothing of flames."""
+    room = replace(GOLDEN.controls["constant"], l2_frame_mean=0.95)
+    scenes = []
+    for name in "ab":
+        here = drawn(scene(name, whole=0.3, flame=0.1), whole=False, flame=True)
+        (whole,) = here.runs["whole"]
+        whole = replace(whole, scores=replace(whole.scores, controls=GOLDEN.controls | {"constant": room}))
+        scenes.append(replace(here, runs=here.runs | {"whole": (whole,)}))
+    found = rows(board("t", methods("whole", "flame"), scenes))["control: constant"]
+    assert found.what.endswith("on the Gaussians of flame")
+    assert found.figures["l2"].mean == GOLDEN.controls["constant"].l2_frame_mean != 0.95
+    alone = rows(board("t", methods("whole"), [replace(s, runs={"whole": s.runs["whole"]}) for s in scenes]))
+    assert alone["control: constant"].figures["l2"].mean == pytest.approx(0.95)
 
 
 def test_controls_are_always_there():
@@ -181,17 +212,6 @@ def test_page_and_tables(tmp_path):
 
 def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
     """A flame over plates beside whole scenes; one method in one scene of two, one whose runs were not drawn alike."""
-
-    def drawn(here: ScoredScene, **over_plates) -> ScoredScene:
-        runs = {
-            name: tuple(
-                replace(run, scores=replace(run.scores, import_=replace(run.scores.import_, over_plates=said)))
-                for run, said in zip(here.runs[name], np.atleast_1d(over_plates[name]).tolist(), strict=True)
-            )
-            for name in here.runs
-        }
-        return replace(here, runs=runs)
-
     scenes = [
         drawn(scene("a", flame=0.0, whole=0.1, mixed=[0.1, 0.2]), flame=True, whole=False, mixed=[True, False]),
         drawn(scene("b", flame=0.0, mixed=0.1), flame=True, mixed=True),
