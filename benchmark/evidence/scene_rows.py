@@ -56,6 +56,9 @@ def _fall(run: Path) -> str:
 def _controls(scores: Scores) -> list[str]:
     """The controls' lines: pooled over frames as the methods' own figures are."""
     known = {name: {"l2": control.l2, "cos_sim": control.cos_sim} for name, control in scores.controls.items()}
+    emission = None if scores.dve is None else scores.dve.on_emission
+    if emission is not None and "constant" in known:
+        known["constant"] |= {"emission_l2": emission.constant.l2, "emission_cos": emission.constant.cos_sim}
     rows = {f"control: {name}": known[name] for name in CONTROLS if name in known}
     rows["control: fire-free plate"] = {key: getattr(scores, f"{key}_plate") for key in PLATE}
     return [f"| {name} | {' | '.join(_cell(key, of.get(key)) for key in FIGURES)} | |" for name, of in rows.items()]

@@ -228,6 +228,16 @@ def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
     assert "*whole* (in 1 of 2 scenes)" in to_markdown(found)
 
 
+def test_frames_that_are_independent_are_called_so():
+    """Not "a clip of 350 000 000 eddies"."""
+    found = board(
+        "t", methods("one"), [replace(scene("a", one=0.1), eddy_time=EddyTime(0.0, False)), scene("b", one=0.1)]
+    )
+    page = to_html(found)
+    assert page.count("which count as independent") == 1 and page.count("of them long") == 1
+    assert "eddy time 20 ms, so the clip is 17.5 of them long" in page  # 0.35 s
+
+
 def test_a_training_that_stopped_falling_is_told_from_one_that_had_not():
     steady = curve([*np.geomspace(1, 0.1, 60), *[0.1] * 40])
     falling = curve(np.geomspace(1, 0.1, 100))
