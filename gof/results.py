@@ -29,6 +29,7 @@ NPZ_SCHEMA = "gof-linear/1"
 NPZ_MEASURED = "gof-linear/2"  # from a datum
 PLY_VERSION, PLY_MEASURED = "gof-transient 1", "gof-transient 2"
 PLY_DATUM = "datum x y z t:"
+PLY_SOURCE = "source: "
 PLY_COMMENTS = [
     "units: metres, seconds, m/s; world frame, Z up",
     "x(t) = (x,y,z) + (t - t_mu) (vx,vy,vz); opacity(t) = sigmoid(opacity) exp(-0.5 ((t - t_mu)/t_sigma)^2)",
@@ -133,7 +134,7 @@ def _save_ply(arrays: Arrays, path: Path, source: str, datum: Datum | None) -> N
     comments = [PLY_VERSION, *PLY_COMMENTS]
     if datum:
         comments = [PLY_MEASURED, " ".join([PLY_DATUM, *map(repr, datum.numbers().tolist())]), *PLY_COMMENTS]
-    write(path, splat_columns(arrays) | moving, comments + ([f"source: {source}"] if source else []))
+    write(path, splat_columns(arrays) | moving, comments + ([f"{PLY_SOURCE}{source}"] if source else []))
 
 
 def _load_ply(path: Path) -> tuple[Arrays, Datum | None]:

@@ -25,7 +25,7 @@ from gof.evaluate.training_curve import TrainingCurve
 from gof.files import atomic_path
 from gof.records import to_json, write_record
 from gof.terminal import console
-from gof_benchmark.suite import suite_name
+from gof_benchmark.suite import pick, scenes_of, suite_name
 from gof_benchmark.suite.made import MadeScene, made_scenes
 
 
@@ -43,6 +43,8 @@ class ScoreConfig:
     """Folder for board.html, .md and .json; older ones are replaced."""
     split: Literal["test", "dev"] = "test"
     """Which scenes."""
+    scenes: tuple[str, ...] = ()
+    """Of them these; default: all in which a submission has a result. Who lacks one is ranked with nobody."""
     json: Path | None = None
     """Another file to write the board to."""
 
@@ -57,12 +59,16 @@ def main(argv: list[str]) -> int:
     names = [submission.name for submission in submissions]
     if len(set(names)) < len(names):
         raise GofError(f"two submissions have one name: {', '.join(sorted(names))}; change it in method.json")
-    here = [made for name, made in made_scenes(suite, config.split).items() if any(name in s.runs for s in submissions)]
+    there = made_scenes(suite, config.split)
+    chosen = pick([made.scene for made in there.values()], config.scenes)
+    here = [there[scene.name] for scene in chosen if any(scene.name in s.runs for s in submissions)]
     scenes = [scored_scene(made, submissions, config.out / "scores") for made in here]
     if not scenes:
         raise GofError(f"no submission has a result of a {config.split} scene that is made in {suite}")
     pictures = "; ".join(sorted({made.pictures for made in here}))
-    title = f"{suite_name()}, {suite.resolve().name}, {config.split} scenes, pictures {pictures}"
+    size = suite.resolve().name
+    share = f"{len(here)} of {len(scenes_of(size, config.split))} {config.split} scenes"
+    title = f"{suite_name()}, {size}, {share}, pictures {pictures}"
     found = board(title, {submission.name: submission.method for submission in submissions}, scenes)
     write_record(config.out / "board.json", found)
     if config.json is not None:

@@ -1,13 +1,16 @@
 """Rows of other methods beside ours on scenes of GoF-Bench, trained by their own code on this machine's processor.
 
     python -m gof_benchmark.evidence.baseline_rows WORK/standard OUT --wu 4DGaussians --yang 4d-gaussian-splatting \
-        --freetime FreeTimeGsVanilla [--scenes jet logs foam_two_burners] [--steps 3000] [--python THEIRS/bin/python]
+        --freetime FreeTimeGsVanilla [--scenes jet logs foam_two_burners] [--ours gof ...] [--steps 3000] \
+        [--python THEIRS/bin/python]
 
 Every scene is seen in smaller pictures, every method is trained for the same number of steps with the settings that its
 authors give for a scene of this kind, schedules shortened in proportion; then ours: with the flow prior, without, and
 `--method paper` for as many steps, and once more for as many processor seconds as the slowest of the others took. Each
-becomes a submission in OUT/submissions, is checked, and all are scored into OUT/board. What is finished is not done
-again, so it may be stopped and started as one likes. THEIRS is a Python with the packages of docs/baselines.md.
+becomes a submission in OUT/submissions and is checked; all that are there are scored into OUT/board, and scene by scene
+into OUT/SCENE.md. Rows are made in turn, each on all scenes, the cheap ones first. What is finished is not done again,
+so it may be stopped and started as one likes, or made in parts: others' rows are those whose checkout is given, ours
+those of `--ours`. THEIRS is a Python with the packages of docs/baselines.md.
 """
 
 from __future__ import annotations
@@ -27,10 +30,11 @@ from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.files import write_json
 from gof.records import write_record
+from gof_benchmark.evidence.scene_rows import table
 from gof_benchmark.views import shrunk
 
 VIEWS = ("dnerf", "points", "hypernerf", "freetimegs")
-GIVEN = {"others": ["poses", "starting points"], "ours": ["poses", "plates", "masks"]}
+GIVEN = {"others": ["poses", "starting points"], "ours": ["poses", "plates"]}
 AUTHORS = {"wu": "Guanjun Wu et al.", "yang": "Zeyu Yang et al.", "freetime": "the authors of FreeTimeGsVanilla"}
 OURS = {  # name in the submission's folder: (name of the row, options, what it knew before)
     "gof": ("gof", (), ["the flow prior, learned on the dev fires"]),
@@ -38,6 +42,7 @@ OURS = {  # name in the submission's folder: (name of the row, options, what it 
     "gof_paper": ("gof, --method paper", ("--method", "paper"), []),
     "gof_long": ("gof, as long as the slowest", (), ["the flow prior, learned on the dev fires"]),
 }
+ROWS = ("freetime", "gof", "gof_no_prior", "gof_paper", "yang", "wu", "gof_long")  # the cheap ones first
 
 
 @dataclass(frozen=True)
@@ -60,8 +65,10 @@ class BaselineRows:
     """Of every training, one picture each."""
     longest_side: int = 160
     """Of the pictures, px."""
+    ours: tuple[str, ...] = tuple(OURS)
+    """Which rows of ours, or none; `gof_long` takes as long as the slowest of the others that are there."""
     seeds: int = 1
-    """Runs of each of ours; the others' scripts fix their seed."""
+    """Runs of each of ours; the others have one, with the seed that their scripts set."""
     split: str = "test"
     """Of the scenes: test or dev."""
     python: Path = Path(sys.executable)
@@ -244,7 +251,8 @@ def train_ours(config: BaselineRows, name: str, data: Path, out: Path, seed: int
 
 def equal_steps(config: BaselineRows, data: Path, out: Path) -> int:
     """Steps of ours that take as many processor seconds as the slowest of the others took on this scene."""
-    theirs = [seconds(out / "submissions" / name / data.name) for name in OTHERS if getattr(config, name)]
+    runs = [out / "submissions" / name / data.name for name in OTHERS]
+    theirs = [seconds(run) for run in runs if (run / "costs.json").is_file()]
     ours = seconds(out / "submissions/gof" / data.name / "seed_0")
     return round(config.steps * max(theirs, default=ours) / ours)
 
@@ -283,23 +291,32 @@ def main(argv: list[str] | None = None) -> None:
     """Train, add, check, score."""
     config = tyro.cli(BaselineRows, prog="python -m gof_benchmark.evidence.baseline_rows", args=argv)
     paths = {name: getattr(config, name) for name in ("suite", "out", *OTHERS)}
+    if strange := [name for name in config.ours if name not in OURS]:
+        raise GofError(f"--ours {' '.join(strange)}: there are {', '.join(OURS)}")
     config = replace(config, **{name: path.resolve() for name, path in paths.items() if path is not None})
     small = config.out / "pictures" / config.suite.resolve().name
-    others = [name for name in OTHERS if getattr(config, name)]
+    rows = [name for name in ROWS if name in config.ours or getattr(config, name, None)]
     for scene in config.scenes:
         if not (small / scene / "freetimegs/sparse").is_dir():
             shutil.rmtree(small / scene, ignore_errors=True)
             words = [f"{config.suite / scene}", f"{small / scene}", "--longest-side", f"{config.longest_side}"]
             shrunk.main([*words, "--views", *VIEWS])
-        for name in others:
-            train_other(config, name, small / scene, config.out)
-        for name in OURS:
+    for name in rows:
+        for scene in config.scenes:
+            if name in OTHERS:
+                train_other(config, name, small / scene, config.out)
+                continue
             for seed in range(config.seeds):
                 train_ours(config, name, small / scene, config.out, seed)
-    submissions = [f"{config.out / 'submissions' / name}" for name in (*OURS, *others)]
-    for submission in submissions:
-        subprocess.run([sys.executable, "-m", "gof", "benchmark", "check", submission, f"{small}"], check=False)
-    words = ["score", *submissions, f"{small}", "--out", f"{config.out / 'board'}", "--split", config.split]
+    submissions = config.out / "submissions"
+    for name in rows:
+        words = ["check", f"{submissions / name}", f"{small}"]
+        subprocess.run([sys.executable, "-m", "gof", "benchmark", *words], check=False)
+    there = [submissions / name for name in ROWS if (submissions / name / "method.json").is_file()]
+    for scene in config.scenes:
+        (config.out / f"{scene}.md").write_text(table(there, scene), encoding="utf-8")
+        print(table(there, scene))
+    words = ["score", *map(str, there), f"{small}", "--out", f"{config.out / 'board'}", "--split", config.split]
     subprocess.run([sys.executable, "-m", "gof", "benchmark", *words], check=True)
 
 

@@ -28,7 +28,7 @@ from gof.evaluate.scores import (
     VelocityScore,
 )
 from gof.evaluate.sequence import dve_sequence, sanity_warnings
-from gof.gaussians import MovingGaussians
+from gof.gaussians import MovingGaussians, TransientGaussians
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
 
@@ -56,7 +56,8 @@ def evaluate(
     a true velocity field.
 
     Args:
-        result: file or folder of any known method (gof.io.importers), or the Gaussians.
+        result: file or folder of any known method (gof.io.importers), or the Gaussians. Nobody says whose those in
+            memory are: `TransientGaussians` count as ours, trajectories and functions of time (`gof.motion`) do not.
         dataset: what it was made from.
         order, opacity: of `dve`.
         images: also render and score pictures.
@@ -134,7 +135,7 @@ def _load(
         origin = Origin(imported.method, tuple(notes), str(imported.path), UsedOptions.of(options))
     else:
         gaussians = result.measured_from(dataset.datum)
-        origin = Origin("memory")
+        origin = Origin("memory" if isinstance(gaussians, TransientGaussians) else "trajectory")
     if align is None:
         return gaussians, origin
     found = align_cameras(read_cameras(align), {c.name: c.world_to_camera for c in dataset.cameras})

@@ -135,7 +135,7 @@ def _clock(gaussians: MovingGaussians, dataset: Dataset, name: str) -> Finding:
 
 
 def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> Iterator[Finding]:
-    """What the run says that it was made from."""
+    """What the run says that it was made from, and whether method.json says it too."""
     made_from = MadeFrom.read(run.folder)
     if made_from is None:
         return
@@ -151,6 +151,9 @@ def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> It
     if made_from.learned and not submission.method.prior:
         said = f"{MADE_FROM} says that {', '.join(made_from.learned)} went in; method.json names no prior"
         yield Finding(name, "prior knowledge", "refused", said)
+    if run.scores.import_.over_plates and not any("plate" in given for given in submission.method.given):
+        said = "it is drawn over the dataset's plates; `given` in method.json does not name them"
+        yield Finding(name, "plates", "refused", said)
 
 
 def _pictures(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> Finding:

@@ -21,6 +21,7 @@ from gof.evaluate.statistics import Estimate, over_frames, over_runs, over_scene
 from gof.evaluate.training_curve import TrainingCurve
 
 RANKED = ("l2", "cos_sim", "psnr_flame", "ssim_flame")  # figures that every frame has
+CONTROL = "control: "  # before a control's name
 CONTROLS = ("zero", "constant", "height_mean", "true_centre")
 WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, CosSim 0, by definition
 UNIFORM = ("zero", "constant")  # vorticity: L2 1, and no divergence
@@ -62,7 +63,10 @@ class Figure:
 
 @dataclass(frozen=True)
 class BoardRow:
-    """A method, or a control; `figures` by the names of `gof.evaluate.leaderboard.COLUMNS`."""
+    """A method, or a control; `figures` by the names of `gof.evaluate.leaderboard.COLUMNS`.
+
+    `over_plates`: it is a flame alone, drawn over fire-free plates; None for a control, and where runs differ.
+    """
 
     name: str
     what: str
@@ -72,11 +76,13 @@ class BoardRow:
     given: tuple[str, ...]
     prior: tuple[str, ...] | None
     figures: dict[str, Figure]
+    over_plates: bool | None = None
 
 
 @dataclass(frozen=True)
 class BoardScene:
-    """One scene alone: `figures` by method, then by name; the training `curves` of methods that have one."""
+    """One scene alone: `figures` by method, then by name; the training `curves` of methods that have one; `controls`
+    as `figures`, without ranks, on the Gaussians of `controls_on`."""
 
     name: str
     split: str
@@ -85,6 +91,8 @@ class BoardScene:
     eddies: float
     figures: dict[str, dict[str, Figure]] = field(default_factory=dict)
     curves: dict[str, TrainingCurve] = field(default_factory=dict)
+    controls: dict[str, dict[str, Figure]] = field(default_factory=dict)
+    controls_on: str = ""
 
 
 @dataclass(frozen=True)
@@ -106,9 +114,9 @@ def board(title: str, methods: dict[str, AboutMethod], scenes: Sequence[ScoredSc
     ]
     places = {key: _places(key, competing, scenes) for key in RANKED}
     rows = [_row(name, about, scenes, name in competing, places) for name, about in methods.items()]
-    return SuiteBoard(
-        title, (*rows, *_control_rows(methods, scenes)), tuple(_alone(scene, methods) for scene in scenes)
-    )
+    whose = _whose(methods, scenes)
+    alone = tuple(_alone(scene, methods, whose) for scene in scenes)
+    return SuiteBoard(title, (*rows, *_control_rows(whose, scenes)), alone)
 
 
 # ---------------------------------------------------------------- one method
@@ -134,7 +142,13 @@ def _row(
         given=about.given,
         prior=about.prior,
         figures={key: figure for key, figure in figures.items() if figure is not None},
+        over_plates=_over_plates([run.scores for scene in here for run in scene.runs[name]]),
     )
+
+
+def _over_plates(scores: Sequence[Scores]) -> bool | None:
+    said = {one.import_.over_plates for one in scores}
+    return said.pop() if len(said) == 1 else None
 
 
 def _plain(value: Callable, name: str, scenes: Sequence[ScoredScene]) -> Figure | None:
@@ -223,7 +237,7 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
     }
 
 
-def _alone(scene: ScoredScene, methods: dict[str, AboutMethod]) -> BoardScene:
+def _alone(scene: ScoredScene, methods: dict[str, AboutMethod], whose: dict[str, str]) -> BoardScene:
     """The figures of every method in one scene, with ranks of that scene alone; unfinished trainings have none."""
     names = list(scene.runs)
     stopped = {name for name, about in methods.items() if about.unfinished}
@@ -240,18 +254,38 @@ def _alone(scene: ScoredScene, methods: dict[str, AboutMethod]) -> BoardScene:
     eddy = scene.eddy_time
     eddies = clip_s / max(eddy.seconds, 1e-9)
     curves = {name: curve.thinned(POINTS) for name, curve in scene.curves.items()}
-    return BoardScene(scene.name, scene.split, eddy.seconds, eddy.at_least, eddies, figures, curves)
+    controls = {row.name: row.figures for row in _control_rows(whose, [scene])}
+    return BoardScene(
+        scene.name, scene.split, eddy.seconds, eddy.at_least, eddies, figures, curves, controls, whose[scene.name]
+    )
 
 
 # ---------------------------------------------------------------- controls
 
 
-def _control_rows(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
-    """The permanent rows, on the Gaussians of the first method that was in every scene."""
-    whose = next((name for name in methods if all(name in scene.runs for scene in scenes)), None)
-    if whose is None or not scenes:
+def _whose(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> dict[str, str]:
+    """By scene the method whose Gaussians the controls have: a flame alone, if one is there, and one of every scene.
+
+    Of a whole scene most Gaussians are the room, where the true velocity is zero: a control there is that of a room.
+    """
+
+    def last(name: str, scene: ScoredScene) -> tuple[bool, bool]:
+        flame = all(run.scores.import_.over_plates for run in scene.runs[name])
+        return not flame, not all(name in other.runs for other in scenes)
+
+    found = {}
+    for scene in scenes:
+        if there := [name for name in methods if name in scene.runs]:
+            found[scene.name] = min(there, key=lambda name, scene=scene: last(name, scene))
+    return found
+
+
+def _control_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
+    """The permanent rows."""
+    if not scenes or any(scene.name not in whose for scene in scenes):
         return []
-    runs = [scene.runs[whose][0] for scene in scenes]
+    runs = [scene.runs[whose[scene.name]][0] for scene in scenes]
+    names = ", then ".join(dict.fromkeys(whose[scene.name] for scene in scenes))
     rows = [_control_row(name, [run.scores for run in runs]) for name in CONTROLS]
     plate = {f"{key}": f"{key}_plate" for key in ("psnr_flame", "ssim_flame", "psnr", "ssim")}
     rows.append(
@@ -259,8 +293,8 @@ def _control_rows(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]
     )
     return [
         BoardRow(
-            name=f"control: {name}",
-            what=f"{meaning}, on the Gaussians of {whose}",
+            name=f"{CONTROL}{name}",
+            what=f"{meaning}, on the Gaussians of {names}",
             competes=False,
             scenes=len(scenes),
             runs=len(scenes),

@@ -7,7 +7,7 @@ import math
 from gof.evaluate import line_chart
 from gof.evaluate.cells import in_markdown
 from gof.evaluate.leaderboard import COLUMNS
-from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
+from gof.evaluate.suite_board import CONTROL, RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
 
 
@@ -46,19 +46,35 @@ def remark(figure: Figure | None, scenes: int) -> str:
     return ", ".join(parts)
 
 
+def partly(row: BoardRow, board: SuiteBoard) -> str:
+    """That its means are of fewer scenes than the others'; "" where they are not."""
+    return f"in {row.scenes} of {len(board.scenes)} scenes" if row.scenes < len(board.scenes) else ""
+
+
+def marks(row: BoardRow) -> tuple[str, str]:
+    """What a method was given beside pictures, and what it knew before; empty for controls, which are no methods."""
+    if row.name.startswith(CONTROL):
+        return "", ""
+    knew = "not said" if row.prior is None else ", ".join(row.prior) or "nothing"
+    return ", ".join(row.given) or "not said", knew
+
+
 def to_markdown(board: SuiteBoard) -> str:
     """Those that share the first place of a column in bold; rows that do not compete in italics."""
     keys = used(board.rows)
     marked = {key: best(board.rows, key) for key in keys}
-    lines = [f"| method | {' | '.join(COLUMNS[key].heading for key in keys)} |", "|---|" + "---:|" * len(keys)]
+    headings = ["method", "given", "knew before", *(COLUMNS[key].heading for key in keys)]
+    lines = [f"| {' | '.join(headings)} |", "|---|---|---|" + "---:|" * len(keys)]
     for i, row in enumerate(board.rows):
         name = in_markdown(row.name)
+        given, knew = map(in_markdown, marks(row))
         cells = []
         for key in keys:
             figure = row.figures.get(key)
             text = " ".join(filter(None, (value(key, figure), _in_brackets(remark(figure, len(board.scenes))))))
             cells.append(f"**{text}**" if i in marked[key] else text)
-        lines.append(f"| {name if row.competes else f'*{name}*'} | " + " | ".join(cells) + " |")
+        name = " ".join(filter(None, (name if row.competes else f"*{name}*", _in_brackets(partly(row, board)))))
+        lines.append(f"| {name} | {given} | {knew} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -83,11 +99,16 @@ def to_html(board: SuiteBoard) -> str:
             }
             for key in keys
         ]
-        table.append(({"name": row.name, "method": row.what, "competes": row.competes}, cells))
+        given, knew = marks(row)
+        small = partly(row, board), given and f"given: {given}", knew and f"knew before: {knew}"
+        about = {"name": row.name, "method": row.what, "competes": row.competes}
+        table.append((about | {"small": [one for one in small if one]}, cells))
     environment = Environment(loader=PackageLoader("gof.evaluate", "."), autoescape=True, undefined=StrictUndefined)
     return environment.get_template("suite.html").render(
         title=board.title,
         board=board,
+        methods=[row for row in board.rows if not row.name.startswith(CONTROL)],
+        ranked=any(row.competes for row in board.rows),
         headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
         table=table,
         scenes=[_scene(scene) for scene in board.scenes],
@@ -109,7 +130,7 @@ def _scene(scene: BoardScene) -> dict:
                 for key in keys
             ],
         )
-        for name, figures in scene.figures.items()
+        for name, figures in (scene.figures | scene.controls).items()
     ]
     return {
         "name": scene.name,
@@ -117,6 +138,7 @@ def _scene(scene: BoardScene) -> dict:
         "eddy_time_s": scene.eddy_time_s,
         "at_least": scene.at_least,
         "eddies": scene.eddies,
+        "controls_on": scene.controls_on,
         "headings": [COLUMNS[key].heading for key in keys],
         "rows": rows,
         "curves": [_curve(name, curve) for name, curve in scene.curves.items()],

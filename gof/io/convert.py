@@ -9,7 +9,7 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.io import compressed, gltf, ply_frames
-from gof.io.importers import Imported, freetime
+from gof.io.importers import Imported, freetime, own
 from gof.options import require_number
 
 
@@ -52,7 +52,7 @@ def convert(
         raise DataFormatError(f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)")
     if out.name.endswith(".ftgs.ply"):
         return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
-    source = f"{imported.method}: {imported.path.name}"
+    source = own.converted(imported.method, imported.path)
     if out.suffix in instant:
         return _save_instant(gaussians, out, time_s, source)
     if sequence:

@@ -20,7 +20,7 @@ from gof.evaluate import evaluate as score_it
 from gof.fields import VelocityField
 from gof.motion import Motion, State
 from gof.trajectory import Trajectory
-from tests.conftest import arc, write_dataset
+from tests.conftest import arc, random_gaussians, write_dataset
 from tests.io import lookalikes
 from tests.io.lookalikes import logistic, yang_covariance
 
@@ -309,6 +309,62 @@ def test_a_part_of_the_clip_is_scored_with_a_warning(dataset, tmp_path):
     )
     none = evaluate(Motion(state, times_s=TIMES[6:]).save(tmp_path / "u.npz"), dataset, tmp_path / "u.json")
     assert none["psnr"] is None and "0 of its 1 held-out" in none["warnings"][0]
+
+
+WHOLE_SCENES = {  # a look-alike's file, and the options that it is read with
+    "yang": (lambda folder: lookalikes.yang(folder / "chkpnt30000.pth"), "chkpnt30000.pth", ["--time-unit", 1]),
+    "freetime": (lambda folder: lookalikes.freetime(folder / "ckpt_1.pt"), "ckpt_1.pt", ["--time-unit", 0.16]),
+    "freetime, PLY": (lambda folder: lookalikes.ftgs_ply(folder / "a.ftgs.ply"), "a.ftgs.ply", ["--time-unit", 0.16]),
+    "spacetime": (lambda folder: lookalikes.spacetime(folder / "p.ply"), "p.ply", ["--time-unit", 0.16]),
+}
+
+
+@pytest.mark.parametrize("name", WHOLE_SCENES)
+def test_a_converted_whole_scene_is_still_not_drawn_over_our_plates(dataset, tmp_path, name):
+    """In our formats, once and twice converted, it is the other method's, and scores what its own file scores."""
+    write, file, options = WHOLE_SCENES[name]
+    write(tmp_path)
+    original = evaluate(tmp_path / file, dataset, tmp_path / "s.json", *options)
+    method = original["import"]["method"]
+    assert name.startswith(method) and original["import"]["over_plates"] is False
+    steps = [(file, "a.npz", options), ("a.npz", "b.ply", []), ("b.ply", "c.npz", [])]
+    if name == "spacetime":  # positions along a polynomial have no closed form: a trajectory, which is never ours
+        steps = steps[:1]
+    for before, after, said in steps:
+        assert main(["convert", *map(str, (tmp_path / before, tmp_path / after, *said))]) == 0
+        scores = evaluate(tmp_path / after, dataset, tmp_path / "t.json")
+        assert scores["import"]["method"] == ("trajectory" if name == "spacetime" else method)
+        assert scores["import"]["over_plates"] is False, after
+        assert scores["psnr"] == pytest.approx(original["psnr"], abs=0.02), after
+    asked = evaluate(tmp_path / after, dataset, tmp_path / "t.json", "--flame-only")
+    assert asked["import"]["over_plates"] and abs(asked["psnr"] - original["psnr"]) > 0.1
+
+
+@pytest.mark.parametrize("suffix", ["npz", "ply"])
+def test_a_converted_flame_of_ours_is_still_drawn_over_its_plates(dataset, tmp_path, suffix):
+    g = random_gaussians(30)
+    g[g.dynamic].save(tmp_path / "result.npz", source="gof reconstruct linear")
+    assert main(["convert", str(tmp_path / "result.npz"), str(tmp_path / f"a.{suffix}")]) == 0
+    found = [evaluate(tmp_path / file, dataset, tmp_path / "s.json") for file in ("result.npz", f"a.{suffix}")]
+    assert [scores["import"]["over_plates"] for scores in found] == [True, True]
+    assert found[0]["psnr"] == pytest.approx(found[1]["psnr"], abs=0.02)
+    assert not found[0]["import"]["notes"] and not found[1]["import"]["notes"]
+
+
+def test_a_file_that_does_not_say_what_it_was_made_from_is_named(dataset, tmp_path):
+    g = random_gaussians(30)
+    g[g.dynamic].save(tmp_path / "mine.npz")
+    (note,) = evaluate(tmp_path / "mine.npz", dataset, tmp_path / "s.json")["import"]["notes"]
+    assert "does not say what it was made from" in note
+
+
+def test_a_function_of_time_is_not_ours(dataset):
+    """In memory, too, another method's Gaussians are drawn as they are."""
+    motion = Motion(
+        lambda t: State(np.zeros((5, 3)), np.full(5, 0.5), np.full((5, 3), 0.1), np.tile([1.0, 0, 0, 0], (5, 1))),
+        times_s=TIMES,
+    )
+    assert not score_it(motion, Dataset.open(dataset)).import_.over_plates
 
 
 def test_the_scripts_of_this_page_run(dataset, tmp_path, monkeypatch):

@@ -92,6 +92,13 @@ def test_a_leaked_one_is_refused_with_its_frames(mine, scene):
     assert "plume: held-out frames: result.npz made from held-out frames [4]" in said
 
 
+def test_plates_that_nobody_names_are_refused(mine, scene):
+    """The run is drawn over the dataset's true plates, and its row would say that it had nothing but poses."""
+    rewrite(mine, lambda about: about | {"given": ["poses"]})
+    (said,) = refused(mine, scene)
+    assert "plume: plates: it is drawn over the dataset's plates" in said
+
+
 def test_another_checkpoint_is_refused_twice(mine, scene):
     """Pictures and scores are of another training than the file that came."""
     result = TransientGaussians.load(mine / "plume/result.npz")

@@ -47,6 +47,20 @@ def scene(name: str, **methods) -> ScoredScene:
     return ScoredScene(name, "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
 
 
+def drawn(here: ScoredScene, **over_plates) -> ScoredScene:
+    """A scene whose methods are flames over plates (True), or whole scenes; one word for all runs, or one per run."""
+    runs = {
+        name: tuple(
+            replace(run, scores=replace(run.scores, import_=replace(run.scores.import_, over_plates=said)))
+            for run, said in zip(
+                here.runs[name], np.resize(over_plates[name], len(here.runs[name])).tolist(), strict=True
+            )
+        )
+        for name in here.runs
+    }
+    return replace(here, runs=runs)
+
+
 def curve(losses) -> TrainingCurve:
     steps = range(10, 10 * len(losses) + 1, 10)
     return TrainingCurve(tuple(steps), tuple(0.5 * k for k in steps), tuple(map(float, losses)))
@@ -114,6 +128,51 @@ def test_who_is_not_everywhere_competes_with_nobody():
     assert in_one["full"]["l2"].rank is None and in_one["part"]["l2"].rank is None, "nor in one scene"
 
 
+def test_a_mean_over_fewer_scenes_says_so_on_the_page():
+    scenes = [
+        scene("a", full=0.1, other=0.2, part=-0.3),
+        scene("b", full=0.1, other=0.2),
+        scene("c", full=0, other=0.1),
+    ]
+    found = board("t", methods("full", "other", "part"), scenes)
+    page, table = to_html(found), to_markdown(found)
+    assert page.count("<small>in 1 of 3 scenes</small>") == 1
+    assert "| *part* (in 1 of 3 scenes) | poses | nothing |" in table and "| full | poses | nothing |" in table
+    assert rows(found)["part"].figures["l2"].wins is None
+    assert [rows(found)[name].figures["l2"].rank for name in ("full", "other")] == [1, 2], "as without the third"
+    assert found.scenes[0].figures["part"]["l2"].rank == 1, "in its own scene it competes"
+    assert "nobody is ranked" not in page
+
+
+def test_where_nobody_is_everywhere_controls_stay_and_it_is_said():
+    found = board("t", methods("one", "two"), [scene("a", one=0.0), scene("b", two=0.1)])
+    assert not any(row.competes for row in found.rows) and "so nobody is ranked here" in to_html(found)
+    zero = rows(found)["control: zero"]
+    assert zero.scenes == 2 and zero.what.endswith("on the Gaussians of one, then two")
+    page = to_html(found)
+    assert [alone.controls_on for alone in found.scenes] == ["one", "two"]
+    for alone in found.scenes:
+        assert alone.controls["control: zero"]["l2"].mean == pytest.approx(1, abs=1e-6)
+        assert alone.controls["control: zero"]["l2"].rank is None
+    assert page.count('<tr class="control"><td>control: zero</td>') == 2, "in each scene's table"
+
+
+def test_controls_are_of_a_flame_alone_if_there_is_one():
+    """The room that a whole scene brings along does not move: a control on it says nothing of flames."""
+    room = replace(GOLDEN.controls["constant"], l2_frame_mean=0.95)
+    scenes = []
+    for name in "ab":
+        here = drawn(scene(name, whole=0.3, flame=0.1), whole=False, flame=True)
+        (whole,) = here.runs["whole"]
+        whole = replace(whole, scores=replace(whole.scores, controls=GOLDEN.controls | {"constant": room}))
+        scenes.append(replace(here, runs=here.runs | {"whole": (whole,)}))
+    found = rows(board("t", methods("whole", "flame"), scenes))["control: constant"]
+    assert found.what.endswith("on the Gaussians of flame")
+    assert found.figures["l2"].mean == GOLDEN.controls["constant"].l2_frame_mean != 0.95
+    alone = rows(board("t", methods("whole"), [replace(s, runs={"whole": s.runs["whole"]}) for s in scenes]))
+    assert alone["control: constant"].figures["l2"].mean == pytest.approx(0.95)
+
+
 def test_controls_are_always_there():
     found = rows(board("t", methods("one"), [scene("a", one=0.0), scene("b", one=0.1)]))
     assert [name for name in found if name.startswith("control")] == [
@@ -146,9 +205,37 @@ def test_page_and_tables(tmp_path):
     assert read_record(SuiteBoard, tmp_path / "board.json") == found
     page = to_html(found)
     assert "A &lt;b&gt;title&lt;/b&gt;" in page and "3 of 3 wins" in page and "seeds ±" in page
-    assert "knew before: nothing" in page and page.count("<h3>") == 3
+    assert "given: poses" in page and "knew before: nothing" in page and page.count("<h3>") == 3
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is fetched"
     assert "| **0.5" in to_markdown(found) and "*control: zero*" in to_markdown(found)
+
+
+def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
+    """A flame over plates beside whole scenes; one method in one scene of two, one whose runs were not drawn alike."""
+    scenes = [
+        drawn(scene("a", flame=0.0, whole=0.1, mixed=[0.1, 0.2]), flame=True, whole=False, mixed=[True, False]),
+        drawn(scene("b", flame=0.0, mixed=0.1), flame=True, mixed=True),
+    ]
+    found = board("t", methods("flame", "whole", "mixed"), scenes)
+    assert {name: row.over_plates for name, row in rows(found).items()} == {
+        **dict.fromkeys(rows(found)),
+        "flame": True,
+        "whole": False,
+    }
+    page = to_html(found)
+    assert page.count("a flame alone, drawn over") == 1 and page.count("drawn as it is, as a whole scene") == 1
+    assert re.findall(r"<td[^>]*>(\w+)<small>(in 1 of 2 scenes)</small>", page) == [("whole", "in 1 of 2 scenes")]
+    assert "*whole* (in 1 of 2 scenes)" in to_markdown(found)
+
+
+def test_frames_that_are_independent_are_called_so():
+    """Not "a clip of 350 000 000 eddies"."""
+    found = board(
+        "t", methods("one"), [replace(scene("a", one=0.1), eddy_time=EddyTime(0.0, False)), scene("b", one=0.1)]
+    )
+    page = to_html(found)
+    assert page.count("which count as independent") == 1 and page.count("of them long") == 1
+    assert "eddy time 20 ms, so the clip is 17.5 of them long" in page  # 0.35 s
 
 
 def test_a_training_that_stopped_falling_is_told_from_one_that_had_not():

@@ -1,6 +1,7 @@
 """The whole way in: results into a submission, a check, a board; with small datasets in place of the suite's fires."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from gof.evaluate.suite_board import SuiteBoard
 from gof.gaussians import TransientGaussians
 from gof.records import read_record
 from gof_benchmark.commands import benchmark
+from gof_benchmark.evidence.scene_rows import table
 from gof_benchmark.suite import pick, scenes_of
 from gof_blender.pure.layout import Layout
 from tests.evaluate.synthetic_flame import flame_dataset
@@ -77,7 +79,7 @@ def test_one_page_comes_out(work, tmp_path, capsys):
     assert benchmark.main(arguments) == 0
     found = read_record(SuiteBoard, tmp_path / "board.json")
     rows = {row.name: row for row in found.rows}
-    assert found.title == "GoF-Bench 1, smoke, test scenes, pictures 48x80"
+    assert found.title == f"GoF-Bench 1, smoke, 2 of {len(scenes_of('smoke', 'test'))} test scenes, pictures 48x80"
     assert (rows["good"].runs, rows["bad"].runs) == (4, 2)
     l2 = {name: rows[name].figures["l2"] for name in ("good", "bad")}
     assert l2["good"].mean < l2["bad"].mean and l2["good"].wins == 2 and l2["good"].seed_sd > 0
@@ -88,6 +90,46 @@ def test_one_page_comes_out(work, tmp_path, capsys):
     assert len(kept) == 6
     assert benchmark.main(arguments) == 0, "again: nothing is scored twice"
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scores").iterdir()} == kept
+
+
+def test_who_has_one_scene_of_two_is_shown_and_ranked_there_alone(work, tmp_path):
+    """A copy of the good method without the second scene: its mean stands beside the others', its rank does not."""
+    shutil.copytree(work / "good", tmp_path / "part", ignore=shutil.ignore_patterns(SCENES[1]))
+    (tmp_path / "part/method.json").write_text(json.dumps(METHOD | {"name": "part"}))
+    folders = [str(folder) for folder in (work / "good", work / "bad", tmp_path / "part", work / "smoke")]
+    assert benchmark.main(["score", *folders, "--out", str(tmp_path)]) == 0
+    found = read_record(SuiteBoard, tmp_path / "board.json")
+    rows = {row.name: row for row in found.rows}
+    assert (rows["part"].scenes, rows["part"].runs, rows["part"].competes) == (1, 2, False)
+    assert rows["good"].competes and rows["good"].figures["l2"].rank == 1 and rows["good"].figures["l2"].wins == 2
+    assert rows["part"].figures["l2"].rank is None and rows["part"].figures["l2"].wins is None
+    alone = {scene.name: scene.figures for scene in found.scenes}
+    assert alone[SCENES[0]]["part"]["l2"].mean == alone[SCENES[0]]["good"]["l2"].mean == rows["part"].figures["l2"].mean
+    assert alone[SCENES[0]]["part"]["l2"].rank == alone[SCENES[0]]["good"]["l2"].rank == 1
+    assert "part" not in alone[SCENES[1]]
+    assert "part<small>in 1 of 2 scenes</small>" in (tmp_path / "board.html").read_text()
+
+
+def test_a_scenes_rows_in_full(work):
+    """Means over the runs of what `gof evaluate` gave, and the controls on the Gaussians of a flame alone."""
+    for method in ("good", "bad"):
+        lines = [line.split(" | ") for line in table([work / method], SCENES[0]).splitlines()]
+        heads = dict(zip(lines[0], zip(*lines[2:7], strict=True), strict=False))
+        runs = [json.loads(path.read_text()) for path in (work / method / SCENES[0]).rglob("scores.json")]
+        assert len(runs) == (2 if method == "good" else 1)
+        known = {
+            "DVE L2": runs[0]["controls"]["constant"]["l2"],
+            "DVE CosSim": runs[0]["controls"]["constant"]["cos_sim"],
+        }
+        for head, of, digits in (
+            ("DVE L2", lambda run: run["dve"]["l2"], 3),
+            ("in the domain CosSim", lambda run: run["dve"]["inside"]["cos_sim"], 3),
+            ("in the domain L2", lambda run: run["dve"]["inside"]["l2"], 3),
+            ("PSNR flame (dB)", lambda run: run["psnr_flame"], 2),
+        ):
+            assert float(heads[head][0]) == pytest.approx(np.mean([of(run) for run in runs]), abs=0.6 * 10**-digits)
+        for head, value in known.items():
+            assert lines[4][0] == "| control: constant" and float(heads[head][2]) == pytest.approx(value, abs=6e-4)
 
 
 def test_scores_are_those_of_the_result_not_of_its_authors_words(work, tmp_path):

@@ -6,6 +6,7 @@ Each has `matches(source)`, `read(source, options)`, and OPTIONS, the fields of 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,8 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     try:
         _refuse_unused(name, options)
         imported = METHODS[name].read(source, options)
+        if imported.method == "gof" and (method := own.converted_from(source)) in METHODS:
+            imported = replace(imported, method=method)
         _require_digits(imported.gaussians)
         return imported
     except GofError as e:
