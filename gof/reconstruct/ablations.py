@@ -60,5 +60,5 @@ def change_schedule(ablation: Ablation, schedule: Schedule) -> Schedule:
     if ablation == "no-mask":
         return replace(schedule, alpha_loss=0.0)
     if ablation == "joint-opt":
-        return replace(schedule, rates=replace(schedule.rates, plate=PLATE_RATE))
+        return replace(schedule, rates=replace(schedule.rates, plate=PLATE_RATE), plate_loss=0.0)
     return schedule
