@@ -22,14 +22,14 @@ def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGau
     """The same Gaussians with the gas' velocity, and its standard deviation, at their own place and time.
 
     Args:
-        gaussians: with `gas_velocity`, measured from where the field is measured from. Static ones stay as they are, as
-            do those that left everything that is known.
+        gaussians: measured from where the field is measured from. Static ones rest; those that left everything that is
+            known keep what they say of the gas.
     """
     velocity, sd = gas_at(field, gaussians.position, gaussians.t_mu)
     found = gaussians.dynamic & np.isfinite(velocity).all(1)
     return replace(
         gaussians,
-        gas_velocity=np.where(found[:, None], velocity, gaussians.gas_velocity),
+        gas_velocity=np.where(found[:, None], velocity, gaussians.moving_gas),
         velocity_sd=np.where(found, sd, gaussians.velocity_sd),
     )
 

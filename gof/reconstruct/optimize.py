@@ -163,7 +163,7 @@ class _Flame:
         self.surroundings = surroundings
         self.voxel_size = units.voxel_size
         # Pictures show light: they know nothing of the gas, and nothing of how sure its velocity is. Nor does anybody
-        # where density control clones Gaussians.
+        # of a clone, until the gas is looked up again (`gas`).
         gas_velocity = seeds.gas_velocity if schedule.gas_apart else None
         known = {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
         self._kept = {"datum": seeds.datum} | ({} if schedule.density_control else known)
