@@ -1,7 +1,8 @@
 """What the gas does where the pictures have brought the Gaussians.
 
 A seed is told of the gas at its voxel and frame. The optimisation then moves it with the light, by about a voxel and a
-fifth of a frame: enough to leave the slow outer layer for the fast core. So the flow field is asked once more.
+fifth of a frame: enough to leave the slow outer layer for the fast core. So the flow field is asked once more, along the
+way that the Gaussian goes while it shines.
 """
 
 from __future__ import annotations
@@ -19,18 +20,27 @@ NOTHING = 1e-6  # share of known voxels and frames around a place below which no
 
 
 def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGaussians:
-    """The same Gaussians with the gas' velocity, and its standard deviation, at their own place and time.
+    """The same Gaussians with the gas' velocity, and its standard deviation, in the mean over their lives.
+
+    A life is weighted by its temporal opacity: two nodes of Gauss and Hermite, one `t_sigma` before `t_mu` and one after.
 
     Args:
         gaussians: measured from where the field is measured from. Static ones rest; those that left everything that is
             known keep what they say of the gas.
     """
-    velocity, sd = gas_at(field, gaussians.position, gaussians.t_mu)
-    found = gaussians.dynamic & np.isfinite(velocity).all(1)
+    sigma = np.where(np.isfinite(gaussians.t_sigma), gaussians.t_sigma, 0).astype(np.float64)
+    total, count, doubt = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians)), np.zeros(len(gaussians))
+    for later in (-sigma, sigma):
+        velocity, sd = gas_at(field, gaussians.position + later[:, None] * gaussians.velocity, gaussians.t_mu + later)
+        found = np.isfinite(velocity).all(1)
+        total[found] += velocity[found]
+        doubt[found] += sd[found]
+        count += found
+    found, count = gaussians.dynamic & (count > 0), np.maximum(count, 1)
     return replace(
         gaussians,
-        gas_velocity=np.where(found[:, None], velocity, gaussians.moving_gas),
-        velocity_sd=np.where(found, sd, gaussians.velocity_sd),
+        gas_velocity=np.where(found[:, None], total / count[:, None], gaussians.moving_gas),
+        velocity_sd=np.where(found, doubt / count, gaussians.velocity_sd),
     )
 
 

@@ -35,13 +35,13 @@ def places(field, n=200):
     return rng.uniform(low, high, (n, 3)), rng.uniform(0, FRAME * (FRAMES - 1), n)
 
 
-def gaussians_at(place, time_s, dynamic=True):
+def gaussians_at(place, time_s, dynamic=True, velocity=(0, 0, 0), t_sigma=1e-9):
     n = len(place)
     return TransientGaussians(
         position=place,
-        velocity=np.zeros((n, 3)),
+        velocity=np.tile(np.float64(velocity), (n, 1)),
         t_mu=time_s,
-        t_sigma=np.ones(n),
+        t_sigma=np.full(n, t_sigma),
         scale=np.ones((n, 3)),
         rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
         opacity=np.ones(n),
@@ -86,6 +86,19 @@ def test_before_the_first_frame_and_of_a_single_one(field):
     for some in (field, replace(field, frames=field.frames[:1])):
         velocity, _ = gas_at(some, place, np.full(len(place), -0.3))
         np.testing.assert_allclose(velocity, first, atol=1e-10)
+
+
+def test_a_life_is_heard_from_its_beginning_to_its_end(field):
+    """A velocity that grows as the square of the time, and a Gaussian that is carried up: the mean over its life."""
+    sigma, rise, middle = FRAME, 1.0, np.array([[0.0, 0.0, 5 * VOXEL]])
+    squared = [replace(f, velocity=f.velocity + (0, 0, 1e4 * f.time_s**2)) for f in field.frames]
+    told = told_of_gas(
+        gaussians_at(middle, [2 * FRAME], velocity=(0, 0, rise), t_sigma=sigma), replace(field, frames=tuple(squared))
+    )
+    expected = linear(middle, [2 * FRAME])[0] + (0, 0, 1e4 * ((2 * FRAME) ** 2 + sigma**2))
+    np.testing.assert_allclose(told.gas_velocity[0], expected, rtol=1e-5)
+    forever = told_of_gas(gaussians_at(middle, [2 * FRAME], t_sigma=np.inf), field)
+    np.testing.assert_allclose(forever.gas_velocity, linear(middle, [2 * FRAME]), rtol=1e-5)
 
 
 def test_who_left_the_flame_keeps_what_it_says_and_what_is_still_rests(field):
