@@ -22,16 +22,19 @@ NOTHING = 1e-6  # share of known voxels and frames around a place below which no
 def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGaussians:
     """The same Gaussians with the gas' velocity, and its standard deviation, in the mean over their lives.
 
-    A life is weighted by its temporal opacity: two nodes of Gauss and Hermite, one `t_sigma` before `t_mu` and one after.
+    A life is weighted by its temporal opacity: two nodes of Gauss and Hermite, one `t_sigma` before `t_mu` and one after,
+    or where the clip begins and ends.
 
     Args:
         gaussians: measured from where the field is measured from. Static ones rest; those that left everything that is
             known keep what they say of the gas.
     """
+    clip = field.frames[0].time_s, field.frames[-1].time_s
     sigma = np.where(np.isfinite(gaussians.t_sigma), gaussians.t_sigma, 0).astype(np.float64)
     total, count, doubt = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians)), np.zeros(len(gaussians))
-    for later in (-sigma, sigma):
-        velocity, sd = gas_at(field, gaussians.position + later[:, None] * gaussians.velocity, gaussians.t_mu + later)
+    for time_s in (np.clip(gaussians.t_mu - sigma, *clip), np.clip(gaussians.t_mu + sigma, *clip)):
+        way = (time_s - gaussians.t_mu)[:, None] * gaussians.velocity
+        velocity, sd = gas_at(field, gaussians.position + way, time_s)
         found = np.isfinite(velocity).all(1)
         total[found] += velocity[found]
         doubt[found] += sd[found]

@@ -101,6 +101,14 @@ def test_a_life_is_heard_from_its_beginning_to_its_end(field):
     np.testing.assert_allclose(forever.gas_velocity, linear(middle, [2 * FRAME]), rtol=1e-5)
 
 
+def test_nobody_saw_what_comes_after_the_clip(field):
+    """Brightest in the last frame, it is heard there and before, not on its way to where it would have gone."""
+    end, place = FRAME * (FRAMES - 1), np.array([[0.0, 0.0, 5 * VOXEL]])
+    told = told_of_gas(gaussians_at(place, [end], velocity=(0, 0, 100.0), t_sigma=1e-3), field)
+    expected = (linear(place, [end]) + linear(place - [0, 0, 0.1], [end - 1e-3])) / 2
+    np.testing.assert_allclose(told.gas_velocity, expected, rtol=1e-5)
+
+
 def test_who_left_the_flame_keeps_what_it_says_and_what_is_still_rests(field):
     place, time_s = places(field, 3)
     place[1] += 10.0
