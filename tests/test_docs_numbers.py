@@ -107,6 +107,7 @@ TOY = {
     "doubt": ("FLAME",),
     "dve_speed": ("--counts", "1000", "--sizes", "16", "--scipy-up-to", "1000"),
     "flow_fusion": ("FLAME", "--voxels", "16"),
+    "gas_lookup": ("FLAME", "RESULT"),
     "hard_cases": ("FLAME",),
     "interval_coverage": ("--repeats", "20"),
     "motion_bounds": ("FLAME",),

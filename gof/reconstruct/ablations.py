@@ -55,10 +55,15 @@ def change_seeds(ablation: Ablation, seeds: TransientGaussians, rng: np.random.G
     return replace(seeds, velocity=light, gas_velocity=gas, velocity_sd=np.full(len(seeds), np.inf))
 
 
+def change_gas(ablation: Ablation, kept: TransientGaussians, told: TransientGaussians) -> TransientGaussians:
+    """The result: with the gas' velocity of its seeds (`kept`), or with what the flow field says (`told`)."""
+    return kept if ablation == "rand-flow" else told
+
+
 def change_schedule(ablation: Ablation, schedule: Schedule) -> Schedule:
     """Weights and rates of the optimisation."""
     if ablation == "no-mask":
         return replace(schedule, alpha_loss=0.0)
     if ablation == "joint-opt":
-        return replace(schedule, rates=replace(schedule.rates, plate=PLATE_RATE))
+        return replace(schedule, rates=replace(schedule.rates, plate=PLATE_RATE), plate_loss=0.0)
     return schedule

@@ -84,8 +84,8 @@ class Method:
         smooth_voxels: emission-weighted smoothing of the fused flow, std-dev in voxels; 0 = none.
         flow_prior: the fused flow is corrected to the gas' own velocity (`flow_prior`).
         gas_apart: a Gaussian has two velocities: its light's, which is free to fit the pictures, and the gas', which is
-            what the fused flow says; else one for both, which the pictures move.
-        density_control: Gaussians are cloned, split and pruned along the way (`density`); not with `gas_apart`.
+            what the fused flow says of the place where it ends (`gas`); else one for both, which the pictures move.
+        density_control: Gaussians are cloned, split and pruned along the way (`density`).
     """
 
     scene: SceneName

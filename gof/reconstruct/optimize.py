@@ -34,13 +34,21 @@ EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the l
 
 @dataclass(frozen=True)
 class Schedule:
-    """Step counts, learning rates and loss weights."""
+    """Step counts, learning rates and loss weights.
+
+    Attributes:
+        alpha_loss: of flame where no flame may be.
+        plate_loss: of a plate's change. L1 moves a channel of its pixel by 0.8 of what of it shows through the flame, so
+            the pixel may leave the plate that was made by 0.4 of that: far where it is seen, hardly where opaque flame
+            always covers it and nothing but noise would move it.
+    """
 
     iterations: int
     rates: Rates
     gas_apart: bool  # see `gof.reconstruct.methods.Method`
     density_control: bool = False
     alpha_loss: float = 0.1
+    plate_loss: float = 1.0
     seed: int = 0  # of the order of the pictures
 
     def raw_rates(self, units: Units) -> dict[str, float]:
@@ -118,6 +126,7 @@ def optimize(
         flame.optimizer.set_learning_rate({"x0": schedule.position_rate(units, step)})
         drawn = flame.drawn(f, c)
         loss = _loss(drawn, pictures, f, c, schedule.alpha_loss)
+        loss += schedule.plate_loss * surroundings.moved(c, flame.optimizer)
         dr.backward(loss)
         flame.watch(step, drawn.frame, c)
         flame.optimizer.step()
@@ -154,7 +163,7 @@ class _Flame:
         self.surroundings = surroundings
         self.voxel_size = units.voxel_size
         # Pictures show light: they know nothing of the gas, and nothing of how sure its velocity is. Nor does anybody
-        # where density control clones Gaussians.
+        # of a clone, until the gas is looked up again (`gas`).
         gas_velocity = seeds.gas_velocity if schedule.gas_apart else None
         known = {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
         self._kept = {"datum": seeds.datum} | ({} if schedule.density_control else known)

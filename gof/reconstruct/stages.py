@@ -25,6 +25,7 @@ from gof.reconstruct.background import BackgroundOptions, still_gaussians
 from gof.reconstruct.checkpoint import Spent, read_spent
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.gas import told_of_gas
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import Method, rates_in_voxels
 from gof.reconstruct.observation import Observation
@@ -196,6 +197,8 @@ def fit(
     ):
         monitor = _Monitor(_snapshot(run), held_out, curve, progress, time.perf_counter() - before_s)
         gaussians, plates = optimize(seeds, observation, surroundings, schedule, units, checkpoint, monitor)
+    if method.gas_apart:
+        gaussians = ablations.change_gas(settings.ablation, gaussians, told_of_gas(gaussians, field))
     return gaussians, plates, curve.curve
 
 

@@ -48,6 +48,9 @@ class Surroundings(Protocol):
             near: m, Gaussians closer to the camera are not drawn.   unknowns: where those of `unknowns` are now.
         """
 
+    def moved(self, camera: int, unknowns: Any) -> Any:
+        """How far they are from where they started in this camera's view: mean square, display values; differentiable."""
+
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
         """The whole result, and the plates it is to be drawn over; none where it is whole.
 
@@ -73,6 +76,10 @@ class Plates:
 
     def unknowns(self) -> dict[str, Any]:
         return self._plates if self._move else {}
+
+    def moved(self, camera: int, unknowns: Any) -> Any:
+        change = self._at(camera, unknowns) - self._plates[f"plate_{camera}"]
+        return dr.mean(dr.squared_norm(change)) / 3 if self._move else 0.0
 
     def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
         plate, through = self._at(camera, unknowns), self._through[camera]
@@ -103,6 +110,9 @@ class StillScene:
 
     def unknowns(self) -> dict[str, Any]:
         return {}
+
+    def moved(self, camera: int, unknowns: Any) -> Any:
+        return 0.0
 
     def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
         layers, view = self._layers[camera], self._cameras[camera]

@@ -85,8 +85,9 @@ def edit(folder: Path, change) -> Path:
 def reconstruct(folder: Path, out: Path, **changes) -> Path:
     """Reconstruct a dataset with little effort and changed settings; the path of the result."""
     small = {"gaussians": 1500, "iterations": 200, "voxels": 32, "longest_side": 320, "flow_prior": False}
-    settings = ReconstructionSettings(dataset=folder.name, **(small | changes))
-    return pipeline.reconstruct(Dataset.open(folder), settings, out).path
+    dataset = Dataset.open(folder)
+    settings = ReconstructionSettings(dataset=dataset.identity(), **(small | changes))
+    return pipeline.reconstruct(dataset, settings, out).path
 
 
 def held_out(result: Path) -> HeldOutScores:

@@ -2,13 +2,17 @@
 
 from dataclasses import replace
 
+import drjit as dr
 import numpy as np
 import pytest
 
 from gof.gaussians import TransientGaussians
+from gof.reconstruct.optimize import Schedule
 from gof.reconstruct.surroundings import Plates, StillScene
 from gof.reconstruct.voxels import FlameVoxels
 from gof.render import render
+from gof.render.adam import Adam
+from gof.render.backend import Float
 from gof.render.rasterizer import splats_at
 from tests.conftest import arc
 
@@ -88,3 +92,24 @@ def test_a_plate_stands_before_the_flame_where_the_view_is_blocked():
     again = render(flame, CAMERA, 0.0, background=plates[0], near=0.005)
     np.testing.assert_allclose(again["color"], color, atol=1e-5)
     np.testing.assert_allclose(again["alpha"], share, atol=1e-5)
+
+
+def test_a_plate_that_is_hardly_seen_hardly_moves():
+    """Left half under flame of opacity 0.95, right half open; the truth is brighter than the plate by 0.3 in both."""
+    height, width, start, truth, flame = 8, 8, 0.2, 0.5, 0.9
+    opacity = np.where(np.arange(width) < width // 2, 0.95, 0.0) * np.ones((height, 1))
+    plates = Plates([CAMERA], np.full((1, height, width, 3), start), np.zeros((1, height, width), bool), move=True)
+    through = Float((1 - opacity).ravel())
+    covered = Float((opacity * flame).ravel())
+    seen = dr.fma(through, truth, covered) + Float(np.tile([0.01, -0.01], height * width // 2))  # and its noise
+    optimizer = Adam(lr=0.002, params=plates.unknowns(), beta_2=0.99, epsilon=1e-15)
+    for _ in range(600):
+        plate = optimizer["plate_0"]
+        drawn = [dr.fma(through, channel, covered) for channel in (plate.x, plate.y, plate.z)]
+        loss = 0.8 * dr.mean(sum(dr.abs(channel - seen) for channel in drawn)) / 3
+        dr.backward(loss + Schedule.plate_loss * plates.moved(0, optimizer))
+        optimizer.step()
+    _, (result,) = plates.result(cloud(0.0), optimizer)
+    hidden, open_ = result[:, : width // 2], result[:, width // 2 :]
+    assert np.abs(hidden - start).max() < 0.4 * 0.05 + 0.005, "by what the docstring of Schedule says"
+    assert np.abs(open_ - truth).max() < 0.02
