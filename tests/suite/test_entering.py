@@ -1,9 +1,13 @@
 """The whole way in: results into a submission, a check, a board; with small datasets in place of the suite's fires."""
 
+import base64
+import io
 import json
+import re
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
@@ -82,7 +86,15 @@ def test_one_page_comes_out(work, tmp_path, capsys):
     l2 = {name: rows[name].figures["l2"] for name in ("good", "bad")}
     assert l2["good"].mean < l2["bad"].mean and l2["good"].wins == 2 and l2["good"].seed_sd > 0
     assert "control: zero" in rows
-    assert "GoF-Bench 1" in (tmp_path / "board.html").read_text()
+    page = (tmp_path / "board.html").read_text()
+    assert "GoF-Bench 1" in page
+    assert page.count("cam_1, frame 4 at 0.040 s, held out") == len(SCENES), "the methods' pictures, scene by scene"
+    shown = dict(re.findall(r"<figcaption>(good|bad)</figcaption><img[^>]*><figcaption>flame ([\d.]+) dB", page))
+    pictures = Scores.read(work / "good" / SCENES[-1] / "seed_0/scores.json").images.pictures
+    (picture,) = [one for one in pictures if (one.camera, one.frame) == ("cam_1", 4)]
+    assert shown["good"] == f"{picture.psnr_flame:.2f}" and float(shown["bad"]) < float(shown["good"])
+    for address in re.findall(r'<img src="([^"]*)', page):
+        Image.open(io.BytesIO(base64.b64decode(address.removeprefix("data:image/webp;base64,")))).load()
 
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "scores").iterdir()}
     assert len(kept) == 6
