@@ -6,7 +6,7 @@ import hashlib
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -40,7 +40,7 @@ class ScoreConfig:
     same dataset is scored once. Development scenes are scored apart (--split dev): no ranks are made of them with test.
     """
 
-    folders: tyro.conf.Positional[list[Path]]
+    folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="SUBMISSION ... SUITE")]]
     """Submissions, and last the folder of a size of the suite: mine others WORK/standard."""
     out: Path = Path("out/board")
     """Folder for board.html, .md and .json; older ones are replaced."""

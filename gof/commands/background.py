@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -16,7 +17,7 @@ from gof.reconstruct.background import BackgroundOptions, add_flame, make_backgr
 class BackgroundConfig:
     """The scene without fire as static Gaussians: background.npz and background.ply, for views that no camera took."""
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder. Uses its depth/CAMERA.npy (from `gof ingest --depth`), else stereo between its plates."""
     out: Path
     """Folder for the result; a finished one there is kept."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -38,7 +39,7 @@ class CompareConfig:
       gof figure compare boards/ours boards/theirs --dataset data/fire --box 60 120 40 40 --camera cam_0
     """
 
-    results: tyro.conf.Positional[tuple[Path, ...]]
+    results: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RESULT ...")]]
     """Folders of `gof reconstruct`; folders of `gof evaluate --out`, whose results are read and drawn as they were
     scored; or files of any method of docs/importers.md, in one world and on one clock."""
     foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -31,7 +32,7 @@ class RemovalConfig:
       gof figure removal data/fire --result out/fire --camera cam_1 --time 0.11 --out removal.png
     """
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder."""
     result: Path | None = None
     """Folder of a `gof reconstruct` of it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -39,7 +39,7 @@ class IngestConfig:
     frames.
     """
 
-    videos: tyro.conf.Positional[list[Path]]
+    videos: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]
     """One video or folder of pictures per camera, of one fire, at least two; or one scenes/ID folder of the authors'
     public data set (fire_actioncam), which brings its own cameras and times."""
     out: Path

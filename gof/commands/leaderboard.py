@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 from rich.table import Table
@@ -46,7 +47,7 @@ SHOWN = (
 class LeaderboardConfig:
     """Evaluated results side by side: table, pictures with errors, stream plots of velocity, accuracy against time."""
 
-    folders: tyro.conf.Positional[list[Path]]
+    folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="FOLDER ...")]]
     """Folders with scores.json of gof evaluate; also method.json ("name", "train_seconds") and costs.json, if there."""
     truth: Path | None = None
     """Dataset folder: adds the results' pictures side by side, and stream plots with the truth beside each method."""
