@@ -54,6 +54,10 @@ NOT_RUN = {  # (page, words that the example begins with): why
     ("ingest.md", "gof ingest b/cam"): "needs films of two fires; tests/ingest films small ones",
     ("ingest.md", "gof ingest data/hf"): "needs a published data set",
     ("ingest.md", "gof background"): "thousands of steps; tests/reconstruct makes small ones",
+    (
+        "leaderboard.md",
+        "gof depth data/fire",
+    ): "stereo finds nothing in noise; tests/ingest/test_frame_depth.py has texture",
     ("renderer.md", "import drjit"): "names every call with placeholders; tests/render makes each of them",
 }
 SAID = {  # page: words that stand for the reader's own files

@@ -30,7 +30,8 @@ class BackgroundConfig:
     depth_term: bool = BackgroundOptions.depth_term
     """Hold the Gaussians to the depth maps."""
     depth_weights: Path | None = None
-    """Folder of a Depth-Anything-V2 checkpoint that completes stereo depth; without it edges of the plate do."""
+    """Folder of a Depth-Anything-V2 checkpoint that completes stereo depth; without it edges of the plate do.
+    Never downloaded, and never run with published weights."""
     flame: Path | None = None
     """Result of `gof reconstruct` to add: scene.npz and scene.ply hold both."""
     seed: int = BackgroundOptions.seed

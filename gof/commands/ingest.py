@@ -96,7 +96,8 @@ class IngestConfig:
     """Also write depth/cam_0.npy ... (H, W, camera depth in metres), by semi-global stereo on the plates (the paper: by
     COLMAP's PatchMatch, which needs CUDA and is not here), and points.ply."""
     depth_weights: Path | None = None
-    """Folder of a Depth-Anything-V2 checkpoint that completes the stereo depth; without it edges of the plate do."""
+    """Folder of a Depth-Anything-V2 checkpoint that completes the stereo depth; without it edges of the plate do.
+    Never downloaded, and never run with published weights."""
     start: tuple[int, ...] = (0,)
     """First frame of the first camera to use; or, without --times, a frame of each camera that was taken at the same
     moment, as --start 0 7 0."""
