@@ -65,12 +65,12 @@ def main(argv: list[str]) -> int:
     if not scenes:
         raise GofError(f"no submission has a result of a {config.split} scene that is made in {suite}")
     pictures = "; ".join(sorted({made.pictures for made in here}))
-    grids = {made.scene.name: _pictures(made, scored) for made, scored in zip(here, scenes, strict=True)}
     title = f"{suite_name()}, {suite.resolve().name}, {config.split} scenes, pictures {pictures}"
     found = board(title, {submission.name: submission.method for submission in submissions}, scenes)
     write_record(config.out / "board.json", found)
     if config.json is not None:
         write_record(config.json, found)
+    grids = {made.scene.name: _pictures(made, scored) for made, scored in zip(here, scenes, strict=True)}
     for name, text in (("board.html", to_html(found, grids)), ("board.md", to_markdown(found))):
         with atomic_path(config.out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from gof.evaluate import line_chart
+from gof.evaluate import leaderboard_page, line_chart
 from gof.evaluate.cells import in_markdown
 from gof.evaluate.leaderboard import COLUMNS
-from gof.evaluate.leaderboard_page import PageGrid
 from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
 
@@ -68,7 +67,7 @@ def _in_brackets(text: str) -> str:
     return f"({text})" if text else ""
 
 
-def to_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
+def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | None]) -> str:
     """The page; everything is inside it.
 
     Args:
@@ -100,7 +99,7 @@ def to_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
     )
 
 
-def _scene(scene: BoardScene, grid: PageGrid | None) -> dict:
+def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None) -> dict:
     """What the page shows of a scene."""
     keys = [key for key in RANKED if any(key in figures for figures in scene.figures.values())]
     rows = [
