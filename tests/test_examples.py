@@ -39,12 +39,14 @@ NOT_RUN = {  # (page, words that the example begins with): why
     ("baselines.md", "gof baseline --method wu --curve"): OTHERS,
     ("baselines.md", "gof baseline --method yang"): OTHERS,
     ("baselines.md", "python FreeTimeGsVanilla"): OTHERS,
+    ("baselines.md", "python -m gof_benchmark.evidence.baseline_rows"): OTHERS + ", and hours",
     ("benchmark.md", "gof benchmark list"): HOURS + "; tests/suite walks the same way at toy size",
     ("benchmark.md", "gof pack"): "packs what the commands above it made; tests/test_pack.py packs and unpacks",
     ("capture.md", "gof capture target"): HARDWARE + " and a printed target; tests/capture films synthetic ones",
-    ("capture.md", ". $IDF_PATH"): HARDWARE,
-    ("capture.md", "$ firmware/build/emulator"): "needs a compiled emulator; tests/firmware talks to it",
-    ("capture.md", "$ make -C firmware"): "a C compiler's run; tests/firmware makes it",
+    ("capture.md", "gof capture sync"): "needs films of a RocSync board; tests/capture films synthetic ones",
+    ("capture_board.md", ". $IDF_PATH"): HARDWARE,
+    ("capture_board.md", "$ firmware/build/emulator"): "needs a compiled emulator; tests/firmware talks to it",
+    ("capture_board.md", "$ make -C firmware"): "a C compiler's run; tests/firmware makes it",
     ("cluster.md", "#!/bin/bash"): "needs a cluster; tests/test_cluster.py has one of two processes",
     ("cluster.md", "from pathlib"): "needs a cluster; tests/test_cluster.py has one of two processes",
     ("how_real.md", "python -m gof_benchmark.fires"): HOURS,
@@ -52,6 +54,10 @@ NOT_RUN = {  # (page, words that the example begins with): why
     ("ingest.md", "gof ingest b/cam"): "needs films of two fires; tests/ingest films small ones",
     ("ingest.md", "gof ingest data/hf"): "needs a published data set",
     ("ingest.md", "gof background"): "thousands of steps; tests/reconstruct makes small ones",
+    (
+        "leaderboard.md",
+        "gof depth data/fire",
+    ): "stereo finds nothing in noise; tests/ingest/test_frame_depth.py has texture",
     ("renderer.md", "import drjit"): "names every call with placeholders; tests/render makes each of them",
 }
 SAID = {  # page: words that stand for the reader's own files
@@ -59,6 +65,7 @@ SAID = {  # page: words that stand for the reader's own files
     "importers.md": {
         "RESULT": "mine.npz",
         "DATASET": "data/fire",
+        "CAMERAS": "data/fire/dataset.json",
         "out.npz | out.ply | out.ftgs.ply | out.glb | out.spz | out.sog | FOLDER": "out.glb",
     },
     "leaderboard.md": {"RESULT": "mine.npz", "DATASET": "data/fire", "METHOD": "mine"},

@@ -5,7 +5,7 @@ from gof.commands import Command
 COMMANDS = {
     "demo": Command(
         "gof_benchmark.commands.demo",
-        "make, reconstruct, score and show a small real fire (about 5 minutes on 2 cores)",
+        "make, reconstruct, score and show a small real fire (about 4 minutes on 2 cores)",
         10,
     ),
     "generate": Command(

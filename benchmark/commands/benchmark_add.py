@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -33,11 +33,11 @@ class AddConfig:
     file, say which frames it learned from, and give the pictures that its own renderer drew.
     """
 
-    result: tyro.conf.Positional[Path]
+    result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Folder of `gof reconstruct`, or file or folder of any method that docs/importers.md lists."""
-    scene: tyro.conf.Positional[Path]
+    scene: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
     """The scene's dataset in the suite: WORK/standard/jet."""
-    submission: tyro.conf.Positional[Path]
+    submission: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SUBMISSION")]]
     """Folder of the submission; made if it is not there."""
     foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
     run: str | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -25,9 +26,9 @@ class CheckConfig:
     long as `gof evaluate` for every run.
     """
 
-    submission: tyro.conf.Positional[Path]
+    submission: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SUBMISSION")]]
     """Folder with method.json and one folder a scene (docs/benchmark.md)."""
-    suite: tyro.conf.Positional[Path]
+    suite: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SUITE")]]
     """Folder of a size of the suite: WORK/standard."""
     json: Path | None = None
     """Also write the findings to this file."""

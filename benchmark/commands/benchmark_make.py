@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -28,7 +28,7 @@ class MakeConfig:
     WORK/openfoam/FIRE/grids; where OpenFOAM is not installed they are left out, and named.
     """
 
-    work: tyro.conf.Positional[Path]
+    work: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="WORK")]]
     """Folder of everything; made if it is not there."""
     size: Size = "smoke"
     """smoke: minutes; standard: hours; paper: a cluster."""

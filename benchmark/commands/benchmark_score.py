@@ -6,7 +6,7 @@ import hashlib
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -14,6 +14,7 @@ from gof import __version__
 from gof.errors import GofError
 from gof.evaluate.eddy_time import eddy_time
 from gof.evaluate.leaderboard import EvaluatedResult
+from gof.evaluate.leaderboard_page import PageGrid
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
 from gof.evaluate.submission import Run, Submission
@@ -24,6 +25,8 @@ from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.files import atomic_path
 from gof.records import to_json, write_record
+from gof.show.comparison import Moment
+from gof.show.flat import side_by_side
 from gof.terminal import console
 from gof_benchmark.suite import pick, scenes_of, suite_name
 from gof_benchmark.suite.made import MadeScene, made_scenes
@@ -37,7 +40,7 @@ class ScoreConfig:
     same dataset is scored once. Development scenes are scored apart (--split dev): no ranks are made of them with test.
     """
 
-    folders: tyro.conf.Positional[list[Path]]
+    folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="SUBMISSION ... SUITE")]]
     """Submissions, and last the folder of a size of the suite: mine others WORK/standard."""
     out: Path = Path("out/board")
     """Folder for board.html, .md and .json; older ones are replaced."""
@@ -73,7 +76,8 @@ def main(argv: list[str]) -> int:
     write_record(config.out / "board.json", found)
     if config.json is not None:
         write_record(config.json, found)
-    for name, text in (("board.html", to_html(found)), ("board.md", to_markdown(found))):
+    grids = {made.scene.name: _pictures(made, scored) for made, scored in zip(here, scenes, strict=True)}
+    for name, text in (("board.html", to_html(found, grids)), ("board.md", to_markdown(found))):
         with atomic_path(config.out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     console().print(to_markdown(found), markup=False, highlight=False)
@@ -94,6 +98,12 @@ def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> 
                 curves[submission.name] = TrainingCurve.read(with_curve[0])
     times_s = tuple(map(float, made.dataset.times_s))
     return ScoredScene(made.scene.name, made.scene.split, eddy_time(made.dataset), times_s, runs, curves)
+
+
+def _pictures(made: MadeScene, scored: ScoredScene) -> PageGrid | None:
+    """The first run of every method, from the middle camera."""
+    first = [replace(runs[0], name=name) for name, runs in scored.runs.items()]
+    return side_by_side(first, Moment.near(made.dataset, len(made.dataset.cameras) // 2, None))
 
 
 def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> EvaluatedResult:

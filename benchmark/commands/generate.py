@@ -27,7 +27,7 @@ class GenerateConfig:
     Stopped at any time, the same command goes on where it was; no finished frame is made twice.
     """
 
-    scene: Annotated[str, tyro.conf.Positional]
+    scene: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SCENE")]]
     """Spec file (.json), or the name of a built-in scene."""
     out: Path
     """Dataset folder to make or to finish."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -21,7 +21,7 @@ from gof.worker import run_worker
 class ImportConfig:
     """Result -> animated point cloud in a .blend that also holds the dataset's scene, and a rendered preview frame."""
 
-    result: tyro.conf.Positional[Path]
+    result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """result.npz or result.ply of a reconstruction."""
     dataset: Path
     """The dataset it was made from: its scene and cameras go into the .blend."""

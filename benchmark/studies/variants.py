@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
@@ -25,7 +25,7 @@ Row = dict[str, Any]
 class VariantStudy:
     """What every study of the reconstruction is asked."""
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder, with true velocity."""
     out: Path = Path("out/study")
     """Folder for the reconstructions, the tables (Markdown) and the charts."""

@@ -119,7 +119,7 @@ class Board:
                 if reply.version != VERSION or reply.status == ReplyStatus.WRONG_VERSION:
                     raise ProtocolError(
                         f"{self.port}: the board speaks protocol {reply.version}, this gof speaks {VERSION}; "
-                        "flash the firmware of this version (docs/capture.md)"
+                        "flash the firmware of this version (docs/capture_board.md)"
                     )
                 if reply.sequence != self._sequence or reply.request != request:
                     continue  # the late answer to an earlier attempt
@@ -128,7 +128,7 @@ class Board:
                 raise ProtocolError(f"{self.port}: the board refused {request.name}: {_explain_refusal(reply.status)}")
         raise BoardError(
             f"{self.port}: no LED board answers {request.name} ({self._reader.bad_frames} damaged frames received). "
-            "Is this the right port, and is the gof firmware flashed (docs/capture.md)?"
+            "Is this the right port, and is the gof firmware flashed (docs/capture_board.md)?"
         )
 
     def _write(self, frame: bytes) -> None:
@@ -214,7 +214,7 @@ def _explain_open(port: str, error: Exception) -> str:
 
 def _explain_refusal(status: int) -> str:
     return {
-        ReplyStatus.UNKNOWN: "it does not know this command; flash the firmware of this version (docs/capture.md)",
+        ReplyStatus.UNKNOWN: "it does not know this command; flash this version's firmware (docs/capture_board.md)",
         ReplyStatus.BAD_ARGUMENT: "a value is outside its range",
         ReplyStatus.WRONG_STATE: "not possible in its present state; 'gof capture board stop' first",
     }.get(status, f"status {status}")

@@ -154,10 +154,10 @@ class Identity:
     def decode(cls, body: bytes) -> Identity:
         """Raises: ProtocolError for a body this version does not know."""
         if len(body) < 9 or not body[8:].startswith(b"gof-board "):
-            raise ProtocolError("the device answers, but not as a gof LED board; flash its firmware (docs/capture.md)")
+            raise ProtocolError("the device answers, but not as a gof LED board; flash it (docs/capture_board.md)")
         name, (strips, gray_bits, slot, period) = body[8:].decode("ascii", "replace"), body[:4]
         if not name.isprintable() or not (1 <= strips <= 32 and 1 <= gray_bits <= 32 and 1 <= slot <= period):
-            raise ProtocolError("the device's answer is not that of an LED board; flash its firmware (docs/capture.md)")
+            raise ProtocolError("the device's answer is not that of an LED board; flash it (docs/capture_board.md)")
         wired = struct.unpack_from("<I", body, 4)[0]
         return cls(name, strips, gray_bits, slot, period, tuple(i for i in range(32) if wired >> i & 1))
 

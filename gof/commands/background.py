@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -16,7 +17,7 @@ from gof.reconstruct.background import BackgroundOptions, add_flame, make_backgr
 class BackgroundConfig:
     """The scene without fire as static Gaussians: background.npz and background.ply, for views that no camera took."""
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder. Uses its depth/CAMERA.npy (from `gof ingest --depth`), else stereo between its plates."""
     out: Path
     """Folder for the result; a finished one there is kept."""
@@ -29,7 +30,8 @@ class BackgroundConfig:
     depth_term: bool = BackgroundOptions.depth_term
     """Hold the Gaussians to the depth maps."""
     depth_weights: Path | None = None
-    """Folder of a Depth-Anything-V2 checkpoint that completes stereo depth; without it edges of the plate do."""
+    """Folder of a Depth-Anything-V2 checkpoint that completes stereo depth; without it edges of the plate do.
+    Never downloaded, and never run with published weights."""
     flame: Path | None = None
     """Result of `gof reconstruct` to add: scene.npz and scene.ply hold both."""
     seed: int = BackgroundOptions.seed

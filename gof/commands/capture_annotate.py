@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -21,7 +22,8 @@ class AnnotateConfig:
     losses leave its flicker out.
     """
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
+    """Dataset folder."""
     footage: list[Path] | None = None
     """The cameras' videos as given to gof ingest, to look for the board at full size; else the dataset's own
     pictures."""

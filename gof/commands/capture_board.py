@@ -58,8 +58,8 @@ def _find() -> dict:
         ports = candidate_ports()
         looked = f"asked {', '.join(ports)}: none answers as a board" if ports else "no USB serial port is present"
         raise BoardError(
-            f"no LED board found ({looked}). Use a USB cable that carries data, flash the firmware (docs/capture.md), "
-            "or name the port with --port"
+            f"no LED board found ({looked}). Use a USB cable that carries data, flash the firmware "
+            "(docs/capture_board.md), or name the port with --port"
         )
     return {"boards": [{"port": port, **asdict(identity)} for port, identity in boards]}
 

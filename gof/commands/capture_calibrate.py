@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -26,7 +27,7 @@ class CalibrateConfig:
     gof ingest --cameras.
     """
 
-    footage: tyro.conf.Positional[list[Path]]
+    footage: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]
     """One video or folder of photos per camera, in the order of the fire's videos."""
     out: Path
     """JSON file to write."""

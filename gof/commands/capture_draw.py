@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -16,7 +17,8 @@ from gof.options import require_positive
 class DrawConfig:
     """Draw a board template as a printable SVG at true size."""
 
-    out: tyro.conf.Positional[Path]
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    """File to write (.svg)."""
     template: str = "gof_board"
     """Built-in name (gof_board, paper_rig) or a JSON file."""
     marker_mm: float = 60.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -30,7 +30,7 @@ class SyncConfig:
     Writes OUT/times.json and one residual plot per camera.
     """
 
-    videos: tyro.conf.Positional[list[Path]]
+    videos: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]
     """The cameras' own files of one take, in the order gof ingest gets them."""
     out: Path
     """Folder for times.json and the plots."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -20,7 +21,7 @@ class TargetConfig:
     Print at 100 %, measure it with a ruler, glue it on something flat and stiff (glass, composite board).
     """
 
-    out: tyro.conf.Positional[Path]
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """File to write, .pdf or .svg."""
     target: tyro.conf.OmitArgPrefixes[Charuco] = field(default_factory=Charuco)
     json: Path | None = None

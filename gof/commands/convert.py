@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -32,9 +33,9 @@ class ConvertConfig:
       gof convert chkpnt30000.pth mine.npz --time-unit 0.35 --align sparse/0 --dataset data/fire
     """
 
-    result: tyro.conf.Positional[Path]
+    result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """File or folder of any method that docs/importers.md lists."""
-    out: tyro.conf.Positional[Path]
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """File or folder to write; the suffix says which format. What exists is not replaced."""
     foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
     frame_time: float | None = None

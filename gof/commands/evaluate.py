@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.table import Table
@@ -49,7 +49,7 @@ PUBLISHED_ROWS = (
 class EvaluateConfig:
     """Score a reconstruction against a dataset: DVE (L2, CosSim) with controls, PSNR and SSIM on held-out frames."""
 
-    result: tyro.conf.Positional[Path]
+    result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Result of a reconstruction: ours, or any method's that docs/importers.md lists."""
     truth: Path
     """Dataset folder with the true pictures and velocities."""

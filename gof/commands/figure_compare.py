@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -15,7 +16,6 @@ from gof.evaluate.leaderboard import collect
 from gof.files import write_json
 from gof.io.importers import ImportOptions
 from gof.options import require_number
-from gof.report.animation import brightest_frame
 from gof.share.opened import dataset_beside, open_moving
 from gof.show.comparison import KINDS, Kind, Moment, comparison, scored_subject, subject
 from gof.show.panels import Subject
@@ -39,7 +39,7 @@ class CompareConfig:
       gof figure compare boards/ours boards/theirs --dataset data/fire --box 60 120 40 40 --camera cam_0
     """
 
-    results: tyro.conf.Positional[tuple[Path, ...]]
+    results: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RESULT ...")]]
     """Folders of `gof reconstruct`; folders of `gof evaluate --out`, whose results are read and drawn as they were
     scored; or files of any method of docs/importers.md, in one world and on one clock."""
     foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
@@ -86,7 +86,7 @@ def main(argv: list[str]) -> int:
         raise GofError("name the dataset that the results are of (--dataset)")
     require_figure(*config.out)
     dataset = Dataset.open(folder)
-    moment = moment_of(dataset, camera_number(config.camera, dataset), config.time)
+    moment = Moment.near(dataset, camera_number(config.camera, dataset), config.time)
     boxes = [_box(numbers, moment) for numbers in config.box]
     options = config.foreign.options(config.frame_time)
     names = config.names or (None,) * len(config.results)
@@ -117,13 +117,6 @@ def _subject(path: Path, name: str | None, options: ImportOptions, moment: Momen
     opened = open_moving(path, options, name)
     gaussians = opened.gaussians.measured_from(moment.dataset.datum)
     return subject(opened.name, gaussians, opened.method, opened.path, moment, flame_only)
-
-
-def moment_of(dataset: Dataset, camera: int, time_s: float | None) -> Moment:
-    """The frame nearest to a time; by default the held-out one with most flame."""
-    if time_s is None:
-        return Moment(dataset, camera, brightest_frame(dataset))
-    return Moment(dataset, camera, int(abs(dataset.camera_times_s(camera) - time_s).argmin()))
 
 
 def _box(numbers: tuple[int, int, int, int], moment: Moment) -> Box:

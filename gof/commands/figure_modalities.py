@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -31,14 +32,14 @@ class ModalitiesConfig:
     Picture, plate, flame mask, depth (stereo; monocular with --depth-weights; maps of gof ingest and gof depth where
     there are such), optical flow, fused flow field, seeds, result, its velocity and, of a simulated fire, the true one.
     What is seen before any Gaussian is computed again by the run's own settings: seconds to minutes. What cannot be
-    made is left out, and it is said why.
+    made is left out, and the command says why.
 
     What people type:
       gof figure modalities out/demo                                       a demo's, modalities.pdf beside its result
       gof figure modalities out/fire --dataset data/fire --camera cam_1 --time 0.11 --out modalities.png
     """
 
-    result: tyro.conf.Positional[Path]
+    result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Folder of a `gof reconstruct`, finished or not, or of a `gof demo`."""
     dataset: Path | None = None
     """Dataset folder it is of; default: the one in a demo's folder."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
-from gof.commands.figure_compare import moment_of
 from gof.commands.video import camera_number
 from gof.dataset import Dataset
 from gof.files import write_json
 from gof.options import require_number
 from gof.share.opened import newest
+from gof.show.comparison import Moment
 from gof.show.fire_removal import fire_removal
 from gof.show.paper import WIDTH_IN, require_figure, write_sheet
 from gof.show.tiles import facts
@@ -31,7 +32,7 @@ class RemovalConfig:
       gof figure removal data/fire --result out/fire --camera cam_1 --time 0.11 --out removal.png
     """
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder."""
     result: Path | None = None
     """Folder of a `gof reconstruct` of it."""
@@ -56,7 +57,7 @@ def main(argv: list[str]) -> int:
     dataset = Dataset.open(config.dataset)
     everyone = range(len(dataset.cameras))
     cameras = list(everyone) if config.camera is None else [camera_number(config.camera, dataset)]
-    moment = moment_of(dataset, cameras[len(cameras) // 2], config.time)
+    moment = Moment.near(dataset, cameras[len(cameras) // 2], config.time)
     result = None if config.result is None else newest(config.result)
     rows = fire_removal(dataset, moment.frame, cameras, result)
     out = console()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -39,7 +39,7 @@ class IngestConfig:
     frames.
     """
 
-    videos: tyro.conf.Positional[list[Path]]
+    videos: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]
     """One video or folder of pictures per camera, of one fire, at least two; or one scenes/ID folder of the authors'
     public data set (fire_actioncam), which brings its own cameras and times."""
     out: Path
@@ -96,7 +96,8 @@ class IngestConfig:
     """Also write depth/cam_0.npy ... (H, W, camera depth in metres), by semi-global stereo on the plates (the paper: by
     COLMAP's PatchMatch, which needs CUDA and is not here), and points.ply."""
     depth_weights: Path | None = None
-    """Folder of a Depth-Anything-V2 checkpoint that completes the stereo depth; without it edges of the plate do."""
+    """Folder of a Depth-Anything-V2 checkpoint that completes the stereo depth; without it edges of the plate do.
+    Never downloaded, and never run with published weights."""
     start: tuple[int, ...] = (0,)
     """First frame of the first camera to use; or, without --times, a frame of each camera that was taken at the same
     moment, as --start 0 7 0."""

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 from rich.table import Table
 
-from gof.commands.figure_compare import moment_of
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate.accuracy_chart import accuracy_charts
 from gof.evaluate.leaderboard import (
     COLUMNS,
-    EvaluatedResult,
     Leaderboard,
     Row,
     collect,
@@ -24,13 +21,13 @@ from gof.evaluate.leaderboard import (
     to_markdown,
     used_columns,
 )
-from gof.evaluate.leaderboard_page import PagePicture, stream_plots, to_html
+from gof.evaluate.leaderboard_page import stream_plots, to_html
 from gof.files import atomic_path
 from gof.options import require_number
 from gof.records import write_record
-from gof.show.comparison import comparison, scored_subject
+from gof.show.comparison import Moment
 from gof.show.curves import Kind, write_accuracy
-from gof.show.flat import page_pictures
+from gof.show.flat import side_by_side
 from gof.show.paper import require_figure
 from gof.terminal import console
 
@@ -50,7 +47,7 @@ SHOWN = (
 class LeaderboardConfig:
     """Evaluated results side by side: table, pictures with errors, stream plots of velocity, accuracy against time."""
 
-    folders: tyro.conf.Positional[list[Path]]
+    folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="FOLDER ...")]]
     """Folders with scores.json of gof evaluate; also method.json ("name", "train_seconds") and costs.json, if there."""
     truth: Path | None = None
     """Dataset folder: adds the results' pictures side by side, and stream plots with the truth beside each method."""
@@ -72,7 +69,8 @@ def main(argv: list[str]) -> int:
     require_number("--time", config.time)
     results = collect(config.folders)
     rows = rows_of(results)
-    streams = stream_plots(results, Dataset.open(config.truth), config.time) if config.truth else []
+    dataset = Dataset.open(config.truth) if config.truth else None
+    streams = stream_plots(results, dataset, config.time) if dataset else []
     charts = [
         (chart, config.out / f"accuracy_{chart.key}.{kind}")
         for chart in accuracy_charts(rows)
@@ -83,8 +81,9 @@ def main(argv: list[str]) -> int:
     write_record(config.out / "leaderboard.json", Leaderboard(tuple(rows)))
     if config.json is not None:
         write_record(config.json, Leaderboard(tuple(rows)))
-    pictures, pictures_of = _side_by_side(results, config) if config.truth else ([], "")
-    page = to_html(rows, streams, config.title, pictures, pictures_of)
+    middle = Moment.near(dataset, len(dataset.cameras) // 2, config.time) if dataset else None
+    grid = side_by_side(results, middle) if middle else None
+    page = to_html(rows, streams, config.title, grid)
     pages = {"csv": to_csv(rows), "md": to_markdown(rows), "html": page}
     for suffix, text in pages.items():
         with atomic_path(config.out / f"leaderboard.{suffix}") as temporary:
@@ -101,23 +100,6 @@ def main(argv: list[str]) -> int:
     if charts:
         out.print(f"for print: {', '.join(path.name for _, path in charts)}")
     return 0
-
-
-def _side_by_side(
-    results: list[EvaluatedResult], config: LeaderboardConfig
-) -> tuple[list[list[PagePicture | None]], str]:
-    """The page's grid of pictures of the results that are still there, and what it is of."""
-    dataset = Dataset.open(config.truth)
-    moment = moment_of(dataset, len(dataset.cameras) // 2, config.time)
-    subjects = []
-    for result in results:
-        with suppress(GofError):  # a result that is gone is named with the stream plots
-            subjects.append(scored_subject(result, moment))
-    if not subjects:
-        return [], ""
-    held_out = "held out" if moment.frame in dataset.test_frames else "not held out"
-    said = f"{moment.camera.name}, frame {moment.frame} at {moment.time_s:.3f} s, {held_out}"
-    return page_pictures(comparison(subjects, moment)), said
 
 
 def _table(title: str, rows: list[Row]) -> Table:

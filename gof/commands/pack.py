@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -20,7 +21,7 @@ class PackConfig:
     Others open it with: gof unpack NAME.tar, or with tar and sha256sum.
     """
 
-    datasets: tyro.conf.Positional[tuple[Path, ...]]
+    datasets: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DATASET ...")]]
     """Dataset folders."""
     licence: str
     """What others may do with it, as data hosts name licences: CC-BY-4.0."""

@@ -30,7 +30,7 @@ class ReconstructConfig:
     shows the flame while it is being optimised.
     """
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder (holds dataset.json)."""
     out: Path = Path("out/reconstruction")
     """Folder for the result; a half-finished reconstruction there is resumed."""
@@ -45,9 +45,9 @@ class ReconstructConfig:
     longest_side: int | None = None
     """Pictures with a longer side, in pixels, are shrunk to it."""
     method: MethodName = "gof"
-    """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.methods.METHODS). Not the paper's even
-    then: the optical flow (--flow memfof is), plates (those of gof ingest --plate minimum are), no exposure per
-    camera."""
+    """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.methods.METHODS). Even
+    then three things are not the paper's: the optical flow, without --flow memfof; plates that `gof ingest` made
+    without --plate minimum; and an exposure per camera, which is missing."""
     scene: SceneName | None = None
     """What the flame is drawn in: `plates`, a picture without fire per camera (fast; the flame is in front of
     everything), or `gaussians`, the still scene in 3D (hides flame behind it, and is seen from any side; the result

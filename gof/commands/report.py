@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -29,7 +30,7 @@ class ReportConfig:
     stage pictures beside the result, and OUT/preview.json of `gof import` when there is one.
     """
 
-    out_dir: tyro.conf.Positional[Path]
+    out_dir: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Folder of the report; it holds scores.json."""
     dataset: Path | None = None
     """Dataset folder; default OUT/dataset."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import webbrowser
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -34,7 +35,7 @@ class ShareConfig:
       gof share out/fire out/other.ply --names ours theirs --dataset data/fire      side by side, with one camera
     """
 
-    results: tyro.conf.Positional[tuple[Path, ...]]
+    results: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RESULT ...")]]
     """Folders of `gof reconstruct`, or files of any method of docs/importers.md, in one world and on one clock."""
     foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
     dataset: Path | None = None

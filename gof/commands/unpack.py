@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -19,7 +20,7 @@ class UnpackConfig:
     A folder that was unpacked before is compared with its checksums again.
     """
 
-    archives: tyro.conf.Positional[tuple[Path, ...]]
+    archives: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="ARCHIVE ...")]]
     """Archives, or folders that were unpacked."""
     out: Path = Path("data")
     """Folder for the datasets."""

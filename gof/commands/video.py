@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -45,10 +46,10 @@ class VideoConfig:
       gof video out/fire out/other.ply --dataset data/fire --path camera --recorded --panels rgb error --out grid.png
 
     Behind a flame is what is known there: a still scene of the result's own or of --scene; from a camera of the dataset
-    its plate (a picture of that one view); else nothing, which is black. It is said which.
+    its plate (a picture of that one view); else nothing, which is black. The command prints which.
     """
 
-    results: tyro.conf.Positional[tuple[Path, ...]]
+    results: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RESULT ...")]]
     """Folders of `gof reconstruct`, or files of any method of docs/importers.md, in one world and on one clock."""
     foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
     dataset: Path | None = None
@@ -126,7 +127,8 @@ def main(argv: list[str]) -> int:
     if film.found:
         terminal.print(f"{film.found} of {film.frames} frames were there already")
     seconds = film.frames / config.fps
-    terminal.print(f"{film.path}: {film.frames} frames, {seconds:.1f} s, {film.size[0]}x{film.size[1]} px")
+    length = "" if film.path.suffix == ".png" else f"{film.frames} frames, {seconds:.1f} s, "
+    terminal.print(f"{film.path}: {length}{film.size[0]}x{film.size[1]} px")
     if config.json:
         write_json(config.json, _figures(film))
     return 0

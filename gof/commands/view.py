@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -16,7 +17,7 @@ from gof.report.viewer import Viewer
 class ViewConfig:
     """A result in the browser: 3D, with a time slider. Of a reconstruction that still runs, the latest snapshot."""
 
-    result: tyro.conf.Positional[Path]
+    result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Result of `gof reconstruct` (file or folder, finished or not), or of any method that docs/importers.md lists."""
     dataset: Path | None = None
     """Dataset folder: shows its cameras with their pictures, and knows the frame times."""

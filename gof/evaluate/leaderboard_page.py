@@ -137,19 +137,16 @@ class PagePicture:
     note: str = ""
 
 
-def to_html(
-    rows: Sequence[Row],
-    streams: Sequence[StreamPlots],
-    title: str,
-    pictures: Sequence[Sequence[PagePicture | None]] = (),
-    pictures_of: str = "",
-) -> str:
-    """The page; everything is inside it.
+@dataclass(frozen=True)
+class PageGrid:
+    """Results side by side: rows of pictures, None where a place is empty; `of` which camera and frame they are."""
 
-    Args:
-        pictures: rows of a grid that compares the results; None leaves a place empty.
-        pictures_of: which camera and frame they are of.
-    """
+    rows: Sequence[Sequence[PagePicture | None]]
+    of: str
+
+
+def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str, grid: PageGrid | None = None) -> str:
+    """The page; everything is inside it."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     charts = pareto_figures(rows)
@@ -165,8 +162,7 @@ def to_html(
         table=list(zip(rows, cells, strict=True)),
         rows_of_others=any(row.other_footage for row in rows),
         streams=streams,
-        pictures=pictures,
-        pictures_of=pictures_of,
+        grid=grid,
         charts=charts,
         plotlyjs=extras.load("plotly.offline", *PLOTLY).get_plotlyjs() if charts else "",
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
-from gof.evaluate import line_chart
+from gof.evaluate import leaderboard_page, line_chart
 from gof.evaluate.cells import in_markdown
 from gof.evaluate.leaderboard import COLUMNS
 from gof.evaluate.suite_board import CONTROL, RANKED, BoardRow, BoardScene, Figure, SuiteBoard
@@ -82,8 +83,12 @@ def _in_brackets(text: str) -> str:
     return f"({text})" if text else ""
 
 
-def to_html(board: SuiteBoard) -> str:
-    """The page; everything is inside it."""
+def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | None]) -> str:
+    """The page; everything is inside it.
+
+    Args:
+        grids: the methods' pictures side by side, by the scene's name.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     keys = used(board.rows)
@@ -111,11 +116,11 @@ def to_html(board: SuiteBoard) -> str:
         ranked=any(row.competes for row in board.rows),
         headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
         table=table,
-        scenes=[_scene(scene) for scene in board.scenes],
+        scenes=[_scene(scene, grids.get(scene.name)) for scene in board.scenes],
     )
 
 
-def _scene(scene: BoardScene) -> dict:
+def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None) -> dict:
     """What the page shows of a scene."""
     keys = [key for key in RANKED if any(key in figures for figures in scene.figures.values())]
     rows = [
@@ -141,6 +146,7 @@ def _scene(scene: BoardScene) -> dict:
         "controls_on": scene.controls_on,
         "headings": [COLUMNS[key].heading for key in keys],
         "rows": rows,
+        "grid": grid,
         "curves": [_curve(name, curve) for name, curve in scene.curves.items()],
         "chart": _chart(scene.curves),
     }

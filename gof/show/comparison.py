@@ -20,7 +20,7 @@ from gof.evaluate.leaderboard_page import read_again, scored_file
 from gof.evaluate.scoring import is_flame_alone
 from gof.flame_mask import flame_mask
 from gof.gaussians import MovingGaussians
-from gof.report.animation import original
+from gof.report.animation import brightest_frame, original
 from gof.show.panels import Subject, picture
 from gof.show.path import Shot
 from gof.show.sideways import fastest, of_result, true_there, unit
@@ -39,6 +39,18 @@ class Moment:
     dataset: Dataset
     number: int
     frame: int
+
+    @classmethod
+    def near(cls, dataset: Dataset, camera: int, time_s: float | None) -> Moment:
+        """The frame nearest to a time; by default the held-out one with most flame."""
+        if time_s is None:
+            return cls(dataset, camera, brightest_frame(dataset))
+        return cls(dataset, camera, int(abs(dataset.camera_times_s(camera) - time_s).argmin()))
+
+    @property
+    def in_words(self) -> str:
+        held_out = "held out" if self.frame in self.dataset.test_frames else "not held out"
+        return f"{self.camera.name}, frame {self.frame} at {self.time_s:.3f} s, {held_out}"
 
     @property
     def camera(self) -> Camera:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import cv2
 import numpy as np
 from PIL import ImageColor
 
-from gof.evaluate.leaderboard_page import PagePicture
+from gof.errors import GofError
+from gof.evaluate.leaderboard import EvaluatedResult
+from gof.evaluate.leaderboard_page import PageGrid, PagePicture
 from gof.report.animation import data_uri, enlarge, factor_for
+from gof.show.comparison import Moment, comparison, scored_subject
 from gof.show.tiles import BOX_COLOURS, Bar, Row, Tile, Wheel
 
 WIDEST = 480  # px that a page shows of a picture
@@ -18,6 +22,15 @@ WIDEST = 480  # px that a page shows of a picture
 def page_pictures(rows: Sequence[Row]) -> list[list[PagePicture | None]]:
     """The tiles of a figure for a page."""
     return [[tile and PagePicture(data_uri(flat(tile)), tile.title, in_words(tile)) for tile in row] for row in rows]
+
+
+def side_by_side(results: Sequence[EvaluatedResult], moment: Moment) -> PageGrid | None:
+    """The results that can be read again, each drawn as it was scored; None where there is none."""
+    subjects = []
+    for result in results:
+        with suppress(GofError):  # pages name those that are gone or damaged beside their scores
+            subjects.append(scored_subject(result, moment))
+    return PageGrid(page_pictures(comparison(subjects, moment)), moment.in_words) if subjects else None
 
 
 def in_words(tile: Tile) -> str:

@@ -203,7 +203,7 @@ def test_page_and_tables(tmp_path):
     found = board("A <b>title</b>", methods("one", "two"), scenes)
     write_record(tmp_path / "board.json", found)
     assert read_record(SuiteBoard, tmp_path / "board.json") == found
-    page = to_html(found)
+    page = to_html(found, {})
     assert "A &lt;b&gt;title&lt;/b&gt;" in page and "3 of 3 wins" in page and "seeds ±" in page
     assert "given: poses" in page and "knew before: nothing" in page and page.count("<h3>") == 3
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is fetched"
@@ -253,7 +253,7 @@ def test_curves_are_on_the_page(tmp_path):
     found = board("t", methods("one", "two"), [here, scene("b", one=0.1, two=0.2)])
     write_record(tmp_path / "board.json", found)
     assert read_record(SuiteBoard, tmp_path / "board.json") == found
-    page = to_html(found)
+    page = to_html(found, {})
     assert page.count("Had the trainings converged?") == 1 and page.count("<polyline") == 1
     assert "<td>1000</td><td>500</td>" in page
 

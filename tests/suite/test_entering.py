@@ -1,10 +1,13 @@
 """The whole way in: results into a submission, a check, a board; with small datasets in place of the suite's fires."""
 
+import base64
+import io
 import json
 import shutil
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
@@ -84,7 +87,16 @@ def test_one_page_comes_out(work, tmp_path, capsys):
     l2 = {name: rows[name].figures["l2"] for name in ("good", "bad")}
     assert l2["good"].mean < l2["bad"].mean and l2["good"].wins == 2 and l2["good"].seed_sd > 0
     assert "control: zero" in rows
-    assert "GoF-Bench 1" in (tmp_path / "board.html").read_text()
+    page = (tmp_path / "board.html").read_text()
+    assert "GoF-Bench 1" in page
+    assert page.count("cam_1, frame 4 at 0.040 s, held out") == len(SCENES), "the methods' pictures, scene by scene"
+    last = {name: page.split(f"<figcaption>{name}</figcaption>")[-1] for name in ("good", "bad")}
+    shown = {name: said.split("<figcaption>flame ")[1].split(" dB")[0] for name, said in last.items()}
+    pictures = Scores.read(work / "good" / SCENES[-1] / "seed_0/scores.json").images.pictures
+    (picture,) = [one for one in pictures if (one.camera, one.frame) == ("cam_1", 4)]
+    assert shown["good"] == f"{picture.psnr_flame:.2f}" and float(shown["bad"]) < float(shown["good"])
+    for picture in page.split('<img src="data:image/webp;base64,')[1:]:
+        Image.open(io.BytesIO(base64.b64decode(picture.split('"')[0]))).load()
 
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "scores").iterdir()}
     assert len(kept) == 6

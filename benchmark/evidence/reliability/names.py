@@ -225,7 +225,7 @@ def _show_pages(folder: Path):
     name = dataset.description.name
     facts = description_lines(dataset, 1000)
     shared = assemble({"results": [{"name": row.name} for row in board.rows], "facts": facts, "file": name}, name)
-    for page in (to_html(board), shared):
+    for page in (to_html(board, {}), shared):
         assert not _strange_tags(page), "a name acts on a page"
     said = card(dataset, name or "x", (name,), 1000)
     assert "<script" not in said.split("```")[0] and said.count("\n---\n") == 1, "a name acts on a card"
