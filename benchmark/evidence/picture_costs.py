@@ -75,6 +75,8 @@ VARIANTS = (
     Variant("step of the march 1 (half)", {"volume_step_rate": 1.0}),
     Variant("step of the march 4", {"volume_step_rate": 4.0}),
     Variant("step of the march 8", {"volume_step_rate": 8.0}),
+    Variant("2 samples, step 4 (preset large)", {"samples": 2, "volume_step_rate": 4.0}),
+    Variant("1 sample, step 4", {"samples": 1, "volume_step_rate": 4.0}),
     Variant("linear interpolation of cells", blender={f"{FLAME}.volume_interpolation": "LINEAR"}),
     Variant("cover with all samples", blender={'view_layers["Cover"].samples': BASE["samples"]}),
     Variant("0 bounces", {"max_bounces": 0}),
@@ -82,12 +84,11 @@ VARIANTS = (
     Variant("no light tree", blender={"cycles.use_light_tree": False}),
     Variant("adaptive sampling", blender={"cycles.use_adaptive_sampling": True, "cycles.adaptive_threshold": 0.05}),
     Variant("one thread", blender={"render.threads_mode": "FIXED", "render.threads": 1}),
-    Variant("half the size, 4 times the samples", {"samples": 4, "percentage": 0.5}),
-    Variant("a quarter of the size, 16 times the samples", {"samples": 16, "percentage": 0.25}),
+    Variant("half the size, 4 samples", {"samples": 4, "percentage": 0.5}),
+    Variant("a quarter of the size, 16 samples", {"samples": 16, "percentage": 0.25}),
     Variant("light of sheets", fire={"light": "sheets"}, same=False),
     Variant("light of the reaction", fire={"light": "reaction"}, same=False),
     Variant("half the cells along a side", cells=0.5, same=False),
-    Variant("1.5 times the cells along a side", cells=1.5, same=False),
 )
 
 
