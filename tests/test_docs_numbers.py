@@ -140,6 +140,7 @@ NOT_AT_TOY_SIZE = {
     "generated_board": "renders a board by Blender",
     "ingest_memory": "needs ffmpeg; its size is the claim",
     "ingest_table": "needs datasets that gof ingest made of the paper's clips",
+    "picture_costs": "renders two dozen pictures by Blender; their size is the claim",
     "looks_sheet": "bakes and renders every scene three times by Blender",
     "open_sockets": "runs every command, Blender's too",
     "ordinary_footage": "needs ffmpeg and the paper's clips",

@@ -30,8 +30,12 @@ NEEDED = ("blender", "Xvfb", "xdotool", "import", "convert")
 TAB = (1307, 276)
 ADD_FIRE, ADD_CAMERAS, NEXT_VIEW, BENCHMARK_BELOW = (1205, 419), (1205, 781), (1205, 801), (1152, 862)
 BAKE_AND_RENDER = (1205, 389)
+THINGS = "len(bpy.context.scene.objects)"
 DESELECT = "bpy.ops.object.select_all(action='DESELECT')"  # the active object stays that of the panel
 SIDEBAR = "222x440+1098+60"
+QUESTION = "400x180+310+690"
+IMPORT = (1205, 183)  # in the third panel, when the first two are closed
+DIALOG_FOLDER, DIALOG_FIRST_FILE, DIALOG_IMPORT = (720, 48), (500, 105), (1527, 1057)
 FIRST_HEADER, HEADER_STEP = (1152, 97), 28  # of the panels when all are closed
 
 INSTALL = """
@@ -168,10 +172,30 @@ class Window:
 
     def settle(self) -> None:
         """Give the sidebar the time and the pointer's motion that its animations need, drawn by software."""
-        for y in (400, 420, 440):
-            self._pointer("mousemove", 1190, y)
-            time.sleep(1)
-        self._pointer("mousemove", 500, 700)
+        for _ in range(2):
+            for y in (400, 420, 440):
+                self._pointer("mousemove", 1190, y)
+                time.sleep(1)
+            self._pointer("mousemove", 500, 700)
+            self.python("area.tag_redraw()")
+
+    def click(self, x: int, y: int, times: int = 1) -> None:
+        """Press where no 3D view is, which `press` would ask."""
+        self._pointer("mousemove", x, y)
+        self._pointer("mousemove_relative", 1, 1)
+        self._pointer("click", "--repeat", times, "--delay", 80, 1)
+        time.sleep(2)
+
+    def type(self, text: str) -> None:
+        self._pointer("type", "--delay", 30, text)
+
+    def undone(self, number: str) -> None:
+        """Undo and redo with the keys: Python's `number` changes, and is as before again."""
+        before = self.python(number)
+        self.key("ctrl+z")
+        self.wait(lambda: self.python(number) != before)
+        self.key("ctrl+shift+z")
+        self.wait(lambda: self.python(number) == before)
 
     def rest(self) -> None:
         """Wait until a view that is slow to draw has been drawn."""
@@ -204,12 +228,13 @@ def fire(window: Window, out: Path) -> None:
     window.key("n")
     window.wait(lambda: window.python("view.show_region_ui"))
     window.settle()
-    window.settle()
     window.press(*TAB)
     window.python("gof.fire.spot = 'OBJECT'\nNone")
     window.press(*ADD_FIRE, "any(thing.get('gof_part') == 'domain' for thing in scene.objects)")
     window.settle()  # the fire is drawn for the first time
+    window.undone(THINGS)
     window.press(*ADD_CAMERAS, "sum(thing.type == 'CAMERA' for thing in scene.objects) == 4")
+    window.undone(THINGS)
     window.press(*NEXT_VIEW, "view.region_3d.view_perspective == 'CAMERA'")
     window.press(*NEXT_VIEW, "scene.camera.name == 'cam_1'")
     window.python("for frame in range(1, 41): scene.frame_set(frame)\nNone", 300)
@@ -230,8 +255,8 @@ def benchmark(window: Window, out: Path) -> None:
     window.press(*BAKE_AND_RENDER, running)
     window.wait(lambda: window.python(f"{job}.stage == 'bake' and {job}.share > 0"), 300)
     window.key("Escape")
-    time.sleep(2)
-    window.photograph(window.work / "question_bake.png")
+    time.sleep(10)  # a busy machine draws late
+    window.photograph(out / "addon_stop.webp", crop=QUESTION)
     window.key("Return")
     window.wait(lambda: not window.python(running), 300)
     assert (folder / ".cache" / "bake-finished.json").is_file(), "a bake is finished before the benchmark stops"
@@ -242,6 +267,12 @@ def benchmark(window: Window, out: Path) -> None:
     window.wait(lambda: len(list(folder.glob("cameras/*/exr/0*.exr"))) > 5, 300)
     window.settle()
     window.photograph(out / "addon_benchmark.webp", crop=SIDEBAR)
+    playing = "bpy.context.window_manager.windows[0].screen.is_animation_playing"
+    window.key("space")
+    window.wait(lambda: window.python(playing))
+    window.key("Escape")
+    window.wait(lambda: not window.python(playing))
+    assert window.python(running), "while an animation is played, Esc ends that alone"
     window.key("Escape")
     time.sleep(2)
     assert window.python(running), "Esc asks before it ends a benchmark"
@@ -258,19 +289,38 @@ def benchmark(window: Window, out: Path) -> None:
     window.press(*panel(1))
 
 
-def reconstruction(window: Window, out: Path, result: Path, dataset: Path, python: Path) -> None:
-    """A reconstruction in an empty scene, and its score."""
+def reconstruction(window: Window, out: Path, result: Path, dataset: Path) -> None:
+    """A reconstruction in an empty scene, chosen in the file dialog, and its score."""
+    chosen = window.work / "chosen" / result.name
+    chosen.parent.mkdir()
+    shutil.copy(result, chosen)
+    window.python("bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'\nNone")
     window.python("bpy.ops.object.select_all(action='SELECT'); bpy.ops.object.delete(); scene.frame_set(6)\nNone")
-    for number in (3, 2):  # while the view is quickly drawn
-        window.press(*panel(number))
-        window.settle()
-    window.python(f"bpy.ops.gof.import_result(filepath={str(result)!r})\nNone", 300)
+    window.settle()
+    window.press(*panel(2))  # while the view is quickly drawn
+    window.settle()
+    window.click(*IMPORT)
+    window.click(*DIALOG_FOLDER, times=2)
+    window.key("ctrl+a")
+    window.type(f"{chosen.parent}/")
+    window.key("Return")
+    time.sleep(3)
+    window.click(*DIALOG_FIRST_FILE)
+    window.click(*DIALOG_IMPORT)
+    window.wait(lambda: window.python(f"{THINGS} == 1"), 300)
+    window.undone(THINGS)
     window.settle()
     window.python("bpy.ops.view3d.view_axis(type='FRONT'); view.shading.type = 'MATERIAL'\nNone")
+    select = "thing = scene.objects[0]; bpy.context.view_layer.objects.active = thing; thing.select_set(True)"
+    window.python(f"{select}\nscene.frame_set((scene.frame_start + scene.frame_end) // 2)\nNone")
     window.python(f"bpy.ops.view3d.view_selected(); {DESELECT}\nNone")
     window.rest()
+    window.settle()
     window.photograph(out / "addon_reconstruction.webp", crop="1600x1000+0+0", width=1000)
-    window.python(f"gof.score.dataset, gof.score.python = {str(dataset)!r}, {str(python)!r}\nNone")
+    for number in (2, 3):
+        window.press(*panel(number))
+        window.settle()
+    window.python(f"gof.score.dataset = {str(dataset)!r}\nNone")
     window.python("bpy.ops.gof.score()\nNone", 600)
     window.python("bpy.ops.gof.show_errors()\nNone", 300)
     window.python(f"bpy.ops.view3d.view_all(); {DESELECT}\nNone")
@@ -290,7 +340,6 @@ def main() -> int:
         default=build_addon.ROOT / "out" / "addon_window",
         help="folder for everything else; emptied",
     )
-    parser.add_argument("--python", type=Path, default=Path(sys.executable), help="a Python that gof is installed in")
     args = parser.parse_args()
     missing = [name for name in NEEDED if not shutil.which(name)]
     if missing:
@@ -303,7 +352,7 @@ def main() -> int:
         time.sleep(5)
         fire(window, out)
         benchmark(window, out)
-        reconstruction(window, out, args.result.resolve(), args.dataset.resolve(), args.python.absolute())
+        reconstruction(window, out, args.result.resolve(), args.dataset.resolve())
     return 0
 
 

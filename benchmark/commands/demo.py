@@ -36,7 +36,7 @@ class DemoConfig:
     scene: str = "demo"
     """Built-in scene or spec file to simulate."""
     preset: str | None = None
-    """Cost preset of the scene (toy, preview, draft, standard, paper); default: the scene's own settings."""
+    """Cost preset of the scene (toy, preview, draft, standard, large, paper); default: the scene's own settings."""
     gaussians: int | None = None
     """Number of Gaussians; default: that of `gof reconstruct`."""
     iterations: int | None = None

@@ -32,7 +32,7 @@ class GenerateConfig:
     out: Path
     """Dataset folder to make or to finish."""
     preset: str | None = None
-    """Cost preset instead of the scene's own settings: toy, preview, draft, standard or paper."""
+    """Cost preset instead of the scene's own settings: toy, preview, draft, standard, large or paper."""
     views: tuple[
         Literal[
             "nerfstudio",

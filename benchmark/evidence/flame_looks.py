@@ -7,7 +7,6 @@ fires' mean, and what one filmed fire has to the mean of the others.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from gof.errors import DataFormatError
 from gof.evaluate import line_chart
 from gof.footage import stored_frames
 from gof_benchmark.fires import measures
+from gof_blender.pure import spec as scene_spec
 
 EVERY = 4  # frame whose colours and texture are taken
 BINS = 8  # of the histogram, a colour
@@ -114,16 +114,15 @@ def of_clip(folder: Path, rate_hz: float) -> Looks:
 
 
 def of_dataset(folder: Path) -> Looks:
-    """Of a dataset, also an unfinished one, whose rate is then not known."""
-    description = folder / "dataset.json"
-    times = json.loads(description.read_text())["time_s"] if description.is_file() else []
+    """Of a dataset, also an unfinished one of which only the pictures are there."""
+    rate_hz = scene_spec.load(folder / "spec.json").clip.fps
     views = []
     for camera in sorted((folder / "cameras").iterdir()):
         names = [path.name for path in sorted((camera / "rgb").glob("*.png"))]
         pictures = [cv2.imread(str(camera / "rgb" / name))[..., ::-1] for name in names]
         masks = [cv2.imread(str(camera / "mask" / name), cv2.IMREAD_GRAYSCALE) > 0 for name in names]
         views.append(([np.ascontiguousarray(picture) for picture in pictures], masks))
-    return looks(folder.name, views, 1 / (times[1] - times[0]) if len(times) > 1 else 0.0)
+    return looks(folder.name, views, rate_hz)
 
 
 def distances(one: Looks, others: list[Looks]) -> tuple[float, float, float]:

@@ -2,8 +2,9 @@
 
     python -m gof_benchmark.evidence.looks_sheet --work out/looks --out docs/figures/looks_sheet.webp
 
-A row is a way to shine (`fire.light`), a column a fire. Bakes and pictures that lie in the work folder are not made
-again. Beside each picture's name it prints how the flame is exposed, and what the picture cost.
+A row is a way to shine (`fire.light`), a column a fire; the pictures are of the first frame. More frames, at a rate,
+are for the flicker that `flame_looks` measures. Bakes and pictures that lie in the work folder are not made again.
+Beside each picture's name it prints how the flame is exposed, and what a picture cost.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import tyro
 
 from gof_benchmark.evidence import contact_sheet, fire_sizes
@@ -31,7 +33,7 @@ ROWS: dict[str, Callable[[SceneSpec], SceneSpec]] = {
 
 @dataclass(frozen=True)
 class LooksSheet:
-    """Bake and render one frame of every scene in every light, and put them into one picture."""
+    """Bake and render every scene in every light, and put their first frames into one picture."""
 
     work: Path
     """Folder of the datasets; what is there is used."""
@@ -43,6 +45,12 @@ class LooksSheet:
     """Of 720 x 1280 pixels."""
     samples: int = 16
     """Cycles samples a pixel."""
+    fires: tuple[str, ...] = ()
+    """Names of those to make; all without any."""
+    frames: int = 1
+    """Of each clip."""
+    rate_hz: float | None = None
+    """Of the frames; each fire's own without."""
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -50,6 +58,7 @@ def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(LooksSheet, prog="python -m gof_benchmark.evidence.looks_sheet", args=argv)
     fires = {name: fire_sizes.sized(name, config.resolution) for name in fire_sizes.SIZES}
     fires |= {name: load_scene(name) for name in built_in_scenes()}
+    fires = {name: fires[name] for name in config.fires or fires}
     print("| fire | light | clipped | black | bake, CPU s | picture, CPU s |", "|---|---|---|---|---|---|", sep="\n")
     rows = []
     for light, change in ROWS.items():
@@ -63,10 +72,12 @@ def with_light(spec: SceneSpec, light: str, speeds: str) -> SceneSpec:
 
 
 def small(spec: SceneSpec, config: LooksSheet) -> SceneSpec:
-    """The first frame after the warm-up, seen by one camera from the middle of the arc."""
+    """The first frames after the warm-up, seen by one camera from the middle of the arc."""
+    rate = config.rate_hz or spec.clip.fps
+    warm_up = round(spec.clip.warm_up_frames * rate / spec.clip.fps)
     return replace(
         spec,
-        clip=replace(spec.clip, frames=1),
+        clip=replace(spec.clip, frames=config.frames, fps=rate, warm_up_frames=warm_up),
         domain=replace(spec.domain, resolution=config.resolution),
         cameras=replace(spec.cameras, count=1, eval_count=0, sensor_px=(1280, 720), roll_deg=90),
         render=replace(spec.render, percentage=config.percentage, samples=config.samples, plate_samples=config.samples),
@@ -78,14 +89,14 @@ def picture(light: str, name: str, spec: SceneSpec, folder: Path) -> Path:
     layout = Layout(folder.resolve())
     claim(layout, spec)
     baked = "-" if layout.bake_marker.is_file() else f"{run_stage('bake', layout.root).cpu_s:.0f}"
-    made = layout.frame(spec.cameras.names[0], 0)
-    rendered = "-"
-    if not made.exr.is_file():
-        rendered = f"{Renderer.render(layout.root, 0, 0).cpu_s:.1f}"
-        Renderer.close(layout.root)
+    made = [layout.frame(spec.cameras.names[0], frame) for frame in range(spec.clip.frames)]
+    missing = [frame for frame, files in enumerate(made) if not files.exr.is_file()]
+    costs = [Renderer.render(layout.root, frame, 0).cpu_s for frame in missing]
+    Renderer.close(layout.root)
+    rendered = f"{np.median(costs):.1f}" if costs else "-"
     seen = json.loads(layout.brightness.read_text())
     print(f"| {name} | {light} | {seen['clipped']:.2f} | {seen['black']:.2f} | {baked} | {rendered} |", flush=True)
-    return made.rgb
+    return made[0].rgb
 
 
 if __name__ == "__main__":

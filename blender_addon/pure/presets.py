@@ -23,6 +23,11 @@ PRESETS: dict[str, dict[str, dict]] = {
         "domain": {"resolution": 128},
         "render": {"percentage": 25, "samples": 16, "plate_samples": 64},
     },
+    "large": {
+        "clip": {"frames": 50},
+        "domain": {"resolution": 128},
+        "render": {"percentage": 100, "samples": 2, "plate_samples": 16, "volume_step_rate": 4.0},
+    },
     "paper": {
         "clip": {"frames": 50},
         "domain": {"resolution": 640},

@@ -11,8 +11,7 @@ their weighted sum in linear light.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import bpy
@@ -129,6 +128,9 @@ class FrameRenderer:
         self._adds_light = not any(map(absorbs_light, spec.effects))
         if self._adds_light:
             _leave_only_the_fire()
+        self._covers = self._adds_light and spec.fire.dims
+        if self._covers:
+            _add_cover_layer()
         self._gain = metered(spec, layout)
         # A picture of many instants needs fewer paths for each.
         _, weights = spec.timeline.weights(0, 0)
@@ -181,11 +183,10 @@ class FrameRenderer:
     def _seen_now(self, camera: int, beside: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Beauty, flame and cover of the current step."""
         passes = _render(self._cameras[camera], beside)
-        cover = np.zeros((*passes["Depth.Z"].shape, 1), np.float32)
-        if self._adds_light and self._spec.fire.dims:
-            with _only_the_cover():
-                cover = _beauty(_render(self._cameras[camera], beside))[..., 3:]
-        return _beauty(passes), _flame(passes), cover
+        cover = passes[COVER_ALPHA] if self._covers else np.zeros_like(passes["Depth.Z"])
+        beauty = _beauty(passes)
+        beauty[..., 3] = 1.0  # the cover's layer makes what is nowhere transparent, in all layers
+        return beauty, _flame(passes), cover[..., None]
 
 
 def frames(spec: SceneSpec, layout: Layout, progress: Progress) -> None:
@@ -253,27 +254,35 @@ def _leave_only_the_fire() -> None:
         _switch_emission_off(group)
 
 
-@contextmanager
-def _only_the_cover() -> Iterator[None]:
-    """Within it, a picture's alpha is the share of what is behind the flame that the flame covers.
+COVER = "Cover"
+COVER_ALPHA = f"{COVER}.Combined.A"
 
-    A volume that only absorbs is the same along all of a pixel's paths, so nothing has to be denoised. Samples and
-    bounces stay: with persistent data Cycles would sometimes keep those of this pass for the next picture.
+
+def _add_cover_layer() -> None:
+    """Add a view layer whose alpha is the share of what is behind the flame that the flame covers.
+
+    All but the flame is held out in it. Light that is only absorbed is the same along all of a pixel's paths, so one
+    path is enough and nothing has to be denoised. A second picture with other settings would not do: with persistent
+    data Cycles sometimes keeps the number of samples of the one before.
     """
-    scene = bpy.context.scene
-    denoised = scene.cycles.use_denoising
-    others = [thing for thing in scene.objects if thing != find_flame() and not thing.is_holdout]
-    scene.cycles.use_denoising = False
+    scene, flame = bpy.context.scene, find_flame()
+    alone = bpy.data.collections.new(COVER)
+    scene.collection.children.link(alone)
+    for collection in flame.users_collection:
+        collection.objects.unlink(flame)
+    alone.objects.link(flame)
+    layer = scene.view_layers.new(COVER)
+    layer.samples = 1
+    layer.use_pass_z = False
+    layer.cycles.use_denoising = False
+    _hold_out([child for child in layer.layer_collection.children if child.collection != alone])
     scene.render.film_transparent = True
-    for thing in others:
-        thing.is_holdout = True
-    try:
-        yield
-    finally:
-        for thing in others:
-            thing.is_holdout = False
-        scene.render.film_transparent = False
-        scene.cycles.use_denoising = denoised
+
+
+def _hold_out(collections: Iterable[bpy.types.LayerCollection]) -> None:
+    for collection in collections:
+        collection.holdout = True
+        _hold_out(collection.children)
 
 
 def _switch_emission_off(tree: bpy.types.NodeTree) -> None:
@@ -286,7 +295,10 @@ def _switch_emission_off(tree: bpy.types.NodeTree) -> None:
 
 
 def _render(camera: bpy.types.Object, beside: Path) -> dict[str, np.ndarray]:
-    """Render one camera; returns its passes. Blender hands passes out only through a file, kept beside the result."""
+    """Render one camera; returns its passes, those of the cover's layer with `COVER` before their names.
+
+    Blender hands passes out only through a file, kept beside the result.
+    """
     scene = bpy.context.scene
     draft = temporary(beside.with_suffix(".passes.exr"))
     settings = scene.render.image_settings
@@ -298,7 +310,8 @@ def _render(camera: bpy.types.Object, beside: Path) -> dict[str, np.ndarray]:
     bpy.ops.render.render(write_still=True)
     passes = images.read_exr(draft)
     draft.unlink()
-    return {name.split(".", 1)[1]: channel for name, channel in passes.items()}  # without the view layer's name
+    first = f"{scene.view_layers[0].name}."
+    return {name.removeprefix(first): channel for name, channel in passes.items()}
 
 
 def _beauty(passes: dict[str, np.ndarray]) -> np.ndarray:

@@ -19,12 +19,7 @@ READOUT = {0: "down", 90: "left", 180: "up", -90: "right"}
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> list[bpy.types.Object]:
     """Add the cameras of the spec and set the scene's image size."""
     rig = spec.cameras
-    scene = bpy.context.scene
-    # The rendered size at 100 %: with a percentage that does not divide, Blender's own view functions and Cycles would
-    # disagree about the shape of the image.
-    along_rows, rows = spec.picture_px
-    scene.render.resolution_x, scene.render.resolution_y = (rows, along_rows) if rig.portrait else (along_rows, rows)
-    scene.render.resolution_percentage = 100
+    set_picture_size(spec)
     cameras = []
     for name, pose in zip(rig.names, poses(rig), strict=True):
         data = bpy.data.cameras.new(name)
@@ -37,8 +32,17 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> list[bpy.types.O
         collection.objects.link(camera)
         camera.matrix_world = pose
         cameras.append(camera)
-    scene.camera = cameras[0]
+    bpy.context.scene.camera = cameras[0]
     return cameras
+
+
+def set_picture_size(spec: SceneSpec) -> None:
+    # The rendered size at 100 %: with a percentage that does not divide, Blender's own view functions and Cycles would
+    # disagree about the shape of the image.
+    along_rows, rows = spec.picture_px
+    width, height = (rows, along_rows) if spec.cameras.portrait else (along_rows, rows)
+    settings = bpy.context.scene.render
+    settings.resolution_x, settings.resolution_y, settings.resolution_percentage = width, height, 100
 
 
 def find(spec: SceneSpec) -> list[bpy.types.Object]:

@@ -26,6 +26,7 @@ PURPOSE = {
     "preview": "A look at the scene",
     "draft": "For trying out code",
     "standard": "Motion worth scoring",
+    "large": "Pictures of the whole sensor, few paths for each pixel",
     "paper": "A job for a cluster",
 }
 BACKGROUNDS = ("studio", "workshop", "classroom", "cloister", "ground")

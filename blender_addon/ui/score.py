@@ -11,6 +11,8 @@ from . import preferences
 from .job_operator import JobOperator, blender
 from .panel import SidebarPanel, write_lines
 
+MOST_BESIDE = 7  # characters that have room beside a name at the sidebar's first width
+
 
 class GOF_PG_score(bpy.types.PropertyGroup):
     """``scene.gof.score``."""
@@ -111,6 +113,9 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
             box = layout.box().column(align=True)
             for line in settings.numbers.splitlines():
                 name, value = line.split(": ", 1)
+                if len(value) > MOST_BESIDE:
+                    write_lines(box, context, f"{name} {value}")
+                    continue
                 row = box.split(factor=0.65)
                 row.label(text=name)
                 row.label(text=value)

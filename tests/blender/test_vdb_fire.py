@@ -1,0 +1,93 @@
+"""A fire from OpenVDB files, written with Blender's library as other programs do, against the field they hold."""
+
+import numpy as np
+import pytest
+
+from gof_benchmark.solvers import vdb
+from gof_benchmark.solvers.grids import FireGrids
+from gof_blender.pure import spec as scene_spec
+from tests.blender.runs import TOY, in_blender
+
+WRITE = """
+    import numpy as np
+    from gof_blender.scene import images
+    import openvdb
+    folder, up, kind = sys.argv[1:]
+    for frame in (9, 10):
+        grids = []
+        for name, vectors in (("vel", True), ("flames", False), ("heat", False)):
+            grid = openvdb.Vec3SGrid() if vectors else openvdb.FloatGrid()
+            edge = 0.1 if kind == "odd" and name == "heat" else 0.05
+            matrix = np.diag([edge, edge, edge, 1.0])
+            matrix[3, :3] = (-1.0, 0.2, 0.3)
+            i = np.stack(np.meshgrid(np.arange(8), np.arange(6), np.arange(5), indexing="ij"), -1)
+            place = i * 0.05 + matrix[3, :3] + np.array([0.05, 0.1, 0.0])  # the first index is (1, 2, 0)
+            if kind == "staggered" and vectors:  # each component half a cell below
+                place = place - 0.025
+                grid.gridClass = openvdb.GridClass.STAGGERED
+            x, y, z = np.moveaxis(place, -1, 0)
+            if vectors:
+                values = np.stack([1 + x, 2 + y, 3 + z + frame], -1)
+            else:
+                values = np.full(x.shape, {"flames": 0.5, "heat": 16.2695}[name])  # 1900 K below
+            grid.copyFromArray(np.ascontiguousarray(values, np.float32), ijk=(1, 2, 0))
+            grid.name, grid.transform = name, openvdb.createLinearTransform(matrix.tolist())
+            grids.append(grid)
+        openvdb.write(f"{folder}/cache_{frame}.vdb", grids)
+"""
+OPTIONS = ["--velocity", "vel", "--flame", "flames", "--temperature", "heat", "--kelvin", "100"]
+OPTIONS += ["--kelvin-at-0", "273.05", "--rate-hz", "24"]
+
+
+def written(folder, up="z", kind="plain"):
+    pytest.importorskip("bpy", reason="OpenVDB files are read by the bpy wheel")
+    in_blender(WRITE, folder, up, kind)
+    return [str(path) for path in folder.glob("*.vdb")][::-1]
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("up, kind", [("z", "plain"), ("y", "plain"), ("z", "staggered")])
+def test_the_field_of_the_files_is_the_fires(tmp_path, up, kind):
+    """In centimetres and cm/s. Frame 9 comes before 10; with y up, (x, y, z) of the files is (x, -z, y)."""
+    files = written(tmp_path, up, kind)
+    out = tmp_path / "fire"
+    assert (
+        vdb.main([*files, "--out", str(out), *OPTIONS, "--up", up, "--metres", "0.01", "--velocity-m-s", "0.01"]) == 0
+    )
+    fire = FireGrids.open(out)
+    fire.check()
+    assert fire.times_s == pytest.approx([0, 1 / 24])
+    inner = (slice(0, -1),) * 3 if kind == "staggered" else (slice(None),) * 3  # the last faces are not stored
+    for index, frame in enumerate((9, 10)):
+        centre = 100 * fire.velocity.frame(index).cell_centers()
+        x, y, z = np.moveaxis(centre, -1, 0)
+        if up == "z":
+            wanted = np.stack([1 + x, 2 + y, 3 + z + frame], -1)
+        else:  # the files' y is z, their z is -y
+            wanted = np.stack([1 + x, -(3 - y + frame), 2 + z], -1)
+        found = 100 * fire.velocity.frame(index).velocity
+        assert np.abs(found - wanted)[inner].max() < 2e-5
+        emission = fire.grids["emission"].frame(index)
+        assert emission[..., 0] == pytest.approx(7.0, rel=1e-4)  # half of a black body's 14 at 1900 K
+    assert centre[..., 0].min() == pytest.approx(-0.95) and centre.shape[:3] == ((8, 6, 5) if up == "z" else (8, 5, 6))
+    spec = TOY.to_dict() | {"fire": {"grids": str(out)}, "domain": None, "effects": []}
+    assert scene_spec.SceneSpec.from_dict(spec).fire.store.grid == centre.shape[:3]
+
+
+@pytest.mark.blender
+def test_what_does_not_fit_is_refused_by_file_and_grid(tmp_path, capsys):
+    files = written(tmp_path, kind="odd")
+    out = tmp_path / "fire"
+    assert vdb.main([*files, "--out", str(out), *OPTIONS]) == 1
+    assert "'heat' has other cells" in " ".join(capsys.readouterr().out.split())
+    assert vdb.main([*files, "--out", str(out), "--rate-hz", "24", "--kelvin-at-0", "1700", "--velocity", "v"]) == 1
+    assert "no grid 'v' can be read" in " ".join(capsys.readouterr().out.split())
+    (tmp_path / "cache_11.vdb").write_bytes(b"no VDB")
+    broken = [str(tmp_path / "cache_11.vdb"), "--out", str(out), *OPTIONS]
+    assert vdb.main(broken) == 1 and "cache_11.vdb" in "".join(capsys.readouterr().out.split())
+    assert not out.exists()
+
+
+def test_light_needs_a_temperature(tmp_path, capsys):
+    assert vdb.main(["x.vdb", "--out", str(tmp_path / "fire"), "--rate-hz", "24"]) == 1
+    assert "--temperature" in capsys.readouterr().out
