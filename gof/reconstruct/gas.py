@@ -1,8 +1,8 @@
 """What the gas does where the pictures have brought the Gaussians.
 
 A seed is told of the gas at its voxel and frame. The optimisation then moves it with the light, by about a voxel and a
-fifth of a frame: enough to leave the slow outer layer for the fast core. So the flow field is asked once more, along the
-way that the Gaussian goes while it shines.
+fifth of a frame: enough to leave the slow outer layer for the fast core. So the flow field is asked once more, along
+the way that the Gaussian goes while it shines.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ NOTHING = 1e-6  # share of known voxels and frames around a place below which no
 def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGaussians:
     """The same Gaussians with the gas' velocity, and its standard deviation, in the mean over their lives.
 
-    A life is weighted by its temporal opacity: two nodes of Gauss and Hermite, one `t_sigma` before `t_mu` and one after,
-    or where the clip begins and ends.
+    A life is weighted by its temporal opacity: two nodes of Gauss and Hermite, one `t_sigma` before `t_mu` and one
+    after, or where the clip begins and ends.
 
     Args:
         gaussians: measured from where the field is measured from. Static ones rest; those that left everything that is

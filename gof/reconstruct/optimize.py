@@ -38,9 +38,9 @@ class Schedule:
 
     Attributes:
         alpha_loss: of flame where no flame may be.
-        plate_loss: of a plate's change. L1 moves a channel of its pixel by 0.8 of what of it shows through the flame, so
-            the pixel may leave the plate that was made by 0.4 of that: far where it is seen, hardly where opaque flame
-            always covers it and nothing but noise would move it.
+        plate_loss: of a plate's change. L1 moves a channel of its pixel by 0.8 of what of it shows through the flame,
+            so the pixel may leave the plate that was made by 0.4 of that: far where it is seen, hardly where opaque
+            flame always covers it and nothing but noise would move it.
     """
 
     iterations: int

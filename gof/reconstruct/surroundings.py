@@ -49,7 +49,10 @@ class Surroundings(Protocol):
         """
 
     def moved(self, camera: int, unknowns: Any) -> Any:
-        """How far they are from where they started in this camera's view: mean square, display values; differentiable."""
+        """How far they are from where they started in this camera's view; differentiable.
+
+        Mean square, display values; 0 where they stay as they are.
+        """
 
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
         """The whole result, and the plates it is to be drawn over; none where it is whole.

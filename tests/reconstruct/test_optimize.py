@@ -148,7 +148,7 @@ def test_plates_move_as_the_method_says_and_are_kept_beside_the_result(flame, tm
 
 @pytest.mark.long
 def test_pictures_move_the_light_and_leave_the_gas(flame, tmp_path):
-    """Wherever the pictures take a Gaussian, its gas moves as the field's did there: within what all seeds were told."""
+    """Wherever the pictures take a Gaussian, its gas moves as the field's did there: near what its seed was told."""
     small = {"iterations": 60, "gaussians": 500, "voxels": 24}
     for name, change in {"gof": {}, "paper": {"method": "paper"}, "random": {"ablation": "rand-flow"}}.items():
         out = tmp_path / name
