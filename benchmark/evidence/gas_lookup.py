@@ -3,9 +3,9 @@
     python -m gof_benchmark.evidence.gas_lookup DATASET RESULT [DATASET RESULT ...]
 
 DATASET has true velocity, RESULT is a folder of `gof reconstruct` without density control. Per pair DVE
-(`gof.evaluate`) of three results that differ in nothing but what they say of the gas: what the seeds were told, what the
-field says where and when each Gaussian is brightest, and its mean along the Gaussian's life (`gof.reconstruct.gas`),
-which is the method. "moved" is how far Gaussians ended from their seeds: median, in voxels and in frame times.
+(`gof.evaluate`) of three results that differ in nothing but what they say of the gas: what the seeds were told, what
+the field says where and when each Gaussian is brightest, and its mean along the Gaussian's life, which is the method
+(`gof.reconstruct.gas`). "moved" is how far Gaussians ended from their seeds: median, in voxels and in frame times.
 """
 
 from __future__ import annotations
