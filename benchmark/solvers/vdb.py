@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
+from gof import extras
 from gof.errors import DataFormatError, GofError
 from gof.terminal import console
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, write_fire
@@ -174,12 +175,11 @@ def _number(path: Path) -> int:
 
 def _openvdb() -> Any:
     """Blender's library, which its Python packages bring."""
-    try:
-        from gof_blender.scene import images  # noqa: F401  (it puts them on the path)
+    extras.require("bpy", "blender", "reading OpenVDB files")
+    from gof_blender.scene import images  # noqa: F401  (it puts Blender's libraries on the path)
 
-        import openvdb  # isort: skip
-    except ImportError as error:
-        raise GofError("OpenVDB files are read by Blender: pip install 'gaussians-on-fire[blender]'") from error
+    import openvdb  # isort: skip
+
     return openvdb
 
 

@@ -135,7 +135,7 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
         scene("c", full=0, other=0.1),
     ]
     found = board("t", methods("full", "other", "part"), scenes)
-    page, table = to_html(found), to_markdown(found)
+    page, table = to_html(found, {}), to_markdown(found)
     assert page.count("<small>in 1 of 3 scenes</small>") == 1
     assert "| *part* (in 1 of 3 scenes) | poses | nothing |" in table and "| full | poses | nothing |" in table
     assert rows(found)["part"].figures["l2"].wins is None
@@ -146,10 +146,10 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
 
 def test_where_nobody_is_everywhere_controls_stay_and_it_is_said():
     found = board("t", methods("one", "two"), [scene("a", one=0.0), scene("b", two=0.1)])
-    assert not any(row.competes for row in found.rows) and "so nobody is ranked here" in to_html(found)
+    assert not any(row.competes for row in found.rows) and "so nobody is ranked here" in to_html(found, {})
     zero = rows(found)["control: zero"]
     assert zero.scenes == 2 and zero.what.endswith("on the Gaussians of one, then two")
-    page = to_html(found)
+    page = to_html(found, {})
     assert [alone.controls_on for alone in found.scenes] == ["one", "two"]
     for alone in found.scenes:
         assert alone.controls["control: zero"]["l2"].mean == pytest.approx(1, abs=1e-6)
@@ -222,7 +222,7 @@ def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
         "flame": True,
         "whole": False,
     }
-    page = to_html(found)
+    page = to_html(found, {})
     assert page.count("a flame alone, drawn over") == 1 and page.count("drawn as it is, as a whole scene") == 1
     assert re.findall(r"<td[^>]*>(\w+)<small>(in 1 of 2 scenes)</small>", page) == [("whole", "in 1 of 2 scenes")]
     assert "*whole* (in 1 of 2 scenes)" in to_markdown(found)
@@ -233,7 +233,7 @@ def test_frames_that_are_independent_are_called_so():
     found = board(
         "t", methods("one"), [replace(scene("a", one=0.1), eddy_time=EddyTime(0.0, False)), scene("b", one=0.1)]
     )
-    page = to_html(found)
+    page = to_html(found, {})
     assert page.count("which count as independent") == 1 and page.count("of them long") == 1
     assert "eddy time 20 ms, so the clip is 17.5 of them long" in page  # 0.35 s
 
