@@ -73,7 +73,8 @@ def _weighted(frame: FrameField) -> np.ndarray:
     """(V, 6) what a voxel adds: 1 and its velocity where that is known, 1 and its deviation where that is."""
     sure = frame.known & np.isfinite(frame.velocity_sd)
     deviation = np.where(sure, frame.velocity_sd, 0)
-    return np.column_stack([frame.known, frame.known[:, None] * frame.velocity, sure, deviation])
+    velocity = np.where(frame.known[:, None], frame.velocity, 0)
+    return np.column_stack([frame.known, velocity, sure, deviation])
 
 
 def _between(voxels: FlameVoxels, values: np.ndarray, place: np.ndarray) -> np.ndarray:
