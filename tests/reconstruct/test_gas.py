@@ -63,7 +63,9 @@ def test_what_is_not_known_does_not_pull(field):
     """Unknown voxels hold nonsense; a place among known and unknown ones gets the known ones' velocity."""
     uniform = changed(field, velocity=lambda v: np.tile([0.0, 0.0, 2.0], (len(v), 1)))
     unknown = field.voxels.index[:, 2] >= 5
-    wrong = [replace(f, known=~unknown, velocity=np.where(unknown[:, None], np.nan, f.velocity)) for f in uniform.frames]
+    wrong = [
+        replace(f, known=~unknown, velocity=np.where(unknown[:, None], np.nan, f.velocity)) for f in uniform.frames
+    ]
     level = field.voxels.center[field.voxels.index[:, 2] == 4][0, 2]
     place = np.array([[0.0, 0.0, level + 0.9 * VOXEL], [0.0, 0.0, level + 1.1 * VOXEL]])
     velocity, sd = gas_at(replace(uniform, frames=tuple(wrong)), place, np.full(2, FRAME))
