@@ -58,7 +58,9 @@ def test_a_view_between_the_cameras(views):
     gaussians = fit(views)
     trained, _ = shown(gaussians, views[0])
     between, depth_error = shown(gaussians, views[3])
-    assert trained > 25 and between > 25 and depth_error < 0.01
+    nearest = max(psnr(plate, views[3][1]) for _, plate, _ in views[:3])
+    # Six seeds on one machine: 25.1 to 25.4 dB trained, 25.4 to 25.7 between; the nearest plate says 18.0.
+    assert trained > 24 and between > nearest + 6 and depth_error < 0.01
     assert not gaussians.dynamic.any() and np.isinf(gaussians.t_sigma).all()
     assert BUDGET // 2 < len(gaussians) <= BUDGET, "it grows where pictures pull, up to the budget; nothing is pruned"
 
