@@ -1,0 +1,172 @@
+"""How well real flames are drawn: ours and the paper's choices on held-out frames, beside what 2D alone would do.
+
+    python -m gof_benchmark.evidence.real_clips DATASET... --out out/real --longest-side 854
+
+DATASETs are of `gof ingest`, best after `gof capture annotate` (the board's LEDs then do not count). The controls draw
+a held-out frame by the two frames of *the same camera* around it: their mean, and each carried half way along the
+optical flow from one to the other. No method may do that for a view that nobody filmed, but it says what compression
+and noise leave to be had: a scene in 3D that does better has seen through three cameras what one camera lost.
+
+Every row is the mean over a clip's held-out pictures; the flame is the estimated mask of `gof.flame_mask`, "moves" the
+pixels that the authors' figures count (`gof.evaluate.published`). Reconstructions are kept in OUT/CLIP/METHOD_SEED and
+go on where they were, so it may be stopped and started as one likes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+
+from gof.costs import StageLog
+from gof.dataset import Dataset
+from gof.dataset.plates import background
+from gof.evaluate import psnr, ssim
+from gof.evaluate.published import moving
+from gof.flame_mask import flame_mask
+from gof.gaussians import TransientGaussians
+from gof.reconstruct.methods import MethodName
+from gof.reconstruct.optical_flow import dis
+from gof.reconstruct.pipeline import reconstruct
+from gof.reconstruct.presets import PRESETS, Effort
+from gof.reconstruct.settings import ReconstructionSettings
+from gof.reconstruct.shrink import shrink
+from gof.render import render
+
+Picture = np.ndarray  # (H, W, 3) display values in [0, 1]
+Draw = Callable[[int, int], Picture]  # of a camera and a frame
+
+
+@dataclass(frozen=True)
+class RealClips:
+    """Reconstruct real clips by ours and by the paper's choices. Prints a table."""
+
+    datasets: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of `gof ingest`."""
+    out: Path = Path("out/real")
+    """Folder for the reconstructions; finished ones are kept."""
+    methods: tuple[MethodName, ...] = ("gof", "paper")
+    """Of `gof reconstruct --method`."""
+    effort: tyro.conf.OmitArgPrefixes[Effort] = PRESETS["standard"]
+    """Of every reconstruction."""
+    seeds: int = 1
+    """Runs of each method."""
+
+
+COLUMNS = ("PSNR flame", "SSIM flame", "PSNR of what moves", "PSNR", "SSIM")
+
+
+def figures(dataset: Dataset, draw: Draw) -> np.ndarray:
+    """(5,) means of `COLUMNS` over the held-out pictures that have a frame before and after; NaN: defined in none."""
+    rows = []
+    for c in range(len(dataset.cameras)):
+        board, plate = dataset.board_weight(c), dataset.static(c)
+        counts = np.ones(plate.shape[:2]) if board is None else board
+        for k in dataset.test_frames:
+            if not 0 < k < len(dataset.times_s) - 1:
+                continue
+            truth, drawn = dataset.image(c, k), draw(c, k)
+            mask = dataset.mask(c, k)
+            flame = counts * (flame_mask(truth, plate) if mask is None else mask)
+            moves = moving(truth, dataset.image(c, k + 1), dis) & (counts > 0.5)
+            rows.append(
+                [
+                    psnr(drawn, truth, flame),
+                    ssim(drawn, truth, flame),
+                    psnr(drawn, truth, moves),
+                    psnr(drawn, truth, counts),
+                    ssim(drawn, truth, counts),
+                ]
+            )
+    found = np.array(rows, float)  # None becomes NaN
+    return np.array([column[np.isfinite(column)].mean() if np.isfinite(column).any() else np.nan for column in found.T])
+
+
+def mean_of_neighbours(dataset: Dataset) -> Draw:
+    """What shows a frame as the mean of the two around it."""
+    return lambda c, k: (dataset.image(c, k - 1) + dataset.image(c, k + 1)) / 2
+
+
+def carried_along_flow(dataset: Dataset) -> Draw:
+    """What carries both neighbours half way along the optical flow from one to the other, and takes their mean."""
+
+    def draw(c: int, k: int) -> Picture:
+        before, after = dataset.image(c, k - 1), dataset.image(c, k + 1)
+        eights = [np.uint8(np.rint(255 * picture)) for picture in (before, after)]
+        half = [dis(*eights) / 2, dis(*eights[::-1]) / 2]
+        return (_fetched(before, half[0]) + _fetched(after, half[1])) / 2
+
+    return draw
+
+
+def _fetched(picture: Picture, flow: np.ndarray) -> Picture:
+    """The picture moved by `flow` (H, W, 2), px, taken to change slowly over the flow's own length."""
+    height, width = flow.shape[:2]
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    return cv2.remap(picture.astype(np.float32), x - flow[..., 0], y - flow[..., 1], cv2.INTER_LINEAR)
+
+
+def of_result(dataset: Dataset, folder: Path) -> Draw:
+    """What draws the result of `gof reconstruct` in a folder: over its plates, or with its own still scene."""
+    gaussians = TransientGaussians.load(folder / "result.npz")
+    cameras = range(len(dataset.cameras))
+    plates = [background(dataset, c, folder) for c in cameras] if gaussians.dynamic.all() else [None for _ in cameras]
+
+    def draw(c: int, k: int) -> Picture:
+        time_s = float(dataset.camera_times_s(c)[k])
+        return np.clip(render(gaussians, dataset.cameras[c], time_s, background=plates[c])["color"], 0, 1)
+
+    return draw
+
+
+def line(clip: str, name: str, means: np.ndarray, spread: float | None = None, cost: str = "- | -") -> str:
+    """A row of the table."""
+    cells = [
+        "-" if np.isnan(x) else f"{x:.{3 if head.startswith('SSIM') else 2}f}"
+        for head, x in zip(COLUMNS, means, strict=True)
+    ]
+    if spread is not None:
+        cells[0] += f" ± {spread:.2f}"
+    return f"| {clip} | {name} | {' | '.join(cells)} | {cost} |"
+
+
+def rows_of(path: Path, config: RealClips) -> None:
+    """Print those of a clip: the controls first, then every method."""
+    full = Dataset.open(path)
+    dataset = shrink(full, config.effort.longest_side)
+    controls = {
+        "the plate alone": lambda c, k: dataset.static(c),
+        "mean of the two frames around": mean_of_neighbours(dataset),
+        "the same, carried along their flow": carried_along_flow(dataset),
+    }
+    for name, draw in controls.items():
+        print(line(path.name, name, figures(dataset, draw)), flush=True)
+    for method in config.methods:
+        found, costs = [], []
+        for seed in range(config.seeds):
+            folder = config.out / path.name / f"{method}_{seed}"
+            reconstruct(full, ReconstructionSettings.of(full, config.effort, method=method, seed=seed), folder)
+            found.append(figures(dataset, of_result(dataset, folder)))
+            costs.append([(stage.seconds, stage.peak_mb) for stage in StageLog(folder / "costs.json").stages()])
+        seconds = np.mean([sum(s for s, _ in run) for run in costs])
+        memory = max(mb for run in costs for _, mb in run)
+        spread = float(np.std([f[0] for f in found], ddof=1)) if len(found) > 1 else None
+        name = "ours" if method == "gof" else "`--method paper`"
+        print(line(path.name, name, np.mean(found, 0), spread, f"{seconds:.0f} | {memory / 1000:.1f}"), flush=True)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the table."""
+    config = tyro.cli(RealClips, prog="python -m gof_benchmark.evidence.real_clips", args=argv)
+    print(f"| clip | | {' | '.join(COLUMNS)} | seconds | GB |")
+    print("|---" * (len(COLUMNS) + 4) + "|")
+    for path in config.datasets:
+        rows_of(path, config)
+
+
+if __name__ == "__main__":
+    main()
