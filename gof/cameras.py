@@ -135,6 +135,15 @@ class Camera:
             self.readout,
         )
 
+    def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
+        """The camera of the part of the picture whose first column and row are x and y.
+
+        A rolling shutter reads its first line later than the whole picture's.
+        """
+        K = self.K.copy()
+        K[:2, 2] -= x, y
+        return replace(self, width=width, height=height, K=K)
+
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready description; inverse of `from_dict`."""
         return {

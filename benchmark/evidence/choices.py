@@ -54,6 +54,7 @@ ROWS: dict[str, Method] = {
     "seeds in half of the voxels": _seeding(by_emission=False),
     "lives of four frame times": _seeding(short_lives=False),
     "seeds of opacity 0.4": _seeding(opacity=PAPER.seeding.opacity),
+    "whole pictures": replace(OURS, windows=False),
     "Gaussians cloned, split and pruned": replace(OURS, density_control=True),
     "one velocity for gas and light": _one_velocity(1),
     "one velocity, learnt ten times as fast": _one_velocity(10),

@@ -85,6 +85,7 @@ class Method:
         flow_prior: the fused flow is corrected to the gas' own velocity (`flow_prior`).
         gas_apart: a Gaussian has two velocities: its light's, which is free to fit the pictures, and the gas', which is
             what the fused flow says of the place where it ends (`gas`); else one for both, which the pictures move.
+        windows: only the part of a picture in which the flame can be is drawn and learned from (`windows`); else all.
         density_control: Gaussians are cloned, split and pruned along the way (`density`).
     """
 
@@ -98,6 +99,7 @@ class Method:
     smooth_voxels: float
     flow_prior: bool
     gas_apart: bool
+    windows: bool
     density_control: bool
     seeding: Seeding
     rates: Rates
@@ -114,6 +116,7 @@ OURS = Method(
     smooth_voxels=3.0,
     flow_prior=True,
     gas_apart=True,
+    windows=True,
     density_control=False,  # tried, not kept
     seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
     rates=Rates(
@@ -144,6 +147,7 @@ PAPER = Method(
     smooth_voxels=0.0,
     flow_prior=False,
     gas_apart=False,  # "Dynamic Scene": a velocity each
+    windows=False,  # its density control counts on the mean over whole pictures
     density_control=True,  # "densification was left as in the original implementation"
     seeding=Seeding(
         by_emission=False,  # authors: half of a frame's voxels

@@ -41,7 +41,7 @@ class ReconstructionSettings:
     """
 
     SCHEMA: ClassVar[str] = "gof-reconstruction-settings"
-    VERSION: ClassVar[int] = 4  # 4: light and gas have velocities of their own
+    VERSION: ClassVar[int] = 5  # 5: only the flame's part of the pictures is optimised, so checkpoints are smaller
 
     dataset: str
     iterations: int

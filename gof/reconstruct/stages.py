@@ -36,6 +36,7 @@ from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
 from gof.reconstruct.seen import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
+from gof.reconstruct.windows import Windows
 
 
 @dataclass(frozen=True)
@@ -182,24 +183,34 @@ def fit(
     believed_s = ablations.change_times(settings.ablation, observation.camera_time_s, dt)
     observation = replace(observation, camera_time_s=believed_s)
     units = Units(field.voxels.voxel_size, dt)
+    cameras = observation.cameras
+    windows = Windows.around(field.voxels, cameras) if method.windows else Windows.whole(cameras)
+    part = windows.observed(observation)
     surroundings: Surroundings = (
-        Plates(observation.cameras, observation.plate, observation.blocked, move=schedule.rates.plate > 0)
+        Plates(part.cameras, part.plate, part.blocked, move=schedule.rates.plate > 0)
         if still is None
-        else StillScene(still, observation.cameras, field.voxels)
+        else StillScene(still, part.cameras, field.voxels)
     )
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
     curve = CurveLog(run.out, resumed_s=spent and spent.fitting_s)
     before_s = spent.stage_s if spent else 0.0
     with (
-        run.log.measure("optimize", before_s, iterations=settings.iterations, gaussians=len(seeds)),
+        run.log.measure(
+            "optimize",
+            before_s,
+            iterations=settings.iterations,
+            gaussians=len(seeds),
+            window_px=[windows.width, windows.height],
+        ),
         progress_bar("optimise") as progress,
     ):
-        monitor = _Monitor(_snapshot(run), held_out, curve, progress, time.perf_counter() - before_s)
-        gaussians, plates = optimize(seeds, observation, surroundings, schedule, units, checkpoint, monitor)
+        whole = partial(windows.plates, observation=observation)
+        monitor = _Monitor(_snapshot(run), held_out, whole, curve, progress, time.perf_counter() - before_s)
+        gaussians, plates = optimize(seeds, part, surroundings, schedule, units, checkpoint, monitor)
     if method.gas_apart:
         gaussians = ablations.change_gas(settings.ablation, gaussians, told_of_gas(gaussians, field))
-    return gaussians, plates, curve.curve
+    return gaussians, whole(plates), curve.curve
 
 
 @dataclass(frozen=True)
@@ -208,6 +219,7 @@ class _Monitor:
 
     snapshot: Path
     held_out: HeldOut
+    whole: Callable[[list[np.ndarray]], list[np.ndarray]]  # plates of the pictures from those of their windows
     curve: CurveLog
     progress: Callable[..., None]
     start: float  # of the stage, by the clock
@@ -217,7 +229,7 @@ class _Monitor:
 
     def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> str | None:
         gaussians.save(self.snapshot, source=f"gof reconstruct, step {step}")
-        point = self.curve.add(step, partial(self.held_out.score, gaussians, plates))
+        point = self.curve.add(step, partial(self.held_out.score, gaussians, self.whole(plates)))
         scores = point.scores
         if scores.psnr_flame is None:
             return None

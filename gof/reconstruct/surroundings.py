@@ -16,12 +16,10 @@ import numpy as np
 from gof.cameras import Camera
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.parameters import columns, rows
-from gof.reconstruct.voxels import FlameVoxels
+from gof.reconstruct.voxels import ROOM, FlameVoxels
 from gof.render import Splats, render, render_splats
 from gof.render.backend import Array3f, Float
 from gof.render.rasterizer import Frame, splats_at
-
-ROOM = 4.0  # voxels around the hull that flame Gaussians, which may move, are still sure to be in
 
 
 class Drawn(NamedTuple):

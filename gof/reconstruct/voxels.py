@@ -9,6 +9,7 @@ import numpy as np
 from gof.cameras import Camera
 from gof.errors import DataFormatError
 
+ROOM = 4.0  # voxels around the hull that flame Gaussians, which may move, are still sure to be in
 LAYERS_POOLED = 2.0  # std-dev in voxels: a flame's middle and width change slowly with height
 
 
