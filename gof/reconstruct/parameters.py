@@ -16,7 +16,7 @@ from gof.cameras import Camera
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.seeds import SCALE_MAX, SCALE_MIN
 from gof.render import Splats, shutter_delay, transient_state
-from gof.render.backend import Array3f, Array4f, Float
+from gof.render.backend import Array3f, Array4f, Float, opaque
 
 OPACITY_EPS = 1e-4  # logits stay finite
 
@@ -69,7 +69,7 @@ def splats(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> Splats
     position, opacity = transient_state(*motion, time_s)
     if camera.row_time_s > 0:
         delay = shutter_delay(position, raw["velocity"], camera, near=voxel_size)
-        position, opacity = transient_state(*motion, delay + time_s)
+        position, opacity = transient_state(*motion, delay + opaque(time_s))
     color = raw["color"]
     return Splats(position, raw["rotation"], _scale(raw, voxel_size), opacity, [color.x, color.y, color.z])
 

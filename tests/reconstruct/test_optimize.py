@@ -4,6 +4,7 @@ import itertools
 import resource
 from dataclasses import asdict, astuple, replace
 
+import drjit as dr
 import numpy as np
 import pytest
 
@@ -52,6 +53,23 @@ def test_the_optimiser_sees_what_the_renderer_draws(row_time_s):
     np.testing.assert_allclose(drawn, render(gaussians, camera, 0.06)["color"], atol=2e-3)
     still = render(gaussians, replace(camera, row_time_s=0.0), 0.06)["color"]
     assert (np.abs(drawn - still).max() > 0.02) == (row_time_s > 0), "the shutter makes a difference that can be seen"
+
+
+@pytest.mark.parametrize("row_time_s", [0.0, DT / 96])
+def test_another_picture_compiles_nothing(row_time_s):
+    """Before, every picture of a camera with a rolling shutter had a kernel of its own."""
+    raw = to_raw(column(DT * np.arange(10)), 0.1, 0.0)
+    dr.enable_grad(raw["x0"], raw["t_mu"])
+    misses = []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for k, camera in enumerate(arc(4, width=48, height=96, focal_px=110.0)):
+            dr.kernel_history_clear()
+            camera = replace(camera, row_time_s=row_time_s * (1 + 0.1 * k))
+            frame = render_splats(splats(raw, 0.1, 0.0123 * (k + 1), camera), camera)
+            dr.backward(sum(dr.sum(dr.square(c)) for c in frame.color))
+            dr.eval(dr.grad(raw["x0"]), dr.grad(raw["t_mu"]))
+            misses.append(sum(not x["cache_hit"] for x in dr.kernel_history() if x["type"] == dr.KernelType.JIT))
+    assert misses[2:] == [0, 0]
 
 
 @pytest.mark.long
