@@ -107,16 +107,32 @@ FrameVelocity = Callable[[dict[int, np.ndarray], np.ndarray, int], np.ndarray]
 """Pictures by frame, times of all frames and a frame -> (H, W, 2) px/s, NaN where it is not known."""
 
 
+class _Pairs:
+    """Optical flow between two pictures, there and back. Both of them ask for it, so that of the last pair is kept."""
+
+    def __init__(self, flow: Flow):
+        self._flow = flow
+        self._pair: tuple[np.ndarray, np.ndarray] = np.empty(0), np.empty(0)
+        self._flows: tuple[np.ndarray, np.ndarray] = self._pair
+
+    def __call__(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(H, W, 2) px from the first picture to the second, and from the second to the first."""
+        if first is self._pair[1] and second is self._pair[0]:
+            return self._flows[::-1]
+        self._pair, self._flows = (first, second), (self._flow(first, second), self._flow(second, first))
+        return self._flows
+
+
 def checked_velocity(flow: Flow, max_error_px: float) -> FrameVelocity:
     """Central where both neighbours are training frames, one-sided where one is; without what does not come back."""
+    pairs = _Pairs(flow)
 
     def velocity_at(pictures: dict[int, np.ndarray], times: np.ndarray, k: int) -> np.ndarray:
         estimates = []
         for neighbour in (k - 1, k + 1):
             if neighbour not in pictures:
                 continue
-            there = flow(pictures[k], pictures[neighbour])
-            back = flow(pictures[neighbour], pictures[k])
+            there, back = pairs(pictures[k], pictures[neighbour])
             bad = consistency(there, back) > max_error_px + 0.1 * np.linalg.norm(there, axis=-1)
             velocity = there / (times[neighbour] - times[k])
             velocity[bad] = np.nan
@@ -202,7 +218,7 @@ def observe(
         flow: see `optical_flow`.
         max_error_px: forward-backward error above which a flow vector is dropped (plus a tenth of its length).
         picture: (image, static) -> (H, W) or (H, W, 3) uint8, what the optical flow looks at, instead of the method's.
-        progress: called with (done, total) after every frame.
+        progress: called with (done, total) after every picture.
 
     Raises:
         DataFormatError: no training frame, or no flame in any picture.
@@ -258,10 +274,10 @@ def _flow(
     pictures = [
         {int(k): picture(image, view.plate) for k, image in zip(frames, view.image, strict=True)} for view in views
     ]
-    velocity = []
-    for i, k in enumerate(frames):
-        of_cameras = zip(pictures, views, strict=True)
-        velocity.append(np.stack([velocity_at(p, v.times_s, int(k)) for p, v in of_cameras]))
-        if progress:
-            progress(i + 1, len(frames))
-    return np.stack(velocity)
+    velocity = np.empty((len(frames), len(views), *views[0].static.shape[:2], 2), np.float32)
+    for c, (view, seen) in enumerate(zip(views, pictures, strict=True)):
+        for i, k in enumerate(frames):  # one after the other, as neighbours share their flow
+            velocity[i, c] = velocity_at(seen, view.times_s, int(k))
+            if progress:
+                progress(c * len(frames) + i + 1, len(views) * len(frames))
+    return velocity
