@@ -55,7 +55,7 @@ ROWS: dict[str, Method] = {
     "lives of four frame times": _seeding(short_lives=False),
     "seeds of opacity 0.4": _seeding(opacity=PAPER.seeding.opacity),
     "whole pictures": replace(OURS, windows=False),
-    "Gaussians cloned, split and pruned": replace(OURS, density_control=True),
+    "Gaussians cloned, split and pruned": replace(OURS, density_control=True, windows=False),
     "one velocity for gas and light": _one_velocity(1),
     "one velocity, learnt ten times as fast": _one_velocity(10),
     "one velocity, learnt forty times as fast": _one_velocity(40),

@@ -11,32 +11,33 @@ from gof.errors import GofError
 
 GB = 1e9
 # Bytes at the peaks of finding the flow field and of optimising, fitted to measured runs (docs/reliability.md).
-FIELD, FIELD_PIXEL, FIELD_VOXEL = 200e6, 48.6, 152.0
-FITTING, FITTING_PIXEL, FITTING_VOXEL, GAUSSIAN = 315e6, 82.0, 21.0, 1680.0
+FIELD, FIELD_PIXEL, FIELD_VOXEL = 200e6, 36.0, 152.0
+FITTING, SEEN_PIXEL, WINDOW_PIXEL, FITTING_VOXEL, GAUSSIAN = 315e6, 39.5, 42.5, 21.0, 1680.0
 HULL = 0.07  # of the cube of voxels along the longest side of the flame's box, that stand in its hull
 ADDRESSES = 0.8e9  # what libraries map and never touch, which `ulimit -v` counts too
 
 
-def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int) -> float:
-    """What `gof reconstruct` takes of memory at its peak, within about 15 %.
+def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int, window: float = 1.0) -> float:
+    """What `gof reconstruct` takes of memory at its peak, within about a sixth.
 
     Args:
         training_pixels: of all training pictures together, at the size that is reconstructed.
         frames: for training.   gaussians: in all frames together.
         voxels: along the longest side of the flame's box.
+        window: share of a picture that is drawn and learned from (`gof.reconstruct.windows`), 0..1.
     """
     hull = HULL * voxels**3 * frames
     return max(
         FIELD + FIELD_PIXEL * training_pixels + FIELD_VOXEL * hull,
-        FITTING + FITTING_PIXEL * training_pixels + FITTING_VOXEL * hull + GAUSSIAN * gaussians,
+        FITTING + (SEEN_PIXEL + WINDOW_PIXEL * window) * training_pixels + FITTING_VOXEL * hull + GAUSSIAN * gaussians,
     )
 
 
-def needed_for(dataset: Dataset, gaussians: int, voxels: int) -> float:
+def needed_for(dataset: Dataset, gaussians: int, voxels: int, window: float = 1.0) -> float:
     """The same for a dataset, at the size that is reconstructed."""
     frames = len(dataset.train_frames)
     pixels = frames * sum(camera.width * camera.height for camera in dataset.cameras)
-    return needed_bytes(pixels, frames, gaussians, voxels)
+    return needed_bytes(pixels, frames, gaussians, voxels, window)
 
 
 def in_words(needed: float) -> str:

@@ -101,8 +101,9 @@ def _require_possible(run: stages.Run, anyway: bool) -> None:
         of_all_steps, gaussians = steps + stages.still_steps(settings), 2 * gaussians
     if run.method.density_control:
         gaussians += (MOST_GROWTH - 1) * settings.gaussians
-    seconds = of_all_steps * step_ms(settings.gaussians, camera.width * camera.height, native) / 1e3
-    needed = memory.needed_for(run.dataset, gaussians, settings.voxels)
+    window = sanity.window_share(run.dataset) if run.method.windows else 1.0
+    seconds = of_all_steps * step_ms(settings.gaussians, round(window * camera.width * camera.height), native) / 1e3
+    needed = memory.needed_for(run.dataset, gaussians, settings.voxels, window)
     print(
         f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores, and {memory.in_words(needed)}",
         file=sys.stderr,

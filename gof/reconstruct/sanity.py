@@ -31,6 +31,7 @@ ANGLE_DEG = 0.5, 3.0  # at the flame between the two cameras farthest apart: too
 READOUT = 3.0, 1.05  # of a frame's time, that a picture's lines may take
 COVERED = 0.5, 0.75  # share of a mask that has something standing in front of it
 SPREAD = 0.0, 0.8  # correlation of light over the planes
+WINDOW_ROOM = 1.3  # times the flame's box in a few pictures: what it reaches in others, and room around
 CHANGE = 0.4  # correlation of its change over time; good captures have 0.90 and more
 CHANGES = 0.1  # relative; what changes less says nothing about clocks
 PLATE = 0.02, 0.5  # display values of difference, and by how much less another plate differs
@@ -68,6 +69,20 @@ def doubts(dataset: Dataset) -> list[Doubt]:
     views = _views(dataset)
     wrong_plates = list(_plates(views))
     return [*found, *wrong_plates, *(_poses(views) if not wrong_plates else ())]
+
+
+def window_share(dataset: Dataset) -> float:
+    """About which part of a picture a window around the flame takes (`gof.reconstruct.windows`), 0..1.
+
+    Of a few small pictures, none of them held out. What in them looks like flame to one camera alone counts too.
+    """
+    shares = []
+    for view in _views(dataset):
+        rows, columns = np.nonzero(view.mask.any(0))
+        if len(rows):
+            sides = np.array([np.ptp(rows), np.ptp(columns)]) + 1
+            shares.append(np.minimum(WINDOW_ROOM * sides / view.static.shape[:2], 1))
+    return float(np.max(shares, axis=0).prod()) if shares else 1.0
 
 
 def refuse_impossible(found: list[Doubt], dataset: Dataset) -> None:
