@@ -15,12 +15,13 @@ MOST_PIXELS = 2**28  # 16384 x 16384, where nothing else is known
 
 
 def read_picture(
-    path: Path, size: tuple[int, int] | None = None, most: int = MOST_PIXELS, unchanged: bool = False
+    path: Path, size: tuple[int, int] | None = None, most: int = MOST_PIXELS, unchanged: bool = False, remedy: str = ""
 ) -> np.ndarray:
     """A picture as OpenCV decodes it: (H, W, 3) uint8 BGR; `unchanged`: its own channels and depth.
 
     Args:
         size: (width, height) that it must have.   most: pixels that it may have.
+        remedy: what to do about one with more; ends the error.
     Raises:
         DataFormatError: absent, not a picture that can be decoded, of another size, or larger.
     """
@@ -31,7 +32,7 @@ def read_picture(
     data = path.read_bytes()  # OpenCV itself crashes at a path that is not UTF-8
     width, height = _size(data, path)
     if width * height > (size[0] * size[1] if size else most):
-        raise DataFormatError(f"{path}: is {width}x{height}, {_expected(size, most)}")
+        raise DataFormatError(f"{path}: is {width}x{height}, {_expected(size, most)}{remedy and f'; {remedy}'}")
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED if unchanged else cv2.IMREAD_COLOR)
     except cv2.error:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gof.dataset import Dataset
+from gof.dataset.plates import background, save_plates
 from gof.errors import DataFormatError
 
 
@@ -113,3 +114,9 @@ def test_cameras_with_clocks_of_their_own(tiny_dataset):
         change(tiny_dataset, cameras=meta["cameras"])
         with pytest.raises(DataFormatError, match="(cam_1|cameras.1.).*time_s"):
             Dataset.open(tiny_dataset)
+
+
+def test_plates_of_larger_pictures_are_refused_with_a_remedy(tiny_dataset, tmp_path):
+    save_plates(tmp_path, ["cam_0"], [np.zeros((128, 72, 3))])
+    with pytest.raises(DataFormatError, match="cam_0.png: is 72x128, .* are 36x64: score against .* or remove plates/"):
+        background(Dataset.open(tiny_dataset), 0, tmp_path)

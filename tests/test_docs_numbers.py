@@ -143,6 +143,7 @@ NOT_AT_TOY_SIZE = {
     "ingest_table": "needs datasets that gof ingest made of the paper's clips",
     "picture_costs": "renders two dozen pictures by Blender; their size is the claim",
     "looks_sheet": "bakes and renders every scene three times by Blender",
+    "noise_truth": "needs two fires baked by Blender; tests/fires/test_noise_truth.py tests its measures",
     "open_sockets": "runs every command, Blender's too",
     "ordinary_footage": "needs ffmpeg and the paper's clips",
     "reliability": "tests/test_reliability.py runs its parts",

@@ -89,11 +89,16 @@ def copy(result: Path, folder: Path) -> Path:
     """Copy a result, and of a reconstruction of ours what is beside it; the copy.
 
     Raises:
-        DataFormatError: it is not there.
+        DataFormatError: it is not there, or lies where it would be copied to.
     """
     if not result.exists():
         raise DataFormatError(f"{result}: no such file or folder")
+    if folder.resolve() in (result.resolve(), result.parent.resolve()):
+        raise DataFormatError(f"{result}: lies in the submission already; give the result where it was made")
     folder.mkdir(parents=True, exist_ok=True)
+    for name in BESIDE:  # what an attempt left that failed
+        (folder / name).unlink(missing_ok=True)
+    shutil.rmtree(folder / "plates", ignore_errors=True)
     ours = result / "result.npz" if result.is_dir() else result
     if not ours.is_file():
         return _copied(result, folder)

@@ -20,6 +20,7 @@ import tyro
 from gof_benchmark.evidence import contact_sheet, fire_sizes
 from gof_benchmark.generator.blender_process import Renderer, run_stage
 from gof_benchmark.scenes import built_in_scenes, claim, load_scene
+from gof_blender.pure.effects import fine_noise
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
@@ -27,8 +28,10 @@ ROWS: dict[str, Callable[[SceneSpec], SceneSpec]] = {
     "published": lambda spec: with_light(spec, "reaction", "solver"),
     "soot": lambda spec: with_light(spec, "soot", "physical"),
     "sheets": lambda spec: with_light(spec, "sheets", "physical"),
+    "soot_noise": lambda spec: with_noise(with_light(spec, "soot", "physical")),
+    "sheets_noise": lambda spec: with_noise(with_light(spec, "sheets", "physical")),
 }
-"""Version 1 of the spec, the defaults of version 2, and its other light."""
+"""Version 1 of the spec, the defaults of version 2, and its other light; both of these with the effect `fine_noise`."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,8 @@ class LooksSheet:
     """Cycles samples a pixel."""
     fires: tuple[str, ...] = ()
     """Names of those to make; all without any."""
+    lights: tuple[str, ...] = ("published", "soot", "sheets")
+    """Rows of the sheet, names in `ROWS`."""
     frames: int = 1
     """Of each clip."""
     rate_hz: float | None = None
@@ -61,14 +66,18 @@ def main(argv: list[str] | None = None) -> None:
     fires = {name: fires[name] for name in config.fires or fires}
     print("| fire | light | clipped | black | bake, CPU s | picture, CPU s |", "|---|---|---|---|---|---|", sep="\n")
     rows = []
-    for light, change in ROWS.items():
-        specs = {name: change(small(spec, config)) for name, spec in fires.items()}
+    for light in config.lights:
+        specs = {name: ROWS[light](small(spec, config)) for name, spec in fires.items()}
         rows.append([picture(light, name, spec, config.work / f"{name}_{light}") for name, spec in specs.items()])
     contact_sheet.compose(rows, config.out)
 
 
 def with_light(spec: SceneSpec, light: str, speeds: str) -> SceneSpec:
     return replace(spec, fire=replace(spec.fire, light=light, speeds=speeds))
+
+
+def with_noise(spec: SceneSpec) -> SceneSpec:
+    return replace(spec, effects=(*spec.effects, fine_noise.Settings()))
 
 
 def small(spec: SceneSpec, config: LooksSheet) -> SceneSpec:

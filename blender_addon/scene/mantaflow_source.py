@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..pure.effects import beyond_velocity
 from ..pure.io.velocity_store import scalar
 from ..pure.layout import Layout
 from ..pure.soot import within_cells
@@ -84,7 +85,12 @@ class MantaflowSource:
         return self.scalars(blender_frame)["flame"] ** self.contents["flame"]["light_exponent"]
 
     def provenance(self) -> dict[str, Any]:
-        return {}
+        beyond = [
+            name
+            for name, effect in zip(self._spec.effect_names, self._spec.effects, strict=True)
+            if beyond_velocity(effect)
+        ]
+        return {"not_in_velocity": ", ".join(beyond)} if beyond else {}
 
     def _read_scalars(self) -> Iterator[tuple[str, np.ndarray]]:
         settings = velocity.evaluated(find_flame())

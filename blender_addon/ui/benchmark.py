@@ -5,12 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..pure import cost_model
 from ..pure import spec as spec_file
 from ..pure.checked_json import SpecError
 from ..pure.dataset_process import Job, expected_s, left_s
+from ..pure.effects import changes_bake, name_of
 from ..pure.layout import Layout, leaving
 from ..pure.presets import PRESETS
 from ..pure.sense import require_sense
@@ -19,7 +20,7 @@ from ..scene import place
 from ..scene.view import require_display
 from . import scene_spec
 from .job_operator import JobOperator, blender
-from .panel import SidebarPanel, show_text, write_lines
+from .panel import SidebarPanel, number, show_text, write_lines
 
 PURPOSE = {
     "toy": "Seconds, to see whether it works",
@@ -48,6 +49,27 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
         ],
     )
     spec_file: StringProperty(name="Spec", description="Scene spec (.json)", subtype="FILE_PATH")
+    grids: StringProperty(
+        name="Grids",
+        description=(
+            "Folder of a fire that another solver has made (fire.json, velocity.zarr, emission.zarr). It burns instead "
+            "of the Fire panel's and nothing is simulated; empty: the Fire panel's fire"
+        ),
+        subtype="DIR_PATH",
+    )
+    start_s: FloatProperty(
+        name="Start (s)", description="Time of the first picture on the clock of the grids", default=0, min=0
+    )
+    radiance: FloatProperty(
+        name="Radiance",
+        description=(
+            "Factor on the light of the grids, which a solver knows up to one. The right one puts the brightest pixels "
+            "of the flame near 10 (linear); python -m gof_benchmark.solvers.radiance suggests it"
+        ),
+        default=1,
+        min=1e-6,
+        soft_max=100,
+    )
     preset: EnumProperty(
         name="Preset",
         description="How fine and how long, hence how dear",
@@ -79,6 +101,9 @@ def spec_of(scene: bpy.types.Scene, background_file: Path) -> SceneSpec:
         spec = spec_file.load(bpy.path.abspath(settings.spec_file))
     else:
         spec = scene_spec.of_scene(scene)
+        if settings.grids:
+            grids, lift = Path(bpy.path.abspath(settings.grids)).resolve(), scene.gof.fire.clearance
+            spec = scene_spec.with_grids(spec, grids, settings.start_s, settings.radiance, lift)
         if settings.background == "scene":
             marker = place.find(scene, place.PLACE)
             if marker is None:
@@ -236,6 +261,11 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
         column.prop(settings, "background")
         if settings.background == "file":
             column.prop(settings, "spec_file")
+        else:
+            column.prop(settings, "grids")
+            if settings.grids:
+                number(column, settings, "start_s")
+                number(column, settings, "radiance")
         column.prop(settings, "preset")
         column.prop(settings, "folder")
         if job is not None:
@@ -265,10 +295,19 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
             write_lines(layout, context, f"Finished {made}: see the report", "CHECKMARK")
             return
         _draw_cost(layout.box(), context, spec, folders)
-        for note in (*notes, *leaving(folders)):
+        for note in (*notes, *_unused(context.scene), *leaving(folders)):
             write_lines(layout, context, note, "INFO")
         text = "Resume" if folders.spec.is_file() else "Bake & Render"
         layout.operator(GOF_OT_bake_render.bl_idname, text=text, icon="RENDER_ANIMATION")
+
+
+def _unused(scene: bpy.types.Scene) -> list[str]:
+    """What of the Fire panel is left out because the fire comes as grids."""
+    settings = scene.gof.benchmark
+    if settings.background == "file" or not settings.grids:
+        return []
+    changing = [name_of(effect) for effect in scene_spec.of_settings(scene).effects if changes_bake(effect)]
+    return [f"Grids are not simulated: {', '.join(changing)} of the Fire panel left out"] if changing else []
 
 
 def loss(job: Job) -> list[str]:

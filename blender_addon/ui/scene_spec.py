@@ -7,6 +7,7 @@ What else is edited on the objects, such as the flame's material, stays in the u
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -14,6 +15,8 @@ from mathutils import Matrix, Vector
 
 from ..pure.checked_json import SpecError
 from ..pure.clip import Clip
+from ..pure.effects import changes_bake
+from ..pure.fires import GridFire
 from ..pure.rig import Pose, Rig
 from ..pure.spec import Display, Domain, Fire, Render, SceneSpec
 from ..scene import place, rig
@@ -80,6 +83,16 @@ def of_scene(scene: bpy.types.Scene) -> SceneSpec:
         _rig(spec.cameras, cameras, [to_ours @ camera.matrix_world for camera in cameras]) if cameras else spec.cameras
     )
     return replace(spec, domain=domain, fire=fire, cameras=rig_)
+
+
+def with_grids(spec: SceneSpec, grids: Path, start_s: float, radiance: float, lift: float) -> SceneSpec:
+    """The same cameras and pictures of a fire that another solver has made, `lift` above its place (m).
+
+    Effects that ask something of our own solver are left out. Raises SpecError if a number is out of range.
+    """
+    fire = GridFire(grids.as_posix(), exact(start_s), (0.0, 0.0, exact(lift)), exact(radiance))
+    effects = tuple(effect for effect in spec.effects if not changes_bake(effect))
+    return replace(spec, fire=fire, domain=None, effects=effects)
 
 
 def display_of(scene: bpy.types.Scene) -> Display:

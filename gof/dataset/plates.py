@@ -42,7 +42,7 @@ def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray
         result: file or folder of the result, None when there is none. Its plates may be smaller than the dataset's
             pictures; then what they add to the dataset's plate is enlarged, and the plate stays as sharp as it is.
     Raises:
-        DataFormatError: a plate cannot be read.
+        DataFormatError: a plate cannot be read, or is larger than the dataset's pictures.
     """
     static = dataset.static(camera)
     if result is None:
@@ -50,7 +50,12 @@ def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray
     path = _plate(result if result.is_dir() else result.parent, dataset.cameras[camera].name)
     if not path.is_file():
         return static
-    stored = read_picture(path, most=static.shape[0] * static.shape[1], unchanged=True)
+    height, width = static.shape[:2]
+    remedy = (
+        f"pictures of {dataset.path} are {width}x{height}: score against the dataset that the result was made from, or "
+        "remove plates/ beside the result to use the dataset's"
+    )
+    stored = read_picture(path, most=height * width, unchanged=True, remedy=remedy)
     if stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] not in (3, 4):
         raise DataFormatError(
             f"{path}: not a 16-bit RGB or RGBA PNG; remove the file to use the dataset's plate, or reconstruct again"

@@ -268,7 +268,7 @@ def test_every_number_says_its_unit_and_no_label_is_cut():
     """Lengths, angles, times and rates of the panels, by their labels; 15 characters fit the sidebar's first width."""
     found = in_addon("""
         from gof_blender.ui import effect_groups
-        groups = {"fire": fire, "cameras": fire.cameras}
+        groups = {"fire": fire, "cameras": fire.cameras, "benchmark": scene.gof.benchmark}
         groups |= {name: getattr(fire.effects, name) for name in effect_groups.GROUPS}
         for group, owner in groups.items():
             for name, kind in owner.bl_rna.properties.items():

@@ -275,6 +275,8 @@ def test_noise_and_motion_reach_the_bake_and_nothing_else_does(gas_run, camera_r
         gas_run.blend,
     )
     assert found["noise"]
+    said = [Dataset.open(made.root).description.provenance.get("not_in_velocity") for made in (gas_run, camera_run)]
+    assert said == ["fine_noise", None], "its own motion is not in the truth, and the dataset says so"
     np.testing.assert_allclose(np.subtract(found["6"], found["1"]), [0.1, 0, 0], atol=1e-4)  # a quarter of the period
 
 

@@ -11,6 +11,7 @@ from PIL import Image
 
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
+from gof.dataset.plates import save_plates
 from gof.errors import DataFormatError, GofError
 from gof.evaluate.scores import Scores
 from gof.evaluate.suite_board import SuiteBoard
@@ -196,6 +197,24 @@ def test_bad_input_is_named(work, tmp_path):
     ):
         with pytest.raises((GofError, DataFormatError), match=named):
             benchmark.main(arguments)
+
+
+def test_plates_of_larger_pictures_are_refused_with_a_remedy(work, tmp_path):
+    """A result of the whole sensor's pictures, entered for a scene of smaller ones."""
+    result, place = tmp_path / "result", work / "smoke" / SCENES[0]
+    shutil.copytree(work / "results/bad" / SCENES[0], result)
+    camera = Dataset.open(place).cameras[0]
+    save_plates(result, [camera.name], [np.zeros((2 * camera.height, 2 * camera.width, 3))])
+    entering = ["add", str(result), str(place), str(tmp_path / "entered")]
+    with pytest.raises(DataFormatError, match=f"{camera.name}.png: is .* or remove plates/ beside the result"):
+        benchmark.main(entering)
+    shutil.rmtree(result / "plates")
+    assert benchmark.main(entering) == 0, "nothing is left of what failed"
+    entered = tmp_path / "entered" / SCENES[0]
+    with pytest.raises(DataFormatError, match="lies in the submission already"):
+        (entered / "scores.json").unlink()
+        benchmark.main(["add", str(entered), str(place), str(tmp_path / "entered")])
+    assert (entered / "result.npz").is_file()
 
 
 def test_a_run_says_how_it_was_drawn(work):

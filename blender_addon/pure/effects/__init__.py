@@ -9,6 +9,8 @@ specs, and may have some of these:
     fire's light.
 ``CHANGES_BAKE = True``
     says that it asks something of our own solver, so that a fire that comes as grids cannot have it.
+``BEYOND_VELOCITY = True``
+    says that it moves the drawn light in a way that is not in the true velocity; ``dataset.json`` says so then.
 ``steps_per_frame(settings) -> int``
     solver steps it needs from one frame to the next.
 ``timing(settings, picture) -> Timing``
@@ -68,6 +70,11 @@ def absorbs_light(settings: Any) -> bool:
 def changes_bake(settings: Any) -> bool:
     """Whether the effect asks something of the solver."""
     return bool(_hook(settings, "CHANGES_BAKE"))
+
+
+def beyond_velocity(settings: Any) -> bool:
+    """Whether the effect moves the drawn light in a way that is not in the true velocity."""
+    return bool(_hook(settings, "BEYOND_VELOCITY"))
 
 
 def encodes(settings: Any) -> bool:

@@ -1,7 +1,8 @@
-"""Fine noise: Mantaflow's wavelet noise adds detail to flame and smoke below the cell size of the flow.
+"""Fine noise: Mantaflow's curl noise adds detail to flame and smoke below the cell size of the flow.
 
-Kim et al. 2008, "Wavelet Turbulence for Fluid Simulation". The velocity stays that of the coarse grid: the added
-detail moves with it, but its own swirl is not in the ground truth.
+Kim et al. 2008, "Wavelet Turbulence for Fluid Simulation": the curl of a wavelet noise, which has no divergence, as
+strong as the flow's small eddies and carried along by it. The velocity stays that of the coarse grid: the added detail
+moves with it, but its own swirl is not in the ground truth. `gof_benchmark.evidence.noise_truth` measures how much.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from ..checked_json import require
 
 CHANGES_BAKE = True
+BEYOND_VELOCITY = True
 
 
 @dataclass(frozen=True)

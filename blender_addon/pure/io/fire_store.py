@@ -64,6 +64,8 @@ class FireStore:
 
     def __init__(self, path: Path):
         self.path = path
+        if not (path / FILE).is_file():
+            raise FileFormatError(f"{path / FILE}: no such file, so the folder holds no fire{_remedy(path)}")
         self.description = read_record(FireDescription, path / FILE)
         self.velocity = StoredGrid(path / "velocity.zarr", "velocity", "m/s")
         self.emission = StoredGrid(path / "emission.zarr", "emission")
@@ -96,3 +98,9 @@ class FireStore:
         """Whether all times from first to last lie on its clock."""
         time_s = self.velocity.time_s
         return bool(time_s[0] - SAME_TIME_S <= first_s and last_s <= time_s[-1] + SAME_TIME_S)
+
+
+def _remedy(path: Path) -> str:
+    if any(path.glob("*.vdb")):
+        return "; bring its OpenVDB files into one with python -m gof_benchmark.solvers.vdb"
+    return "; choose one that gof_benchmark.solvers.grids.write_fire wrote"
