@@ -6,7 +6,6 @@ import socket
 import time
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from gof import extras
@@ -17,11 +16,13 @@ from gof.harmonics import plain_color
 from gof.io.importers import ImportOptions, read_result
 from gof.report.own_pages import only_own_pages
 from gof.rotations import quaternions_wxyz, rotation_matrices
+from gof.share import controls
 from gof.share.opened import middle_of, newest, time_span
 
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 ARROWS = 3000  # lines a browser draws without stuttering
-COLORS = ("as filmed", "speed", "doubt of the speed")
+RADIANCE, SPEED, DOUBT = controls.COLOURS
+EMBER = (217, 95, 2)  # of sliders and buttons
 FILLED = 0.9  # of the window's height, by the near side of a round flame, when it opens
 NEARER_THAN_CAMERAS = 0.85  # of their distance from the flame: where one stands at most
 CAMERA_SIZE = 0.07  # of that distance: how large cameras are drawn
@@ -51,8 +52,7 @@ def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray
 def mapped(values: np.ndarray, largest: float) -> np.ndarray:
     """(N, 3) colours in [0, 1], dark violet for 0 to yellow for `largest` and above (inf too)."""
     share = np.clip(values / max(largest, 1e-12), 0, 1)
-    rgb = cv2.applyColorMap(np.uint8(255 * share)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
-    return rgb.astype(np.float32) / 255
+    return controls.scheme()[np.uint8(255 * share)].astype(np.float32) / 255
 
 
 class Viewer:
@@ -84,16 +84,26 @@ class Viewer:
         with only_own_pages(host):
             self.server = LocalServer(host=host, port=port, label="Gaussians on Fire", verbose=False)
         gui, scene = self.server.gui, self.server.scene
-        gui.configure_theme(dark_mode=True, show_share_button=False)
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=EMBER)
         scene.set_background_image(np.full((1, 1, 3), 12, np.uint8))  # fire is light: it shows on black
         scene.set_up_direction("+z")
-        self.time = gui.add_slider("time, ms", 0.0, max(1e3 * (last - first), 1e-3), 1e3 * step / 4, 0.0)
-        self.play = gui.add_checkbox("play", True)
-        self.slow = gui.add_slider("slow motion", 1.0, 100.0, 1.0, 10.0)
-        self.arrows = gui.add_checkbox("velocity", False)
-        self.color = gui.add_dropdown("colour", COLORS)
-        self.text = gui.add_markdown("")
         self.first_s, self.length_s = first, last - first
+        if self.dataset is not None:
+            names = [camera.name for camera in self.dataset.cameras]
+            self.camera = gui.add_button_group(controls.CAMERA, names)
+            self.camera.on_click(lambda event: self._look_from(event.client, event.target.value))
+        self.color = gui.add_dropdown(controls.COLOUR, controls.COLOURS)
+        self.lines = gui.add_checkbox(controls.LINES, False)
+        self.size = gui.add_slider(f"{controls.SIZE}, %", *controls.SIZE_PERCENT, 100)
+        self.reset = gui.add_button(controls.RESET)
+        self.reset.on_click(lambda event: self._look_from(event.client, None))
+        self.time = gui.add_slider(f"{controls.TIME}, ms", 0.0, max(1e3 * (last - first), 1e-3), 1e3 * step / 4, 0.0)
+        self.play = gui.add_checkbox(controls.PLAY, True)
+        self.speed = gui.add_dropdown(controls.SPEED, tuple(controls.SPEEDS), initial_value=controls.FIRST_SPEED)
+        self.loop = gui.add_checkbox(controls.LOOP, True)
+        self.text = gui.add_markdown("")
+        self._frustums = {}
+        self._take_keys()
         self._stand()
         self._show_cameras()
         self._shown = None
@@ -104,12 +114,20 @@ class Viewer:
         while True:
             now = time.perf_counter()
             if self.play.value and self.length_s > 0:
-                played = self.time.value / 1e3 + (now - before) / self.slow.value
-                self.time.value = 1e3 * (played % self.length_s)
+                self.advance(now - before)
             before = now
             self.refresh()
             self.show(self.first_s + self.time.value / 1e3)
             time.sleep(STEP_S)
+
+    def advance(self, seconds: float) -> None:
+        """Play on by so many seconds of the clock; at the end from the start again, or stop there."""
+        played = self.time.value / 1e3 + seconds / controls.SPEEDS[self.speed.value]
+        if self.loop.value:
+            played %= self.length_s
+        elif played >= self.length_s:
+            played, self.play.value = self.length_s, False
+        self.time.value = 1e3 * played
 
     def refresh(self) -> None:
         """Read the file again if there is a newer one."""
@@ -121,7 +139,7 @@ class Viewer:
 
     def show(self, time_s: float) -> None:
         """Draw the state at `time_s`, unless it is on the screen already."""
-        state = (time_s, self.arrows.value, self.color.value, self._stamp)
+        state = (time_s, self.lines.value, self.color.value, self.size.value, self._stamp)
         if state == self._shown:
             return
         self._shown = state
@@ -129,20 +147,41 @@ class Viewer:
         velocity, doubt = seen.pop("velocities"), seen.pop("doubts")
         speed = np.linalg.norm(velocity, axis=-1)
         largest = float(np.percentile(speed, 98)) if len(speed) else 0.0
-        if self.color.value != COLORS[0]:
-            seen["rgbs"] = mapped(speed if self.color.value == COLORS[1] else doubt, largest)
+        if self.color.value != RADIANCE:
+            seen["rgbs"] = mapped(speed if self.color.value == SPEED else doubt, largest)
+        seen["covariances"] = seen["covariances"] * np.float32((self.size.value / 100) ** 2)
         scene = self.server.scene
         scene.add_gaussian_splats("/flame", **seen)
         moving = np.flatnonzero(velocity.any(-1))[:: max(1, len(velocity) // ARROWS)]
         step = 0.02 * self.length_s  # an arrow is the way of a fiftieth of the clip
         ends = np.stack([seen["centers"][moving], seen["centers"][moving] + step * velocity[moving]], 1)
-        scene.add_line_segments("/velocity", ends, np.array([80, 200, 255], np.uint8), visible=self.arrows.value)
+        scene.add_line_segments("/velocity", ends, np.array([80, 200, 255], np.uint8), visible=self.lines.value)
         mean = np.average(speed, weights=seen["opacities"][:, 0]) if len(speed) else 0.0
-        legend = "" if self.color.value == COLORS[0] else f" · violet 0, yellow {largest:.2f} m/s and more"
+        legend = "" if self.color.value == RADIANCE else f" · violet 0, yellow {largest:.2f} m/s and more"
         self.text.content = (
             f"**{self._file.name}** · {1e3 * (time_s - self.first_s):.1f} ms · {len(velocity):,} of "
             f"{len(self.result):,} Gaussians visible · mean speed {mean:.2f} m/s{_how_sure(doubt)}{legend}"
         )
+
+    def _take_keys(self) -> None:
+        """The player's keys, as commands of viser."""
+
+        def next_color() -> None:
+            at = controls.COLOURS.index(self.color.value)
+            self.color.value = controls.COLOURS[(at + 1) % len(controls.COLOURS)]
+
+        def flip(box) -> None:
+            box.value = not box.value
+
+        add = self.server.gui.add_command
+        add(controls.PLAY, hotkey="space").on_trigger(lambda event: flip(self.play))
+        add(controls.COLOUR, hotkey="C").on_trigger(lambda event: next_color())
+        add(controls.LINES, hotkey="V").on_trigger(lambda event: flip(self.lines))
+        add(controls.RESET, hotkey="0").on_trigger(lambda event: self._look_from(event.client, None))
+        for number, camera in enumerate(self.dataset.cameras[:9] if self.dataset else (), 1):
+            add(f"{controls.CAMERA} {camera.name}", hotkey=str(number)).on_trigger(
+                lambda event, name=camera.name: self._look_from(event.client, name)
+            )
 
     def _stand(self) -> None:
         """Look at the flame from where the middle camera stands, so near that it fills most of the window.
@@ -173,7 +212,7 @@ class Viewer:
             pose = np.linalg.inv(camera.world_to_camera)
             fov = 2 * np.arctan(camera.height / 2 / camera.K[1, 1])
             middle = self.dataset.times_s.size // 2
-            frustum = self.server.scene.add_camera_frustum(
+            self._frustums[camera.name] = frustum = self.server.scene.add_camera_frustum(
                 f"/cameras/{camera.name}",
                 float(fov),
                 camera.width / camera.height,
@@ -185,8 +224,22 @@ class Viewer:
             )
 
             @frustum.on_click
-            def _(event, frustum=frustum):
-                event.client.camera.wxyz, event.client.camera.position = frustum.wxyz, frustum.position
+            def _(event, name=camera.name):
+                self._look_from(event.client, name)
+
+    def _look_from(self, client, name: str | None) -> None:
+        """Stand where a camera stands, without its picture, which would hide the flame; None: where it opened."""
+        for other, frustum in self._frustums.items():
+            frustum.visible = other != name
+        with client.atomic():
+            if name is None:
+                start = self.server.initial_camera
+                client.camera.position, client.camera.look_at = start.position, start.look_at
+                client.camera.up_direction, client.camera.fov = (0.0, 0.0, 1.0), start.fov
+            else:
+                frustum = self._frustums[name]
+                client.camera.wxyz, client.camera.position = frustum.wxyz, frustum.position
+                client.camera.fov = frustum.fov
 
     def _read(self) -> MovingGaussians:
         self._file = newest(self.path)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 import gof
@@ -25,6 +24,7 @@ from gof.errors import GofError
 from gof.evaluate.weighted import weighted_quantile
 from gof.files import atomic_path
 from gof.gaussians import TransientGaussians
+from gof.share import controls
 from gof.share.agreement import Agreement, measure
 from gof.share.opened import Opened, middle_of, time_span
 from gof.share.pictures import PLATE_QUALITY, PLATE_SIDE, base64_text, frames_within, webp
@@ -105,7 +105,8 @@ def share_page(
         "doubt_max": _doubt_scale(results),
         "line_s": float(f"{LINE_SHARE * (last_s - first_s):.1g}"),
         "lines": LINES,
-        "scheme": _scheme(),
+        "scheme": controls.scheme().ravel().tolist(),
+        "colours": controls.COLOURS,
         "file": out.stem,
         "subtitle": _subtitle(results, last_s - first_s),
         "facts": _facts(results, packed, agreement, dataset, said),
@@ -136,6 +137,7 @@ def assemble(content: dict[str, Any], title: str) -> str:
     own = {"shaders": {name: _text(name) for name in SHADERS}, "sorter": _text("sort.js")}
     return environment.get_template("page.html").render(
         title=title,
+        controls=controls,
         generator=f"gof {gof.__version__}",
         style=style,
         script=script,
@@ -239,12 +241,6 @@ def _round_up(value: float, digits: int) -> float:
         return 0.0
     unit = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
     return float(f"{np.ceil(value / unit - 1e-4) * unit:.6g}")
-
-
-def _scheme() -> list[int]:
-    """256 colours, dark violet to yellow, as `gof view` has them: r, g, b, r, g, b, ..."""
-    ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)
-    return ramp[:, 0, ::-1].ravel().tolist()
 
 
 def _subtitle(results: list[Opened], length_s: float) -> str:

@@ -1,5 +1,6 @@
 """The browser view: what it draws against closed forms, what it opens, and a real server."""
 
+import re
 import urllib.request
 from dataclasses import replace
 
@@ -9,7 +10,8 @@ import pytest
 from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.gaussians import TransientGaussians
-from gof.report.viewer import COLORS, Viewer, mapped, newest, splats, time_span
+from gof.report.viewer import DOUBT, Viewer, mapped, newest, splats, time_span
+from gof.share.page import assemble
 from tests.conftest import random_gaussians
 
 
@@ -96,9 +98,45 @@ def test_a_real_server_shows_times_and_new_snapshots(tmp_path):
         assert "±" not in viewer.text.content, "nobody says how sure these velocities are"
         replace(random_gaussians(20), velocity_sd=np.full(20, 0.25)).save(tmp_path / "result.npz", source="test")
         viewer.refresh()
-        viewer.color.value = COLORS[2]
+        viewer.color.value = DOUBT
         viewer.show(last)
         assert "± 0.25" in viewer.text.content and "yellow" in viewer.text.content
         assert "result.npz" in viewer.text.content and "of 20" in viewer.text.content
+    finally:
+        viewer.server.stop()
+
+
+def test_it_has_the_players_controls_in_its_order(tmp_path, tiny_dataset):
+    """As the page of `gof share` shows them, read from the page that is written."""
+    pytest.importorskip("viser")
+    random_gaussians(50).save(tmp_path / "g.npz")
+    page = assemble({}, "flame")
+    viewer = Viewer(tmp_path / "g.npz", Dataset.open(tiny_dataset), port=0)
+    try:
+        shown = [viewer.camera, viewer.color, viewer.lines, viewer.size, viewer.reset, viewer.time, viewer.speed]
+        places = [page.index(f">{h.label.split(',')[0]}") for h in shown[:-2]]
+        assert places == sorted(places) and [h.order for h in shown] == sorted(h.order for h in shown)
+        assert viewer.camera.options == tuple(c.name for c in viewer.dataset.cameras)
+        offered = re.findall(r'<option value="(\d+)"[^>]*>([^<]+)</option>', page)
+        assert [label for _, label in offered] == list(viewer.speed.options)
+        assert viewer.speed.options[-1] == "1/100" and dict(map(reversed, offered))["1/100"] == "100"
+    finally:
+        viewer.server.stop()
+
+
+def test_playing_slows_down_loops_and_ends(tmp_path):
+    pytest.importorskip("viser")
+    random_gaussians(50).save(tmp_path / "g.npz")
+    viewer = Viewer(tmp_path / "g.npz", port=0)
+    try:
+        length_ms = 1e3 * viewer.length_s
+        viewer.speed.value, viewer.time.value = "1/100", 0.0
+        viewer.advance(50 * viewer.length_s)
+        np.testing.assert_allclose(viewer.time.value, length_ms / 2)
+        viewer.advance(75 * viewer.length_s)
+        np.testing.assert_allclose(viewer.time.value, length_ms / 4)
+        viewer.loop.value = False
+        viewer.advance(1e3 * viewer.length_s)
+        assert viewer.time.value == length_ms and not viewer.play.value
     finally:
         viewer.server.stop()

@@ -599,8 +599,7 @@ function begin() {
   chips("cameras", "radio", share.cameras.map(({ name }, i) => [i, name]), () => false, chooseCamera);
   const recorded = hasFrames || hasTruth ? [[RECORDED, hasTruth ? "Truth" : "Recorded"]] : [];
   chips("panes", "checkbox", [...recorded, ...share.results.map(({ name }, i) => [i, name])], (n) => state.panes.has(n), choosePane);
-  const names = { [RADIANCE]: "Radiance", [SPEED]: "Speed", [DOUBT]: "Doubt" };
-  chips("colours", "radio", offered().map((n) => [n, names[n]]), (n) => n === state.colouring, chooseColouring);
+  chips("colours", "radio", offered().map((n) => [n, share.colours[n]]), (n) => n === state.colouring, chooseColouring);
   byId("lines-row").hidden = !(share.speed_max > 0);
   byId("plate-row").hidden = !share.cameras.some((camera) => camera.plate);
   listen();
