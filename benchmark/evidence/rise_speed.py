@@ -2,7 +2,8 @@
 
     python -m gof_benchmark.evidence.rise_speed DATASET RESULT [DATASET RESULT ...]
 
-No truth is needed: DATASET may come from `gof ingest`, RESULT is a folder of `gof reconstruct`. Per camera: the slope
+No truth is needed: DATASET may come from `gof ingest`, RESULT is a folder of `gof reconstruct`, at whose picture size
+all is measured. Per camera: the slope
 of bright traces in the picture of height against time (`gof_benchmark.space_time`), of the footage; and over it, that
 of the reconstruction drawn at the same times, and drawn four times as often, where a flame whose Gaussians only fade
 out and in would stand still between frames. "gas" is the mean upward motion of the Gaussians themselves, weighted by
@@ -23,8 +24,10 @@ from gof.dataset.plates import background
 from gof.flame_mask import flame_mask
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.observation import light_above
+from gof.reconstruct.settings import FILE, ReconstructionSettings
+from gof.reconstruct.shrink import shrink
+from gof.records import read_record
 from gof.render import render
-from gof_benchmark.preview_field import open_small
 from gof_benchmark.space_time import climb
 
 OFTENER = 4
@@ -76,7 +79,8 @@ def main(argv: list[str] | None = None) -> None:
     print("| dataset | camera | footage, px/s | drawn at the frames | drawn four times as often | gas |")
     print("|---|---|---|---|---|---|")
     for folder, result in zip(config.pairs[::2], config.pairs[1::2], strict=True):
-        dataset = open_small(folder)
+        made_with = read_record(ReconstructionSettings, result / FILE)
+        dataset = shrink(Dataset.open(folder), made_with.longest_side)
         gaussians = TransientGaussians.load(result / "result.npz")
         frame_s = dataset.frame_time_s
         for c, camera in enumerate(dataset.cameras):
