@@ -136,9 +136,12 @@ class Camera:
         )
 
     def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
-        """The camera of the part of the picture whose first column and row are x and y.
+        """The camera of a part of the picture.
 
-        A rolling shutter reads its first line later than the whole picture's.
+        A rolling shutter reads the part's first line later than the whole picture's; nobody here knows of times.
+
+        Args:
+            x, y: px, first column and row of the part.   width, height: px, > 0.
         """
         K = self.K.copy()
         K[:2, 2] -= x, y

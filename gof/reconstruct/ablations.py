@@ -8,8 +8,8 @@
 | no-mask | no alpha loss |
 
 The paper's JointOpt optimises static Gaussians together with the flame's instead of before it. Our background is a
-plate per camera, so here the plates lose what was known of them. Masks and optical flow keep the fire-free plates, as
-the paper's do.
+plate per camera, so here the plates lose what was known of them, and learn it in their windows. Masks and optical flow
+keep the fire-free plates, as the paper's do.
 """
 
 from __future__ import annotations

@@ -11,14 +11,14 @@ from gof.errors import GofError
 
 GB = 1e9
 # Bytes at the peaks of finding the flow field and of optimising, fitted to measured runs (docs/reliability.md).
-FIELD, FIELD_PIXEL, FIELD_VOXEL = 200e6, 36.0, 152.0
-FITTING, SEEN_PIXEL, WINDOW_PIXEL, FITTING_VOXEL, GAUSSIAN = 315e6, 39.5, 42.5, 21.0, 1680.0
+FIELD, FIELD_PIXEL, FIELD_VOXEL = 300e6, 36.0, 152.0
+FITTING, SEEN_PIXEL, WINDOW_PIXEL, FITTING_VOXEL, GAUSSIAN = 315e6, 27.0, 55.0, 21.0, 1680.0
 HULL = 0.07  # of the cube of voxels along the longest side of the flame's box, that stand in its hull
 ADDRESSES = 0.8e9  # what libraries map and never touch, which `ulimit -v` counts too
 
 
 def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int, window: float = 1.0) -> float:
-    """What `gof reconstruct` takes of memory at its peak, within about a sixth.
+    """What `gof reconstruct` takes of memory at its peak, within about 15 %.
 
     Args:
         training_pixels: of all training pictures together, at the size that is reconstructed.

@@ -21,6 +21,7 @@ from gof.reconstruct.methods import Rates, cameras_extent
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.parameters import from_raw, splats, to_raw
 from gof.reconstruct.surroundings import Drawn, Surroundings
+from gof.reconstruct.windows import Windows
 from gof.render import Target, l1_ssim
 from gof.render.adam import Adam
 from gof.render.backend import Float
@@ -98,6 +99,7 @@ class Monitor(Protocol):
 def optimize(
     seeds: TransientGaussians,
     observation: Observation,
+    windows: Windows,
     surroundings: Surroundings,
     schedule: Schedule,
     units: Units,
@@ -108,6 +110,7 @@ def optimize(
 
     Args:
         observation: training pictures (those that were delivered are used), their times and masks.
+        windows: the part of each camera's that is drawn and learned from; `surroundings` are those of these parts.
         checkpoint: file to resume from and to write every 500 steps (removed by the caller when done); a disk too full
             for it is reported and does not end the run.
     Returns:
@@ -116,8 +119,8 @@ def optimize(
     Raises:
         NonFiniteError: the loss or a parameter became NaN or Inf; names the parameter and the step.
     """
-    flame = _Flame(seeds, observation, surroundings, schedule, units)
-    pictures = _TrainingPictures(observation)
+    flame = _Flame(seeds, observation, windows, surroundings, schedule, units)
+    pictures = _TrainingPictures(observation, windows)
     start = load_checkpoint(checkpoint, flame.optimizer, resized=schedule.density_control)
     mean_loss = None
     held_out = None
@@ -155,11 +158,13 @@ class _Flame:
         self,
         seeds: TransientGaussians,
         observation: Observation,
+        windows: Windows,
         surroundings: Surroundings,
         schedule: Schedule,
         units: Units,
     ):
-        self.observation = observation
+        self.cameras = windows.cameras(observation.cameras)
+        self.read_s = observation.camera_time_s + windows.read_later_s(observation.cameras)[:, None]
         self.surroundings = surroundings
         self.voxel_size = units.voxel_size
         # Pictures show light: they know nothing of the gas, and nothing of how sure its velocity is. Nor does anybody
@@ -167,14 +172,14 @@ class _Flame:
         gas_velocity = seeds.gas_velocity if schedule.gas_apart else None
         known = {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
         self._kept = {"datum": seeds.datum} | ({} if schedule.density_control else known)
-        self.start_s = float(observation.camera_time_s.min())
+        self.start_s = float(self.read_s.min())
         plates = surroundings.unknowns()
         raw = to_raw(seeds, self.voxel_size, self.start_s) | plates
         rates = schedule.raw_rates(units) | dict.fromkeys(plates, schedule.rates.plate)
         # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
         self.optimizer = Adam(lr=1.0, params=raw, beta_2=schedule.rates.beta_2, epsilon=1e-15, mask_updates=True)
         self.optimizer.set_learning_rate(rates)
-        extent = cameras_extent(observation.cameras)
+        extent = cameras_extent(self.cameras)
         self._density = (
             DensityControl(len(seeds), extent, self.voxel_size, self.start_s, schedule.iterations, schedule.seed)
             if schedule.density_control
@@ -183,8 +188,8 @@ class _Flame:
 
     def drawn(self, f: int, c: int) -> Drawn:
         """Camera c's view of frame f; differentiable."""
-        camera = self.observation.cameras[c]
-        time_s = float(self.observation.camera_time_s[c, f]) - self.start_s
+        camera = self.cameras[c]
+        time_s = float(self.read_s[c, f]) - self.start_s
         seen = splats(self.optimizer, self.voxel_size, time_s, camera)
         # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
         return self.surroundings.draw(seen, c, self.voxel_size, self.optimizer)
@@ -192,7 +197,7 @@ class _Flame:
     def watch(self, step: int, frame: Frame, c: int) -> None:
         """After the backward pass of a step."""
         if self._density is not None:
-            self._density.watch(step, frame, self.observation.cameras[c], dr.width(self.optimizer["t_mu"]))
+            self._density.watch(step, frame, self.cameras[c], dr.width(self.optimizer["t_mu"]))
 
     def change(self, step: int) -> None:
         """After a step: density control, where the method has it."""
@@ -206,10 +211,10 @@ class _Flame:
 
 
 class _TrainingPictures:
-    """The delivered training pictures, each brought to the renderer when it is first drawn against."""
+    """The delivered training pictures' windows, each brought to the renderer when it is first drawn against."""
 
-    def __init__(self, observation: Observation):
-        self._observation = observation
+    def __init__(self, observation: Observation, windows: Windows):
+        self._observation, self._windows = observation, windows
         self._delivered = np.argwhere(observation.delivered)
         self._targets: dict[tuple[int, int], Target] = {}
         self._outside: dict[tuple[int, int], Float] = {}
@@ -222,13 +227,13 @@ class _TrainingPictures:
 
     def target(self, f: int, c: int) -> Target:
         if (f, c) not in self._targets:
-            self._targets[f, c] = Target(self._observation.image[f, c])
+            self._targets[f, c] = Target(self._windows.cut(c, self._observation.image[f, c]))
         return self._targets[f, c]
 
     def outside(self, f: int, c: int) -> Float:
         """1 where no flame may be, else 0."""
         if (f, c) not in self._outside:
-            no_flame = ~self._observation.allowed[f, c].ravel()
+            no_flame = ~self._windows.cut(c, self._observation.allowed[f, c]).ravel()
             self._outside[f, c] = Float(np.ascontiguousarray(no_flame, np.float32))
         return self._outside[f, c]
 

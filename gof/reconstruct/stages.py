@@ -185,11 +185,15 @@ def fit(
     units = Units(field.voxels.voxel_size, dt)
     cameras = observation.cameras
     windows = Windows.around(field.voxels, cameras) if method.windows else Windows.whole(cameras)
-    part = windows.observed(observation)
+    parts = windows.cameras(cameras)
+    plates, blocked = (
+        np.stack([windows.cut(c, picture) for c, picture in enumerate(pictures)])
+        for pictures in (observation.plate, observation.blocked)
+    )
     surroundings: Surroundings = (
-        Plates(part.cameras, part.plate, part.blocked, move=schedule.rates.plate > 0)
+        Plates(parts, plates, blocked, move=schedule.rates.plate > 0)
         if still is None
-        else StillScene(still, part.cameras, field.voxels)
+        else StillScene(still, parts, field.voxels)
     )
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
@@ -205,9 +209,9 @@ def fit(
         ),
         progress_bar("optimise") as progress,
     ):
-        whole = partial(windows.plates, observation=observation)
+        whole = partial(windows.plates, plates=observation.plate, blocked=observation.blocked)
         monitor = _Monitor(_snapshot(run), held_out, whole, curve, progress, time.perf_counter() - before_s)
-        gaussians, plates = optimize(seeds, part, surroundings, schedule, units, checkpoint, monitor)
+        gaussians, plates = optimize(seeds, observation, windows, surroundings, schedule, units, checkpoint, monitor)
     if method.gas_apart:
         gaussians = ablations.change_gas(settings.ablation, gaussians, told_of_gas(gaussians, field))
     return gaussians, whole(plates), curve.curve

@@ -6,12 +6,11 @@ Nothing is drawn outside, so nothing can be learned there: the plate stays as it
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from gof.cameras import Camera
-from gof.reconstruct.observation import Observation
 from gof.reconstruct.voxels import ROOM, FlameVoxels
 from gof.render.ssim import REACH
 
@@ -52,51 +51,41 @@ class Windows:
         width, height = np.maximum((high - low).max(0), 1)
         return cls(np.minimum(low, size - (width, height)), int(width), int(height))
 
-    def observed(self, observation: Observation) -> Observation:
-        """The same, of these parts of the pictures alone; their cameras are cameras of their own."""
-        if (self.width, self.height) == observation.image.shape[3:1:-1]:
-            return observation
+    def cut(self, camera: int, picture: np.ndarray) -> np.ndarray:
+        """The part (height, width, ...) of a camera's picture (H, W, ...); a view."""
+        x, y = self.corner[camera]
+        return picture[y : y + self.height, x : x + self.width]
 
-        def part(pictures: np.ndarray, axis: int) -> np.ndarray:  # the axis of the cameras; rows and columns follow
-            parts = []
-            for c, (x, y) in enumerate(self.corner):
-                chosen = [slice(None)] * pictures.ndim
-                chosen[axis] = c
-                chosen[axis + 1 : axis + 3] = slice(y, y + self.height), slice(x, x + self.width)
-                parts.append(pictures[tuple(chosen)])
-            return np.stack(parts, axis=axis)
+    def cameras(self, cameras: list[Camera]) -> list[Camera]:
+        """Those of the parts."""
+        corners = self.corner.tolist()
+        return [camera.cropped(x, y, self.width, self.height) for camera, (x, y) in zip(cameras, corners, strict=True)]
 
-        cameras = observation.cameras
-        later = [self._read_later_s(c, camera) for c, camera in enumerate(cameras)]
-        corners = [(int(x), int(y)) for x, y in self.corner]
-        return replace(
-            observation,
-            cameras=[k.cropped(x, y, self.width, self.height) for k, (x, y) in zip(cameras, corners, strict=True)],
-            camera_time_s=observation.camera_time_s + np.array(later)[:, None],
-            **{name: part(getattr(observation, name), 1) for name in ("image", "intensity", "mask", "allowed", "flow")},
-            **{name: part(getattr(observation, name), 0) for name in ("static", "plate", "blocked")},
-        )
+    def read_later_s(self, cameras: list[Camera]) -> np.ndarray:
+        """(C,) how much later than its picture's first line that of each camera's part is read."""
+        return np.array([camera.row_time_s * self._lines_before(c, camera) for c, camera in enumerate(cameras)])
 
-    def plates(self, parts: list[np.ndarray], observation: Observation) -> list[np.ndarray]:
-        """Plates of whole pictures (`Surroundings.result`) with these parts in their places; of none, none."""
-        if not parts:
-            return []
+    def plates(self, parts: list[np.ndarray], plates: np.ndarray, blocked: np.ndarray) -> list[np.ndarray]:
+        """Plates of whole pictures with these parts in their places; of none, none.
+
+        Args:
+            parts: C x (height, width, 3 or 4), see `Surroundings.result`.
+            plates: (C, H, W, 3) display values, as they were made.   blocked: (C, H, W) bool.
+        """
         whole = []
-        for (x, y), part, plate, blocked in zip(
-            self.corner, parts, observation.plate, observation.blocked, strict=True
-        ):
-            picture = np.concatenate([plate, blocked[..., None]], -1)[..., : part.shape[-1]].astype(np.float32)
-            picture[y : y + self.height, x : x + self.width] = part
+        for c, part in enumerate(parts):
+            before = blocked[c, ..., None].astype(np.float32)
+            picture = np.concatenate([plates[c], before], -1)[..., : part.shape[-1]]
+            self.cut(c, picture)[...] = part
             whole.append(picture)
         return whole
 
-    def _read_later_s(self, c: int, camera: Camera) -> float:
-        """How much later than a camera's first line that of its window is read."""
-        x, y = self.corner[c]
+    def _lines_before(self, c: int, camera: Camera) -> int:
+        x, y = self.corner[c].tolist()
         lines = {
             "down": y,
             "up": camera.height - y - self.height,
             "right": x,
             "left": camera.width - x - self.width,
         }
-        return camera.row_time_s * lines[camera.readout]
+        return lines[camera.readout]

@@ -21,6 +21,7 @@ from gof.share.opened import middle_of, newest, time_span
 
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 ARROWS = 3000  # lines a browser draws without stuttering
+LINE_PX, LINE_COLOUR = 1.5, (80, 200, 255)
 RADIANCE, SPEED, DOUBT = controls.COLOURS
 EMBER = (217, 95, 2)  # of sliders and buttons
 FILLED = 0.9  # of the window's height, by the near side of a round flame, when it opens
@@ -121,8 +122,12 @@ class Viewer:
             time.sleep(STEP_S)
 
     def advance(self, seconds: float) -> None:
-        """Play on by so many seconds of the clock; at the end from the start again, or stop there."""
-        played = self.time.value / 1e3 + seconds / controls.SPEEDS[self.speed.value]
+        """Play on by so many seconds of the clock; at the end from the start again, or stop there.
+
+        Who plays on from the end begins at the start.
+        """
+        now = self.time.value / 1e3
+        played = (now if now < self.length_s else 0.0) + seconds / controls.SPEEDS[self.speed.value]
         if self.loop.value:
             played %= self.length_s
         elif played >= self.length_s:
@@ -155,7 +160,9 @@ class Viewer:
         moving = np.flatnonzero(velocity.any(-1))[:: max(1, len(velocity) // ARROWS)]
         step = 0.02 * self.length_s  # an arrow is the way of a fiftieth of the clip
         ends = np.stack([seen["centers"][moving], seen["centers"][moving] + step * velocity[moving]], 1)
-        scene.add_line_segments("/velocity", ends, np.array([80, 200, 255], np.uint8), visible=self.lines.value)
+        # On the screen: viser's own default is a centimetre of the world, which would cover a candle.
+        width = {"thickness": LINE_PX, "thickness_units": "screen"}
+        scene.add_line_segments("/velocity", ends, LINE_COLOUR, visible=self.lines.value, **width)
         mean = np.average(speed, weights=seen["opacities"][:, 0]) if len(speed) else 0.0
         legend = "" if self.color.value == RADIANCE else f" · violet 0, yellow {largest:.2f} m/s and more"
         self.text.content = (

@@ -138,5 +138,9 @@ def test_playing_slows_down_loops_and_ends(tmp_path):
         viewer.loop.value = False
         viewer.advance(1e3 * viewer.length_s)
         assert viewer.time.value == length_ms and not viewer.play.value
+        viewer.play.value = True
+        viewer.advance(25 * viewer.length_s)
+        np.testing.assert_allclose(viewer.time.value, length_ms / 4)
+        assert viewer.play.value, "from the end it plays from the start"
     finally:
         viewer.server.stop()
