@@ -43,6 +43,7 @@ from gof_blender.pure.spec import SceneSpec
 
 LEAST_POWER = 1.13  # from 64 to 128 cells along the longest side 1.13 to 1.16; smaller grids hide it in the caches
 MOST_POWER = 1.4
+LEAST_BAKE = 0.05  # share of a run that is its steps, where its start hides them
 FRAMES = 2  # of a tiny run's clip
 
 
@@ -142,8 +143,9 @@ def calibrate() -> Machine:
 
 def fit(empty: TinyRun, small: TinyRun, large: TinyRun) -> Machine:
     """The coefficients that explain three runs; their error is not known yet, and 0 here."""
-    start = empty.bake_s
-    small_step, large_step = ((run.bake_s - start) / run.steps for run in (small, large))
+    # Blender's first start reads its files from the disk and may take longer than a later start and its bake.
+    start = min(run.bake_s for run in (empty, small, large))
+    small_step, large_step = (max(run.bake_s - start, LEAST_BAKE * run.bake_s) / run.steps for run in (small, large))
     power = np.log(large_step / small_step) / np.log(large.cells / small.cells)
     power = float(np.clip(power, LEAST_POWER, MOST_POWER))
     picture, pixel, sample, sample_per_cell = _fit_pictures((small, large))
