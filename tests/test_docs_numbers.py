@@ -137,6 +137,7 @@ NOT_AT_TOY_SIZE = {
     "fire_sizes": "bakes six fires by Blender",
     "flame_clock": "needs the paper's clips",
     "flame_looks": "needs the paper's clips",
+    "four_ways": "bakes and renders the built-in scenes by Blender",
     "gas_from_below": "bakes two fires by Blender",
     "generated_board": "renders a board by Blender",
     "ingest_memory": "needs ffmpeg; its size is the claim",

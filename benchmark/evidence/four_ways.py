@@ -1,0 +1,125 @@
+"""The built-in scenes reconstructed in four ways, ours and the paper's, scored as by `gof evaluate`. Prints a table.
+
+    python -m gof_benchmark.evidence.four_ways WORK [--scenes demo classroom] [--ways ours paper] [--seeds 3]
+
+Makes the datasets first (`gof generate --preset draft`, with fewer samples a pixel, which the denoiser forgives). The
+flame's PSNR for novel views is that of a camera that no method is given; only a scene of Gaussians can be seen from
+there. Everything is kept in WORK, and what is finished is not done again. Beside seconds and scores of each way stand
+the controls, which know the truth.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tyro
+
+from gof.costs import StageLog
+from gof.dataset import Dataset
+from gof.evaluate import evaluate
+from gof.evaluate.scores import Scores
+from gof.reconstruct.curve import Curve
+from gof.reconstruct.pipeline import reconstruct
+from gof.reconstruct.presets import PRESETS, Effort
+from gof.reconstruct.settings import ReconstructionSettings
+from gof.reconstruct.shrink import shrink
+from gof_benchmark.scenes import load_scene
+from gof_blender.pure import spec as scene_spec
+
+Way = Literal["ours", "ours in Gaussians", "no flow prior", "paper"]
+OPTIONS: dict[Way, dict] = {
+    "ours": {},
+    "ours in Gaussians": {"scene": "gaussians"},
+    "no flow prior": {"flow_prior": False},
+    "paper": {"method": "paper"},
+}
+COMMANDS: dict[Way, str] = {
+    "ours": "ours",
+    "ours in Gaussians": "ours, `--scene gaussians`",
+    "no flow prior": "`--no-flow-prior`",
+    "paper": "`--method paper`",
+}
+COLUMNS = ("L2", "CosSim", "fluctuation L2, CosSim", "speed / true", "PSNR flame", "SSIM flame", "PSNR")
+COLUMNS += ("PSNR flame, novel", "s")
+DIGITS = (3, 3, 2, 2, 2, 2, 3, 2, 2, 0)  # of the columns' figures
+SAMPLES = {"classroom": 6}  # a room lit through its windows; the others 2
+
+
+@dataclass(frozen=True)
+class FourWays:
+    """Make the built-in scenes, reconstruct each in four ways, and score them."""
+
+    work: tyro.conf.Positional[Path]
+    """Folder for datasets and reconstructions."""
+    scenes: tuple[str, ...] = ("demo", "classroom", "workshop", "cloister")
+    """Built-in scenes."""
+    ways: tuple[Way, ...] = tuple(OPTIONS)
+    """Of the reconstruction."""
+    preset: str = "draft"
+    """Of `gof generate`."""
+    effort: tyro.conf.OmitArgPrefixes[Effort] = PRESETS["preview"]
+    """Of every reconstruction."""
+    seeds: int = 1
+    """Runs of each way; the table shows their mean, and the spread of L2."""
+
+
+def made(scene: str, preset: str, work: Path) -> Path:
+    """The scene's dataset."""
+    spec = load_scene(scene, preset)
+    samples = min(SAMPLES.get(scene, 2), spec.render.samples)
+    file, folder = work / f"{scene}.json", work / scene
+    scene_spec.save(replace(spec, render=replace(spec.render, samples=samples)), file)
+    subprocess.run([sys.executable, "-m", "gof", "generate", str(file), "--out", str(folder)], check=True, stdout=2)
+    return folder
+
+
+def scored(path: Path, way: Way, seed: int, config: FourWays) -> tuple[Scores, list[float]]:
+    """Reconstruct and score; scores, and the columns as numbers, NaN where there is none."""
+    full = Dataset.open(path)
+    folder = config.work / "results" / f"{path.name}_{way.replace(' ', '_')}_{seed}"
+    settings = ReconstructionSettings.of(full, config.effort, seed=seed, **OPTIONS[way])
+    scores = evaluate(reconstruct(full, settings, folder).path, shrink(full, config.effort.longest_side))
+    dve, curve = scores.dve, Curve.read(folder).points[-1].scores
+    seconds = sum(stage.seconds for stage in StageLog(folder / "costs.json").stages())
+    figures = [dve.l2, dve.cos_sim, dve.fluctuation.l2, dve.fluctuation.cos_sim, dve.speed_ratio]
+    figures += [scores.psnr_flame, scores.ssim_flame, scores.psnr, curve.psnr_flame_novel, seconds]
+    return scores, [np.nan if x is None else float(x) for x in figures]
+
+
+def line(scene: str, name: str, runs: np.ndarray) -> str:
+    """A row of the table: the means of (runs, figures), empty where there is none, and the spread of the first."""
+    means = [("" if np.isnan(x) else f"{x:.{digits}f}") for x, digits in zip(runs.mean(0), DIGITS, strict=True)]
+    spread = f" ± {runs[:, 0].std(ddof=1):.3f}" if len(runs) > 1 else ""
+    cells = [means[0] + spread, means[1], ", ".join(means[2:4]), *means[4:]]
+    return f"| {scene} | {name} | {' | '.join(cells)} |"
+
+
+def controls(scene: str, scores: Scores) -> str:
+    """The row of what knows the truth, on the Gaussians of ours."""
+    both = [scores.controls[name] for name in ("constant", "height_mean")]
+    cells = ["; ".join(f"{getattr(control, score):.3f}" for control in both) for score in ("l2", "cos_sim")]
+    return f"| {scene} | controls: constant; mean per height | {' | '.join(cells)} |" + " |" * (len(COLUMNS) - 2)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the table."""
+    config = tyro.cli(FourWays, prog="python -m gof_benchmark.evidence.four_ways", args=argv)
+    config.work.mkdir(parents=True, exist_ok=True)
+    print(f"| scene | | {' | '.join(COLUMNS)} |")
+    print("|---" * (len(COLUMNS) + 2) + "|")
+    for scene in config.scenes:
+        path, first = made(scene, config.preset, config.work), None
+        for way in config.ways:
+            runs = [scored(path, way, seed, config) for seed in range(config.seeds)]
+            first = first or runs[0][0]
+            print(line(scene, COMMANDS[way], np.array([figures for _, figures in runs])), flush=True)
+        print(controls(scene, first), flush=True)
+
+
+if __name__ == "__main__":
+    main()
