@@ -23,7 +23,15 @@ NAME = "gaussians-on-fire"
 # The evaluator, the importers, the renderer, files, the command line: what `pip install gaussians-on-fire` is for.
 PARTS = ["evaluate", "render", "io", "report", "test_cli.py", "test_dataset.py", "test_fields.py", "test_gaussians.py"]
 PARTS += ["test_install.py", "test_names.py", "test_ply.py", "test_portable.py", "test_zarr_array.py"]
-TOOLS = ["plotly>=6,<8", "pytest", "pytest-timeout", "pytest-xdist", "hypothesis", "mitsuba>=3.9,<3.10"]
+TOOLS = [
+    "plotly>=6,<8",
+    "matplotlib>=3.9,<4",
+    "pytest",
+    "pytest-timeout",
+    "pytest-xdist",
+    "hypothesis",
+    "mitsuba>=3.9,<3.10",
+]
 MARKS = "not slow and not blender and not gpu and not checkout"
 
 

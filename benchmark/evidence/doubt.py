@@ -17,10 +17,11 @@ import numpy as np
 import tyro
 
 from gof.dataset import Dataset
-from gof.evaluate import line_chart
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import observe
+from gof.show import line_chart
+from gof.show.paper import require_figure
 from gof_benchmark.field_score import within
 from gof_benchmark.preview_field import open_small, preview_field
 
@@ -54,6 +55,8 @@ def reliability(field: FlowField, dataset: Dataset) -> np.ndarray:
 def main(argv: list[str] | None = None) -> None:
     """Print the table, draw the chart."""
     config = tyro.cli(Doubt, prog="python -m gof_benchmark.evidence.doubt", args=argv)
+    if config.chart:
+        require_figure(config.chart)
     print("| dataset | within 1 | within 2 | of the surest tenth: said, true | of the least sure |")
     print("|---|---|---|---|---|")
     series = {}

@@ -16,8 +16,9 @@ import tyro
 
 from gof.colour import srgb_to_linear
 from gof.errors import DataFormatError
-from gof.evaluate import line_chart
 from gof.footage import stored_frames
+from gof.show import line_chart
+from gof.show.paper import require_figure
 from gof_benchmark.fires import measures
 from gof_blender.pure import spec as scene_spec
 
@@ -139,7 +140,7 @@ def draw(generated: list[Looks], filmed: list[Looks], folder: Path) -> None:
     kinds = ("colours", "texture", "flicker")
     mean = Looks("filmed fires, mean", *(np.nanmean([getattr(f, k) for f in filmed], axis=0) for k in kinds))
     charts = (
-        ("colours", "colours of the flame's pixels", "red, 8 bits", "mean green", _green_by_red),
+        ("colours", "colours of the flame's pixels", "red, 0 to 255", "mean green, 0 to 255", _green_by_red),
         ("texture", "texture", "cycles per flame height", "share of power", lambda one: (CYCLES, 10**one.texture)),
         ("flicker", "flicker", "frequency, Hz", "power of the light, 1/Hz", lambda one: (FLICKER_HZ, 10**one.flicker)),
     )
@@ -149,7 +150,9 @@ def draw(generated: list[Looks], filmed: list[Looks], folder: Path) -> None:
             for one in [mean, *generated]
         }
         lines = {name: points for name, points in lines.items() if points}
-        line_chart.write(folder / f"flame_looks_{name}.svg", title, x_label, y_label, lines)
+        line_chart.write(
+            folder / f"flame_looks_{name}.svg", title, x_label, y_label, lines, log="" if name == "colours" else "xy"
+        )
 
 
 def _green_by_red(one: Looks) -> tuple[np.ndarray, np.ndarray]:
@@ -163,6 +166,8 @@ def _green_by_red(one: Looks) -> tuple[np.ndarray, np.ndarray]:
 def main(argv: list[str] | None = None) -> None:
     """Print the table, and draw."""
     config = tyro.cli(FlameLooks, prog="python -m gof_benchmark.evidence.flame_looks", args=argv)
+    if config.charts:
+        require_figure()
     folders = sorted({video.parent for video in config.clips.glob("**/*.mp4")})
     if len(folders) < 2:
         raise SystemExit(f"{config.clips}: two or more folders with videos are needed")

@@ -12,8 +12,9 @@ import tyro
 
 from gof.dataset import DatasetDescription
 from gof.errors import DataFormatError, GofError
-from gof.evaluate import line_chart
 from gof.progress import progress_bar
+from gof.show import line_chart
+from gof.show.paper import require_figure
 from gof_benchmark.fires import SPLITS, measures
 from gof_benchmark.fires.flames import Axis, Flame, Truth, View, flame_of
 from gof_benchmark.fires.laws import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
@@ -343,6 +344,8 @@ def places_in(path: Path) -> list[Path]:
 def main(argv: list[str] | None = None) -> int:
     config = tyro.cli(HowReal, prog="python -m gof_benchmark.fires.how_real", args=argv)
     try:
+        if config.charts:
+            require_figure()
         places = [place for path in config.places for place in places_in(path)]
         flames = []
         with progress_bar("reading fires") as update:

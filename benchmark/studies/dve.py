@@ -15,7 +15,6 @@ from typing import ClassVar
 import numpy as np
 import tyro
 
-from gof.evaluate import line_chart
 from gof.evaluate.closed_forms import Flow, abc, gaussian_vortex, linear, taylor_green
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import ORDERS, expected_velocity_plain
@@ -24,6 +23,8 @@ from gof.files import write_json
 from gof.progress import progress_bar
 from gof.records import to_json
 from gof.rotations import rotation_matrices
+from gof.show import line_chart
+from gof.show.paper import require_figure
 
 HALF = 0.6  # m; the Gaussians stay well inside the box of this half width
 WAVE_NUMBER = 10.0  # 1/m, of the periodic flows; `k_sigma` is this times a Gaussian's width
@@ -74,6 +75,7 @@ def main(argv: list[str]) -> int:
     from rich.table import Table
 
     config = tyro.cli(DveStudy, prog="gof study dve", args=argv)
+    require_figure()
     with progress_bar("study") as progress:
         rows = run(config.gaussians, config.samples, lambda done, total: progress(done, total, stage="DVE"))
     table = Table(title="Expected velocity against closed forms", title_justify="left")

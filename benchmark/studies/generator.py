@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.evaluate import line_chart
 from gof.fields import VelocitySequence
 from gof.files import atomic_path, read_json, write_json
+from gof.show import line_chart
+from gof.show.paper import require_figure
 from gof.zarr_array import ZarrArray
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
@@ -98,6 +99,7 @@ class Figures:
 def main(argv: list[str]) -> int:
     """`gof study generate`; see --help."""
     config = tyro.cli(GeneratorStudy, prog="gof study generate", args=argv)
+    require_figure()
     spec = load_scene(config.scene)
     warm_up = round(config.warm_up_s * spec.clip.fps)
     spec = replace(spec, clip=replace(spec.clip, frames=config.frames, warm_up_frames=warm_up))

@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass
 import tyro
 
 from gof.dataset import Dataset
-from gof.evaluate import line_chart
 from gof.reconstruct.presets import PRESETS
+from gof.show import line_chart
+from gof.show.paper import require_figure
 from gof_benchmark.studies.variants import Row, VariantStudy, run_one, table, write_page
 
 FACTORS = (0.25, 0.5, 1, 2)  # of the preset's iterations, Gaussians and picture size
@@ -29,6 +30,7 @@ class SettingsStudy(VariantStudy):
 def main(argv: list[str]) -> int:
     """`gof study reconstruct DATASET`; see --help."""
     study = tyro.cli(SettingsStudy, prog="gof study reconstruct", args=argv)
+    require_figure()
     dataset = Dataset.open(study.dataset)
     groups = run_all(study, dataset)
     _draw_charts(study, groups)
@@ -74,8 +76,8 @@ def _draw_charts(study: VariantStudy, groups: dict[str, list[Row]]) -> None:
     for key, label in CHARTS.items():
         lines, labelled = {}, set()
         for group, rows in groups.items():
-            points = [(row["seconds"], row[key] or 0, row["name"].split("-")[-1]) for row in rows]
+            points = [(row["seconds"], row[key], row["name"].split("-")[-1]) for row in rows if row[key] is not None]
             lines[group] = [(x, y, "" if (x, y) in labelled else name) for x, y, name in points]
             labelled |= {(x, y) for x, y, _ in points}
         title = f"{label} against time"
-        line_chart.write(study.out / f"{key}.svg", title, "seconds of the reconstruction", label, lines)
+        line_chart.write(study.out / f"{key}.svg", title, "seconds of the reconstruction", label, lines, log="x")

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from html import escape
 
-from gof.evaluate import leaderboard_page, line_chart
+from gof import extras
+from gof.errors import MissingDependencyError
+from gof.evaluate import leaderboard_page
 from gof.evaluate.cells import in_markdown
 from gof.evaluate.leaderboard import COLUMNS
 from gof.evaluate.suite_board import CONTROL, RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
+
+PLOTLY = ("leaderboard", "a chart of training loss")  # the extra, and what for
 
 
 def used(rows: tuple[BoardRow, ...]) -> list[str]:
@@ -108,6 +113,7 @@ def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | N
         small = partly(row, board), given and f"given: {given}", knew and f"knew before: {knew}"
         about = {"name": row.name, "method": row.what, "competes": row.competes}
         table.append((about | {"small": [one for one in small if one]}, cells))
+    charts, no_charts = _charts(board)
     environment = Environment(loader=PackageLoader("gof.evaluate", "."), autoescape=True, undefined=StrictUndefined)
     return environment.get_template("suite.html").render(
         title=board.title,
@@ -116,11 +122,13 @@ def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | N
         ranked=any(row.competes for row in board.rows),
         headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
         table=table,
-        scenes=[_scene(scene, grids.get(scene.name)) for scene in board.scenes],
+        scenes=[_scene(scene, grids.get(scene.name), charts.get(scene.name)) for scene in board.scenes],
+        no_charts=no_charts,
+        plotlyjs=extras.load("plotly.offline", *PLOTLY).get_plotlyjs() if charts else "",
     )
 
 
-def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None) -> dict:
+def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None, chart: str | None) -> dict:
     """What the page shows of a scene."""
     keys = [key for key in RANKED if any(key in figures for figures in scene.figures.values())]
     rows = [
@@ -148,7 +156,7 @@ def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None) -> dict:
         "rows": rows,
         "grid": grid,
         "curves": [_curve(name, curve) for name, curve in scene.curves.items()],
-        "chart": _chart(scene.curves),
+        "chart": chart,
     }
 
 
@@ -164,12 +172,33 @@ def _curve(name: str, curve: TrainingCurve) -> dict:
     }
 
 
-def _chart(curves: dict[str, TrainingCurve]) -> str:
-    """The loss over processor seconds, each method's by its own first; SVG, empty where nothing is known."""
-    if not curves:
-        return ""
-    lines = {
-        name: [(s, loss / curve.loss[0], "") for s, loss in zip(curve.processor_seconds, curve.loss, strict=True)]
-        for name, curve in curves.items()
-    }
-    return line_chart.draw("Training loss", "processor seconds", "loss / its first value", lines)
+def _charts(board: SuiteBoard) -> tuple[dict[str, str], str]:
+    """The chart of each scene with known trainings, and why there is none: the tables do not need plotly."""
+    try:
+        return {scene.name: _chart(scene.curves) for scene in board.scenes if scene.curves}, ""
+    except MissingDependencyError as e:
+        return {}, str(e)
+
+
+def _chart(curves: Mapping[str, TrainingCurve]) -> str:
+    """HTML of a plotly chart: the loss over processor seconds, each method's over its own first value."""
+    figure = extras.load("plotly.graph_objects", *PLOTLY).Figure()
+    for number, (name, curve) in enumerate(curves.items()):
+        figure.add_scatter(
+            x=curve.processor_seconds,
+            y=[loss / curve.loss[0] for loss in curve.loss],
+            mode="lines",
+            name=escape(name),
+            line={"color": leaderboard_page.COLORS[number % len(leaderboard_page.COLORS)]},
+        )
+    figure.update_layout(
+        template="plotly_white",
+        height=380,
+        margin={"l": 64, "r": 24, "t": 44, "b": 50},
+        legend={"orientation": "h", "y": -0.22},
+        title={"text": "Training loss", "font": {"size": 15}},
+        showlegend=True,
+    )
+    figure.update_xaxes(type="log", title="processor seconds")
+    figure.update_yaxes(type="log", title="loss / its first value")
+    return figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True})

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Literal
 
 from gof.evaluate.accuracy_chart import AccuracyChart
 from gof.evaluate.leaderboard_page import COLORS
 from gof.evaluate.scores import Scores
+from gof.show.line_chart import dress, number_decades, plain
 from gof.show.paper import LETTERS, SMALL, printed
 
 Kind = Literal["pdf", "svg", "png"]
 SIZE_IN = 3.4, 2.5  # one column of a paper
-ROW_IN, LINE = 0.14, 56  # of a legend: inches, letters
+ROW_IN, LETTERS_A_ROW = 0.14, 56  # of a legend
 MARKS = "osD^PXvh*"
 FRONT, FIRE, GREY = "#e8772e", "#c2410c", "#777777"
 
@@ -25,7 +25,7 @@ def write_accuracy(path: Path, chart: AccuracyChart) -> None:
         GofError: no such kind of figure.   MissingDependencyError: matplotlib is not installed.
     """
     width, height = SIZE_IN
-    names = [plain(name) for name in chart.names]
+    names = [plain(name, LETTERS_A_ROW) for name in chart.names]
     legend_in = ROW_IN * (sum(name.count("\n") + 1 for name in names) + 2)
     with printed(path, width, height + legend_in) as figure:
         whole = height + legend_in
@@ -38,11 +38,14 @@ def write_accuracy(path: Path, chart: AccuracyChart) -> None:
         if chart.constant is not None:
             axes.axhline(chart.constant, color=GREY, linestyle=":", linewidth=0.9, label="one constant vector")
         axes.set_xscale("log")
-        _ticks(axes, [seconds for seconds, _ in chart.points])
+        times_s = [seconds for seconds, _ in chart.points]
+        low, high = 0.7 * min(times_s), 1.4 * max(times_s)
+        axes.set_xlim(low, high)
+        number_decades(axes.xaxis, low, high)
         axes.set_xlabel("seconds to train")
         axes.set_ylabel(chart.heading)
         axes.set_title(chart.title, fontsize=LETTERS, loc="left")
-        _dress(axes)
+        dress(axes)
         figure.legend(loc="lower left", bbox_to_anchor=(0.1, 0.0), fontsize=SMALL, frameon=False)
 
 
@@ -68,29 +71,6 @@ def write_frame_scores(path: Path, scores: Scores) -> bool:
         axes.set_ylabel("DVE L2")
         axes.set_ylim(0, 1.15 * max(1.0, *(value for value in values if value == value)))
         axes.set_title("DVE L2 of each frame (lower is better)", fontsize=LETTERS, loc="left")
-        _dress(axes)
+        dress(axes)
         axes.legend(fontsize=SMALL, frameon=False, ncols=3, loc="upper left", columnspacing=1, handlelength=1.6)
     return True
-
-
-def plain(name: str) -> str:
-    """A name in lines that a legend has room for, which matplotlib takes neither for a formula nor for none at all."""
-    return textwrap.fill(name, LINE).replace("$", "\\$").lstrip("_") or "-"
-
-
-def _ticks(axes, times_s: list[float]) -> None:
-    """1, 2 and 5 of every decade as plain numbers."""
-    low, high = 0.7 * min(times_s), 1.4 * max(times_s)
-    steps = [m * 10.0**e for e in range(-6, 10) for m in (1, 2, 5)]
-    shown = [step for step in steps if low <= step <= high]
-    axes.set_xlim(low, high)
-    axes.set_xticks(shown, [f"{step:g}" for step in shown])
-    axes.set_xticks([], minor=True)
-
-
-def _dress(axes) -> None:
-    axes.grid(color="#e3e3e3", linewidth=0.4)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=SMALL, width=0.5, length=2.5)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)

@@ -7,7 +7,8 @@ import pytest
 
 from gof.evaluate.closed_forms import abc, gaussian_vortex, linear, taylor_green
 from gof.rotations import rotation_matrices
-from gof_benchmark.studies.dve import gaussians, main
+from gof_benchmark.studies.dve import LINES, gaussians, main
+from tests.show.printed import marks, texts
 
 pytestmark = pytest.mark.long
 
@@ -41,6 +42,7 @@ def test_the_study_shows_what_it_claims(tmp_path, capsys):
             < error["precision", flow, "float16 kernel", 0.5]
             < 1e-3
         )
+    drawn = {(study, k_sigma) for study, k_sigma, _ in LINES}
     charts = {path.stem: path.read_text() for path in tmp_path.glob("*.svg")}
     assert sorted(charts) == [
         "study_dve_abc",
@@ -48,5 +50,8 @@ def test_the_study_shows_what_it_claims(tmp_path, capsys):
         "study_dve_linear",
         "study_dve_taylor-green",
     ]
-    assert "Monte Carlo" in charts["study_dve_abc"] and charts["study_dve_linear"].count("<circle") == 12
+    assert "Monte Carlo, 1e2 to 1e6 samples" in texts(charts["study_dve_abc"])
+    in_linear = [r for r in rows if r["flow"] == "linear" and (r["study"], r["k_sigma"]) in drawn]
+    in_linear = [r for r in in_linear if r["study"] != "grid" or r["setting"].endswith("order 3")]
+    assert sum(map(len, marks(charts["study_dve_linear"]).values())) == len(in_linear) == 12
     assert all(r["seconds"] > 0 for r in rows)

@@ -11,6 +11,7 @@ import pytest
 from gof.dataset import Dataset, DatasetDescription
 from gof.errors import DataFormatError
 from gof.fields import VelocityField
+from gof.show.line_chart import COLOURS
 from gof_benchmark.fires import how_real
 from gof_benchmark.fires.flames import flame_of
 from gof_benchmark.fires.laws import (
@@ -36,6 +37,7 @@ from gof_benchmark.fires.measures import (
 from gof_blender.pure.fires import Fire
 from gof_blender.pure.spec import SceneSpec
 from tests.conftest import arc, write_dataset
+from tests.show.printed import curves, texts
 from tests.solvers.conftest import write_small_fire
 
 CAPTURES = Path(os.environ.get("GOF_CAPTURES", Path(__file__).parents[3] / "shared" / "captures"))
@@ -298,7 +300,9 @@ def test_the_command_prints_a_line_a_fire_and_draws(tmp_path, capsys):
     assert any("| small | 30.0 / 30.0 | 1.00 | 0.50 |" in line for line in lines)
     drawn = {path.name: path.read_text() for path in (tmp_path / "charts").iterdir()}
     assert set(drawn) == {"how_real_test.svg", "how_real_mantaflow.svg", "how_real_flicker.svg"}
-    assert "dev/flame" in drawn["how_real_mantaflow.svg"] and "McCaffrey" in drawn["how_real_mantaflow.svg"]
+    said = texts(drawn["how_real_mantaflow.svg"])
+    assert {"dev/flame", "McCaffrey's law", "speed / Q^(1/5), m/s/kW^(1/5)"} <= set(said)
+    assert len(curves(drawn["how_real_mantaflow.svg"], COLOURS[0])) == 1, "the law"
 
 
 def test_a_dataset_of_grids_is_its_grids_and_not_counted_twice(tmp_path):

@@ -9,6 +9,7 @@ from gof.commands.reconstruct import ReconstructConfig
 from gof.reconstruct.presets import Effort
 from gof_benchmark.studies.ablations import LEFT_OUT
 from tests.reconstruct.rising_flame import write_flame
+from tests.show.printed import marks, texts
 
 SMALL = ["--gaussians", "600", "--longest-side", "96"]
 
@@ -56,4 +57,6 @@ def test_settings_study(tmp_path, monkeypatch):
     few, many = (row["psnr_flame"] for row in rows if row["group"] == "iterations")
     assert few < many
     for name in ("l2", "cos_sim", "psnr_flame"):
-        assert (tmp_path / "out" / f"{name}.svg").read_text().count("<circle") == len(rows)
+        svg = (tmp_path / "out" / f"{name}.svg").read_text()
+        assert sum(map(len, marks(svg).values())) == len(rows)
+        assert {"seconds of the reconstruction", *(row["group"] for row in rows)} <= set(texts(svg))

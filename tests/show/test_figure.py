@@ -31,13 +31,9 @@ from gof.show.paper import DPI, GAP_IN, write_sheet
 from gof.show.tiles import Bar, Box, Tile, Wheel, depth_tile, ramp
 from tests.conftest import arc, look_at, random_gaussians, write_dataset
 from tests.reconstruct.rising_flame import RISE, write_flame
+from tests.show.printed import marks, texts
 
 pytest.importorskip("matplotlib", reason="the extra 'figures' is not installed")
-
-
-def texts(svg: str) -> list[str]:
-    """What a figure says: matplotlib writes the words of every text beside its glyphs."""
-    return [words.strip() for words in re.findall(r"<!-- (.*?) -->", svg)]
 
 
 def streams(pdf: bytes) -> bytes:
@@ -412,8 +408,7 @@ def test_accuracy_is_printed_with_names_as_they_are_and_its_points_where_they_be
     said = texts(svg)
     for words in ("cheap $1 and $2", "hidden", "seconds to train", "DVE L2 (lower is better)", "10", "100", "1000"):
         assert words in said, (words, said)
-    marks = re.findall(r'<use xlink:href="#m[^"]*" x="([\d.]+)" y="([\d.]+)" style="fill: #(?!000)', svg)
-    (x, y) = np.array(marks, float)[:3].T
+    x, y = np.concatenate(list(marks(svg).values())).T
     assert x[1] - x[0] == pytest.approx(x[2] - x[1], rel=1e-3), "decades are as wide as each other"
     assert (y[0] - y[1]) / (y[2] - y[1]) == pytest.approx((0.5 - 0.4) / (0.45 - 0.4), rel=1e-2)
     assert b"/FontFile2" in (tmp_path / "a.pdf").read_bytes()
