@@ -3,28 +3,48 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Literal, get_args
 
+import numpy as np
 import tyro
 
 from gof.dataset import Dataset
 from gof.reconstruct.presets import PRESETS
 from gof.show import line_chart
 from gof.show.paper import require_figure
-from gof_benchmark.studies.variants import Row, VariantStudy, run_one, table, write_page
+from gof_benchmark.studies.variants import Row, Setting, VariantStudy, run_one, table, write_page
 
 FACTORS = (0.25, 0.5, 1, 2)  # of the preset's iterations, Gaussians and picture size
-VARIED = ("iterations", "gaussians", "longest_side")
+VOXELS = (0.5, 1, 1.5)  # of the preset's
+VARIED = ("iterations", "gaussians", "longest_side", "voxels")
+CHOICES: dict[str, dict[str, Setting]] = {
+    "no flow prior": {"flow_prior": False},
+    "scene of Gaussians": {"scene": "gaussians"},
+    "flow by DeepFlow": {"flow": "deepflow"},
+    "flow by TV-L1": {"flow": "tvl1"},
+    "the paper's method": {"method": "paper"},
+}
+Group = Literal["presets", "iterations", "gaussians", "longest_side", "voxels", "choices"]
 CHARTS = {"l2": "DVE L2", "cos_sim": "DVE CosSim", "psnr_flame": "held-out flame PSNR, dB"}
-COLUMNS = [*VARIED, "seconds", "l2", "cos_sim", "psnr_flame", "ssim_flame", "psnr_flame_novel"]
+SCORES = ("l2", "cos_sim", "psnr_flame", "ssim_flame", "psnr_flame_novel")
+COLUMNS = [*VARIED, "seconds", *(column for score in SCORES for column in (score, f"{score}_sd"))]
+Series = dict[str, dict[str, dict[str, Setting]]]
 
 
 @dataclass
 class SettingsStudy(VariantStudy):
-    """Reconstruct a dataset with more and less work: velocity (DVE) and held-out pictures against seconds.
+    """Reconstruct a dataset with more and less work, and with other choices: velocity (DVE) and held-out pictures
+    against seconds.
 
     The presets up to --preset, then that preset with 1/4, 1/2, 1 and 2 times its iterations, Gaussians and picture
-    size. Every reconstruction has a folder in OUT; finished ones are kept, so a stopped study goes on where it was.
+    size, with 1/2 and 1.5 times its voxels, and with one choice of the method changed. Every reconstruction has a
+    folder in OUT; finished ones are kept, so a stopped study goes on where it was.
     """
+
+    vary: tuple[Group, ...] = get_args(Group)
+    """What is varied."""
+    seeds: int = 1
+    """Runs of each; the tables show their mean and standard deviation, the charts bars of the latter."""
 
 
 def main(argv: list[str]) -> int:
@@ -42,42 +62,57 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def run_all(study: VariantStudy, dataset: Dataset) -> dict[str, list[Row]]:
-    """Rows by what was varied: the presets, then single settings of one preset."""
-    known: dict[tuple, Row] = {}  # the preset itself is a point of every series
+def run_all(study: SettingsStudy, dataset: Dataset) -> dict[str, list[Row]]:
+    """Rows by what was varied; what several groups have in common is made once."""
+    known: dict[tuple, Row] = {}
 
-    def once(name: str, settings: dict[str, int]) -> Row:
+    def once(name: str, settings: dict[str, Setting]) -> Row:
         key = tuple(sorted(settings.items()))
         if key not in known:
-            known[key] = run_one(study, dataset, name, settings)
+            folder = name.replace(" ", "-").replace("'", "")
+            runs = {folder: settings} | {f"{folder}_{k}": settings | {"seed": k} for k in range(1, study.seeds)}
+            known[key] = mean_row([run_one(study, dataset, run, given) for run, given in runs.items()])
         return known[key] | {"name": name}
 
-    return {
-        group: [once(name, settings) for name, settings in runs.items()]
-        for group, runs in series(study, dataset).items()
-    }
+    found = series(study, dataset)
+    return {group: [once(name, settings) for name, settings in found[group].items()] for group in study.vary}
 
 
-def series(study: VariantStudy, dataset: Dataset) -> dict[str, dict[str, dict[str, int]]]:
+def mean_row(rows: list[Row]) -> Row:
+    """Of the runs of one setting, which differ in their seed: means, and "SCORE_sd" where there are several."""
+    mean = {"seconds": float(np.mean([row["seconds"] for row in rows]))}
+    for score in SCORES:
+        values = [row[score] for row in rows]
+        if None not in values:
+            mean |= {score: float(np.mean(values))}
+            mean |= {f"{score}_sd": float(np.std(values, ddof=1))} if len(rows) > 1 else {}
+    return rows[0] | mean
+
+
+def series(study: VariantStudy, dataset: Dataset) -> Series:
     """Settings by what is varied and by the run's name; no picture is made larger than it is."""
     largest = max(max(camera.width, camera.height) for camera in dataset.cameras)
     base = study.settings()
     base["longest_side"] = min(base["longest_side"], largest)
     presets = list(PRESETS)[: list(PRESETS).index(study.preset) + 1]
-    found = {"presets": {name: asdict(PRESETS[name]) for name in presets}}
+    found: Series = {"presets": {name: asdict(PRESETS[name]) for name in presets}}
     for key in VARIED:
-        values = [round(base[key] * factor) for factor in FACTORS]
+        values = [round(base[key] * factor) for factor in (VOXELS if key == "voxels" else FACTORS)]
         found[key] = {f"{key}-{v}": base | {key: v} for v in values if key != "longest_side" or v <= largest}
-    return found
+    return found | {"choices": {name: base | choice for name, choice in CHOICES.items()}}
 
 
 def _draw_charts(study: VariantStudy, groups: dict[str, list[Row]]) -> None:
-    """Each score over seconds, one line per group; a point that several groups share is labelled once."""
+    """Each score over seconds: one line per group, a mark for each choice; what several groups share is labelled
+    once."""
     for key, label in CHARTS.items():
         lines, labelled = {}, set()
         for group, rows in groups.items():
-            points = [(row["seconds"], row[key], row["name"].split("-")[-1]) for row in rows if row[key] is not None]
-            lines[group] = [(x, y, "" if (x, y) in labelled else name) for x, y, name in points]
-            labelled |= {(x, y) for x, y, _ in points}
+            for row in (row for row in rows if row[key] is not None):
+                place = row["seconds"], row[key]
+                words = "" if group == "choices" or place in labelled else row["name"].split("-")[-1]
+                labelled.add(place)
+                line = row["name"] if group == "choices" else group
+                lines.setdefault(line, []).append(line_chart.Point(*place, words, row.get(f"{key}_sd", 0.0)))
         title = f"{label} against time"
         line_chart.write(study.out / f"{key}.svg", title, "seconds of the reconstruction", label, lines, log="x")

@@ -17,6 +17,7 @@ from gof.reconstruct.curve import Curve
 from gof.reconstruct.presets import PRESETS, PresetName
 from gof.worker import run_worker
 
+Setting = int | str | bool
 Row = dict[str, Any]
 """A reconstruction in a table: "name", the settings that were given, "seconds", and its scores by name."""
 
@@ -54,12 +55,12 @@ class VariantStudy:
         print((self.out / f"{name}.md").read_text())
 
 
-def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, int | str]) -> Row:
+def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, Setting]) -> Row:
     """One reconstruction in OUT/NAME and its scores; one of the same dataset and settings is kept."""
     folder = study.out / name
     known = _known_row(study, dataset, name, settings)
     if known is None:
-        options = [word for key, value in settings.items() for word in (f"--{key.replace('_', '-')}", str(value))]
+        options = [word for key, value in settings.items() for word in _option(key, value)]
         study.out.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, "-m", "gof", "reconstruct", str(study.dataset), "--out", str(folder), *options]
         run_worker(command, name, study.out / f"{name}.log")
@@ -72,13 +73,21 @@ def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str
     return known
 
 
-def write_row(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, int | str], row: Row) -> None:
+def _option(name: str, value: Setting) -> list[str]:
+    """A setting in the words of the command line."""
+    name = name.replace("_", "-")
+    if isinstance(value, bool):
+        return [f"--{name}" if value else f"--no-{name}"]
+    return [f"--{name}", str(value)]
+
+
+def write_row(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, Setting], row: Row) -> None:
     """Keep a row in OUT/NAME/study.json, with what it was made from."""
     made_from = {"dataset": dataset.identity(), "settings": settings}
     write_json(study.out / name / "study.json", {"made_from": made_from, "row": row})
 
 
-def _known_row(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, int | str]) -> Row | None:
+def _known_row(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, Setting]) -> Row | None:
     path = study.out / name / "study.json"
     kept = read_json(path) if path.exists() else {}
     made_from = {"dataset": dataset.identity(), "settings": settings}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,16 @@ STEPS = (1, 2, 5)  # of a decade that get a number
 MARKED = 25  # a line of more points has no marks
 ROOM = 0.06  # beyond the outermost points, of an axis
 
-Point = tuple[float, float, str]  # x, y, what is written beside it ("" for nothing)
 Logarithmic = Literal["xy", "x", "y", ""]
+
+
+class Point(NamedTuple):
+    """A mark, what is written beside it, and how far the bar through it goes up and down."""
+
+    x: float
+    y: float
+    label: str = ""
+    spread: float = 0.0
 
 
 def write(
@@ -36,7 +44,7 @@ def write(
     title: str,
     x_label: str,
     y_label: str,
-    lines: Mapping[str, Sequence[Point]],
+    lines: Mapping[str, Sequence[Point | tuple[float, float, str]]],
     log: Logarithmic = "xy",
 ) -> None:
     """Write one chart.
@@ -44,22 +52,23 @@ def write(
     Args:
         x_label, y_label: with their units.
         lines: points by the name in the legend. What has no place on a logarithmic axis, and NaN, is left out.
+            A spread is that of y.
         log: the axes that are logarithmic.
     Raises:
         GofError: `path` is no .svg, .pdf or .png.   MissingDependencyError: matplotlib is not installed.
     """
-    lines = {name: [point for point in points if _has_place(point, log)] for name, points in lines.items()}
-    names = {name: plain(name, LETTERS_A_ROW) for name in lines}
+    placed = {name: [Point(*p) for p in points if _has_place(Point(*p), log)] for name, points in lines.items()}
+    names = {name: plain(name, LETTERS_A_ROW) for name in placed}
     width, height = SIZE_IN
     legend_in = ROW_IN * sum(words.count("\n") + 1 for words in names.values()) + 0.1
     whole = height + legend_in
     with printed(path, width, whole) as figure:
         axes = figure.add_axes((0.12, (legend_in + 0.5) / whole, 0.85, (height - 0.85) / whole))
-        for number, (name, points) in enumerate(lines.items()):
+        for number, (name, points) in enumerate(placed.items()):
             colour = COLOURS[number % len(COLOURS)]
             axes.plot(
-                [x for x, _, _ in points],
-                [y for _, y, _ in points],
+                [point.x for point in points],
+                [point.y for point in points],
                 color=colour,
                 linestyle=DASHES[number // len(COLOURS) % len(DASHES)],
                 marker=MARKS[number % len(MARKS)] if len(points) <= MARKED else None,
@@ -67,7 +76,9 @@ def write(
                 markersize=3.5,
                 label=names[name],
             )
-            for x, y, label in points:
+            for x, y, label, spread in points:
+                if spread:
+                    axes.vlines(x, y - spread, y + spread, color=colour, linewidth=1.0)
                 axes.annotate(
                     plain(label, LETTERS_A_ROW) if label else "",
                     (x, y),
@@ -77,7 +88,7 @@ def write(
                     color=colour,
                 )
         for which, axis, column in (("x", axes.xaxis, 0), ("y", axes.yaxis, 1)):
-            values = [point[column] for points in lines.values() for point in points]
+            values = [point[column] for points in placed.values() for point in points]
             if values and which in log:
                 getattr(axes, f"set_{which}scale")("log")
                 low, high = _limits(values)
@@ -91,8 +102,9 @@ def write(
 
 
 def _has_place(point: Point, log: Logarithmic) -> bool:
-    x, y, _ = point
-    return bool(np.isfinite((x, y)).all()) and ("x" not in log or x > 0) and ("y" not in log or y > 0)
+    if not np.isfinite((point.x, point.y)).all():
+        return False
+    return ("x" not in log or point.x > 0) and ("y" not in log or point.y > point.spread)
 
 
 def _limits(values: Sequence[float]) -> tuple[float, float]:

@@ -7,6 +7,7 @@ import pytest
 from gof.cli import main
 from gof.commands.reconstruct import ReconstructConfig
 from gof.reconstruct.presets import Effort
+from gof_benchmark.studies import reconstruction
 from gof_benchmark.studies.ablations import LEFT_OUT
 from tests.reconstruct.rising_flame import write_flame
 from tests.show.printed import marks, texts
@@ -40,15 +41,12 @@ def test_ablations_study(tmp_path, capsys, method):
 
 @pytest.mark.slow
 def test_settings_study(tmp_path, monkeypatch):
-    from gof_benchmark.studies import reconstruction
-
     monkeypatch.setattr(reconstruction, "FACTORS", (0.5, 1))
     monkeypatch.setattr(reconstruction, "PRESETS", {"preview": Effort(20, 400, 24, 96)})
     monkeypatch.setattr("gof_benchmark.studies.variants.PRESETS", {"preview": Effort(20, 400, 24, 96)})
     folder = write_flame(tmp_path / "flame")
-    assert (
-        main(["study", "reconstruct", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]) == 0
-    )
+    command = ["study", "reconstruct", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]
+    assert main([*command, "--vary", "presets", "iterations", "gaussians", "longest_side"]) == 0
     rows = json.loads((tmp_path / "out" / "reconstruct.json").read_text())
     assert [row["group"] for row in rows] == [
         "presets",
@@ -60,3 +58,25 @@ def test_settings_study(tmp_path, monkeypatch):
         svg = (tmp_path / "out" / f"{name}.svg").read_text()
         assert sum(map(len, marks(svg).values())) == len(rows)
         assert {"seconds of the reconstruction", *(row["group"] for row in rows)} <= set(texts(svg))
+
+
+@pytest.mark.slow
+def test_settings_study_of_choices_and_seeds(tmp_path, monkeypatch):
+    """What several seeds say of a choice is the mean and the spread of what their own runs score."""
+    of_plates = {"no flow prior": {}, "the paper's method": {"scene": "plates"}}  # nothing still to see in stereo
+    choices = {name: reconstruction.CHOICES[name] | more for name, more in of_plates.items()}
+    monkeypatch.setattr(reconstruction, "CHOICES", choices)
+    folder, out = write_flame(tmp_path / "flame"), tmp_path / "out"
+    command = ["study", "reconstruct", str(folder), "--out", str(out), "--iterations", "60", *SMALL]
+    assert main([*command, "--vary", "choices", "--seeds", "2"]) == 0
+    rows = {row["name"]: row for row in json.loads((out / "reconstruct.json").read_text())}
+    assert list(rows) == list(choices)
+    runs = [json.loads((out / name / "study.json").read_text())["row"] for name in ("no-flow-prior", "no-flow-prior_1")]
+    first, second = (run["l2"] for run in runs)
+    assert first != second and rows["no flow prior"]["l2"] == pytest.approx((first + second) / 2)
+    assert rows["no flow prior"]["l2_sd"] == pytest.approx(abs(first - second) / 2**0.5)
+    settings = [
+        json.loads((out / name / "settings.json").read_text()) for name in ("no-flow-prior", "the-papers-method")
+    ]
+    assert [made["flow_prior"] for made in settings] == [False, True] and settings[1]["method"] == "paper"
+    assert set(rows) <= set(texts((out / "l2.svg").read_text()))
