@@ -37,7 +37,7 @@ class ScoreConfig:
     """Score submissions and write one page: means with intervals, ranks that are shared where nobody can tell, wins.
 
     Scores are computed from the results, whatever the submissions say, and kept in OUT/scores: the same result on the
-    same dataset is scored once. Development scenes are scored apart, with --split dev; no rank mixes them with test scenes.
+    same dataset is scored once. Development scenes are scored apart, with --split dev; no rank mixes the two.
     """
 
     folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="SUBMISSION ... SUITE")]]

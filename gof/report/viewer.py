@@ -20,7 +20,7 @@ from gof.share import controls, legend
 from gof.share.opened import middle_of, newest, time_span
 
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
-LINE_PX, TAIL, HEAD = 1.6, 0.05, 0.9  # of a velocity line: width, and brightness at its ends, as in line.vert.glsl
+LINE_PX, TAIL, HEAD = 1.6, 0.4, 1.0  # of a velocity line: width, and brightness at its ends (viser's do not fade)
 SAMPLED = 5  # instants of a result whose motion is no closed form, at which the largest speed is looked for
 RADIANCE, SPEED, DOUBT = controls.COLOURS
 EMBER = (217, 95, 2)  # of sliders and buttons
