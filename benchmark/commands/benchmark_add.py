@@ -39,7 +39,7 @@ class AddConfig:
     """The scene's dataset in the suite: WORK/standard/jet."""
     submission: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SUBMISSION")]]
     """Folder of the submission; made if it is not there."""
-    foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
     run: str | None = None
     """Name of the run, where there are several (seed_0, seed_1, ...)."""
     trained_on: Literal["train", "all"] | None = None
@@ -69,7 +69,7 @@ def main(argv: list[str]) -> int:
     if config.curve is not None:
         shutil.copyfile(config.curve, folder / CURVE)
     say_frames(config, folder, made.dataset)
-    options = config.foreign.options()
+    options = config.other_method.options()
     if options.world is not None:
         options = replace(options, world=_copied(options.world, folder))
     with progress_bar(made.scene.name) as progress:

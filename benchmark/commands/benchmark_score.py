@@ -34,10 +34,10 @@ from gof_benchmark.suite.made import MadeScene, made_scenes
 
 @dataclass
 class ScoreConfig:
-    """Score submissions and write one page: means, how sure they are, who cannot be told from whom, wins per scene.
+    """Score submissions and write one page: means with intervals, ranks that are shared where nobody can tell, wins.
 
     Scores are computed from the results, whatever the submissions say, and kept in OUT/scores: the same result on the
-    same dataset is scored once. Development scenes are scored apart (--split dev): no ranks are made of them with test.
+    same dataset is scored once. Development scenes are scored apart, with --split dev; no rank mixes the two.
     """
 
     folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="SUBMISSION ... SUITE")]]
@@ -47,7 +47,7 @@ class ScoreConfig:
     split: Literal["test", "dev"] = "test"
     """Which scenes."""
     scenes: tuple[str, ...] = ()
-    """Of them these; default: all in which a submission has a result. Who lacks one is ranked with nobody."""
+    """Only these; default: all in which a submission has a result. Who lacks a result in one of them gets no rank."""
     json: Path | None = None
     """Another file to write the board to."""
 

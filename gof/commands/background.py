@@ -24,7 +24,7 @@ class BackgroundConfig:
     steps: int = BackgroundOptions.steps
     """Optimisation steps, one plate each; the paper's are 10 000."""
     gaussians: int = BackgroundOptions.gaussians
-    """At most so many."""
+    """Largest number of Gaussians."""
     longest_side: int = BackgroundOptions.longest_side
     """Pictures with a longer side, in pixels, are shrunk to it."""
     depth_term: bool = BackgroundOptions.depth_term

@@ -33,7 +33,7 @@ class CalibrateConfig:
     """JSON file to write."""
     target: tyro.conf.OmitArgPrefixes[Charuco] = field(default_factory=Charuco)
     views: int = 40
-    """Use 1 to 2 times so many frames of a video, the sharpest of equal stretches; photos are all used."""
+    """Frames of a video to use, up to twice as many: the sharpest one of each stretch. Photos are all used."""
     json: Path | None = None
     """Also write the figures to this file."""
 

@@ -37,7 +37,7 @@ class ConvertConfig:
     """File or folder of any method that docs/importers.md lists."""
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """File or folder to write; the suffix says which format. What exists is not replaced."""
-    foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
     frame_time: float | None = None
     """Seconds between two frames, for results that count frames and for a folder of PLYs."""
     time: float | None = None
@@ -68,7 +68,7 @@ def main(argv: list[str]) -> int:
     began = time.perf_counter()
     if (config.align is None) != (config.dataset is None):
         raise GofError("--align and --dataset go together: cameras of the method's world, and those to map them onto")
-    imported = read_result(config.result, config.foreign.options(config.frame_time))
+    imported = read_result(config.result, config.other_method.options(config.frame_time))
     if config.align is not None:
         imported = _moved(imported, config.align, Dataset.open(config.dataset))
     made = convert(imported, config.out, config.start, config.end, config.frame_time, config.time)

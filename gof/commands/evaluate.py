@@ -53,7 +53,7 @@ class EvaluateConfig:
     """Result of a reconstruction: ours, or any method's that docs/importers.md lists."""
     truth: Path
     """Dataset folder with the true pictures and velocities."""
-    foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
     align: Path | None = None
     """Cameras of the method's own world (COLMAP folder, dataset.json, or JSON name -> 4x4 world_to_camera), to move it
     into ours."""
@@ -70,7 +70,7 @@ class EvaluateConfig:
     depth: Path | None = None
     """Folder of predicted or true depth maps CAMERA/FRAME.npy, for RMSE_depth."""
     flame_only: bool = False
-    """The result of another method is a flame alone: draw it over the dataset's fire-free plates, as ours is."""
+    """Say that another method's result is a flame without a room: it is drawn over the fire-free plates, as ours is."""
     published: bool = False
     """Also the six picture figures that the paper's authors publish, by their definitions (docs/leaderboard.md)."""
     disparity: Path | None = None
@@ -84,7 +84,7 @@ def main(argv: list[str]) -> int:
     config = tyro.cli(EvaluateConfig, prog="gof evaluate", args=argv)
     if config.disparity is not None and not config.published:
         raise GofError("--disparity is for --published's error of depth; give --published too, or leave it out")
-    foreign = config.foreign.options()  # numbers that are none are named before anything is read
+    foreign = config.other_method.options()  # numbers that are none are named before anything is read
     dataset = Dataset.open(config.truth)
     with progress_bar("evaluate") as progress:
         scores = evaluate(

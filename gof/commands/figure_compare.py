@@ -42,7 +42,7 @@ class CompareConfig:
     results: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RESULT ...")]]
     """Folders of `gof reconstruct`; folders of `gof evaluate --out`, whose results are read and drawn as they were
     scored; or files of any method of docs/importers.md, in one world and on one clock."""
-    foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
     dataset: Path | None = None
     """Dataset folder; default: the one in a demo's folder."""
     out: tuple[Path, ...] = (Path("compare.pdf"),)
@@ -88,7 +88,7 @@ def main(argv: list[str]) -> int:
     dataset = Dataset.open(folder)
     moment = Moment.near(dataset, camera_number(config.camera, dataset), config.time)
     boxes = [_box(numbers, moment) for numbers in config.box]
-    options = config.foreign.options(config.frame_time)
+    options = config.other_method.options(config.frame_time)
     names = config.names or (None,) * len(config.results)
     subjects = [
         _subject(path, name, options, moment, config.flame_only)

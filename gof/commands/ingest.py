@@ -65,8 +65,8 @@ class IngestConfig:
     plate: PlateKind = "steady"
     """How a plate is made: "minimum" over time, or "steady": that where fire passed, the temporal median elsewhere."""
     plate_frames: int | None = None
-    """Make each plate of so many frames around the clip (--start, --frames) instead of the clip's own: what burns all
-    through the clip may stand free before or after it. Never of frames that are held out."""
+    """Make each plate from so many frames around the clip (--start, --frames), not from the clip's own alone: what
+    the fire hides all through the clip may be seen before or after it. Held-out frames are never used."""
     points: Path | None = None
     """JSON of correspondences by hand, see docs/ingest.md; points with xyz also give the scale."""
     board: str = "paper_rig"

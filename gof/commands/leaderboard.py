@@ -56,7 +56,7 @@ class LeaderboardConfig:
     title: str = "Leaderboard"
     """Heading of the page."""
     time: float | None = None
-    """Time of pictures and stream plots in seconds; default the held-out frame with most flame, and the middle one."""
+    """Time of pictures and stream plots, s; default: the held-out frame with most flame, and the middle frame."""
     figure: tuple[Kind, ...] = ()
     """Also write the charts of accuracy against time for print: OUT/accuracy_l2.pdf and so on."""
     json: Path | None = None

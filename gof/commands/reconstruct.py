@@ -23,11 +23,12 @@ from gof.reconstruct.settings import ReconstructionSettings, Until
 class ReconstructConfig:
     """Three videos -> transient flame Gaussians: result.ply and result.npz.
 
-    Stages: motion (masks, optical flow) -> flow field (hull, tomography, fused 3D velocity) -> seeds -> optimisation of
-    position, velocity, time, lifetime, opacity, scale, rotation and colour over the plates in the fire's light, which
-    may change a little and are kept in OUT/plates. Held-out frames are read for scores only. Pictures of every stage go
-    to OUT/stages, costs to OUT/costs.json, scores on held-out pictures along the way to OUT/curve.json. `gof view OUT`
-    shows the flame while it is being optimised.
+    Stages: motion (masks, optical flow), flow field (hull, tomography, 3D velocity), seeds, optimisation. The
+    optimisation changes where, when, how large and how bright the Gaussians are and how they move, and slightly the
+    plates behind them (OUT/plates). Held-out frames are read for scores only.
+
+    OUT/stages has pictures of every stage, OUT/costs.json the costs, OUT/curve.json the scores on held-out pictures
+    along the way. `gof view OUT` shows the flame while it is being optimised.
     """
 
     dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
@@ -35,7 +36,7 @@ class ReconstructConfig:
     out: Path = Path("out/reconstruction")
     """Folder for the result; a half-finished reconstruction there is resumed."""
     preset: PresetName = "preview"
-    """How much work; sets the next four, each of which can be given by itself."""
+    """How much work: sets the four options below, each of which can also be given by itself."""
     gaussians: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """How many Gaussians in all frames together."""
     iterations: int | None = None
@@ -45,9 +46,9 @@ class ReconstructConfig:
     longest_side: int | None = None
     """Pictures with a longer side, in pixels, are shrunk to it."""
     method: MethodName = "gof"
-    """Ours, or the paper's own choices wherever they differ (see gof.reconstruct.methods.METHODS). Even
-    then three things are not the paper's: the optical flow, without --flow memfof; plates that `gof ingest` made
-    without --plate minimum; and an exposure per camera, which is missing."""
+    """Our choices, or the paper's wherever they differ (see gof.reconstruct.methods.METHODS). With `paper` three
+    things may still differ from the paper: the optical flow (give --flow memfof), the plates (`gof ingest --plate
+    minimum`), and an exposure per camera, which is missing here."""
     scene: SceneName | None = None
     """What the flame is drawn in: `plates`, a picture without fire per camera (fast; the flame is in front of
     everything), or `gaussians`, the still scene in 3D (hides flame behind it, and is seen from any side; the result
@@ -57,16 +58,16 @@ class ReconstructConfig:
     flow_weights: Path | None = None
     """Folder with config.json and model.safetensors of a MEMFOF checkpoint; never downloaded."""
     flow_prior: bool = True
-    """Correct the fused flow, which follows texture, to the gas' own velocity, as learnt on simulated flames (not in
-    the paper), and say how sure it is."""
+    """Tell the gas' velocity, and how sure it is, from the motion that is seen, as learnt on simulated flames. The
+    paper does not do this; without it the motion that is seen is taken for the gas'."""
     until: Until = "result"
-    """Stop after this stage and look at its pictures; without it the same command goes on."""
+    """Stop after this stage, to look at its pictures; the same command without --until goes on from there."""
     ablation: Ablation = "none"
     """Leave a part of the method out, as in the paper's ablations (see gof.reconstruct.ablations)."""
     seed: int = 0
     """Random seed of the seeding and of the order of pictures."""
     anyway: bool = False
-    """Go on where cameras, clocks, plates or this machine's memory look impossible."""
+    """Go on even if cameras, clocks, plates or this machine's memory look impossible."""
     json: Path | None = None
     """Also write the summary to this file."""
 

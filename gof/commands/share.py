@@ -37,7 +37,7 @@ class ShareConfig:
 
     results: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RESULT ...")]]
     """Folders of `gof reconstruct`, or files of any method of docs/importers.md, in one world and on one clock."""
-    foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
     dataset: Path | None = None
     """Dataset folder: cameras, plates, recorded pictures, true velocity; default: the one in a demo's folder."""
     out: Path | None = None
@@ -64,7 +64,7 @@ def main(argv: list[str]) -> int:
         raise GofError("name a result: a folder of `gof reconstruct`, or a file of a method")
     if config.names and len(config.names) != len(config.results):
         raise GofError(f"--names: {len(config.names)} names for {len(config.results)} results; give one for each")
-    options = config.foreign.options(config.frame_time)
+    options = config.other_method.options(config.frame_time)
     names = config.names or (None,) * len(config.results)
     results = [open_result(path, options, name) for path, name in zip(config.results, names, strict=True)]
     folder = config.dataset or dataset_beside(config.results[0])

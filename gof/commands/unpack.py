@@ -15,7 +15,7 @@ from gof.progress import progress_bar
 
 @dataclass
 class UnpackConfig:
-    """Open archives of `gof pack`; nothing is left of one whose files are not as its checksums say.
+    """Unpack archives of `gof pack`, and compare every file with its checksum. A wrong archive leaves nothing behind.
 
     A folder that was unpacked before is compared with its checksums again.
     """

@@ -51,7 +51,7 @@ class VideoConfig:
 
     results: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RESULT ...")]]
     """Folders of `gof reconstruct`, or files of any method of docs/importers.md, in one world and on one clock."""
-    foreign: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
     dataset: Path | None = None
     """Dataset folder: its cameras, frame times and plates; default: the one in a demo's folder."""
     out: Path | None = None
@@ -61,7 +61,7 @@ class VideoConfig:
     time: Clock = "play"
     """What time does: plays; stands still (freeze); plays, stops while the camera goes its way, plays on (bullet)."""
     panels: tuple[Panel, ...] = ("rgb", "depth", "velocity", "reduced")
-    """What is shown beside each other; error, of 0 to 0.5, is against what was recorded."""
+    """What is shown side by side; `error` is the difference to what was recorded, black 0, bright 0.5 or more."""
     recorded: bool = False
     """With --path camera: a panel with what that camera recorded."""
     camera: str | None = None
@@ -69,11 +69,11 @@ class VideoConfig:
     slow: float = 10.0
     """Slow motion: seconds of film for one second of the clip."""
     seconds: float = 6.0
-    """How long a film that stands still is, or stops."""
+    """How long time stands still, with --time freeze or bullet."""
     stop: float | None = None
     """Where time stands still, in seconds on the dataset clock; default: the middle of the clip."""
     degrees: float = 360.0
-    """How far around it goes; less than 360 goes to both sides and back."""
+    """How far around the flame the camera goes; with less than 360 it goes to both sides and back."""
     scene: Path | None = None
     """Still scene around results that are the flame alone: background.npz of `gof background`."""
     reduced: float = 0.3
@@ -87,7 +87,7 @@ class VideoConfig:
     frame_time: float | None = None
     """Seconds between two frames, for results that count frames."""
     flame_only: bool = False
-    """Other methods' results are flames alone: draw them over a camera's plate too, as ours are."""
+    """Say that other methods' results are flames without a room: they are drawn over a camera's plate, as ours are."""
     keep_frames: bool = False
     """Leave the frames as PNGs in the folder OUT.frames."""
     json: Path | None = None
@@ -98,7 +98,7 @@ def main(argv: list[str]) -> int:
     """The command line of `gof video`."""
     config = tyro.cli(VideoConfig, prog="gof video", args=argv)
     _check(config)
-    options = config.foreign.options(config.frame_time)
+    options = config.other_method.options(config.frame_time)
     names = config.names or (None,) * len(config.results)
     results = [open_moving(path, options, name) for path, name in zip(config.results, names, strict=True)]
     folder = config.dataset or dataset_beside(config.results[0])
@@ -243,7 +243,7 @@ def _made_of(config: VideoConfig, results: list[Opened], dataset: Dataset | None
     files = [result.path for result in results] + ([config.scene] if config.scene else [])
     digests = [digest(file) if file.is_file() else str(file.resolve()) for file in files]
     plates = "" if dataset is None else dataset.identity()
-    return " ".join([*digests, plates, repr(config.foreign), repr(config.frame_time), str(config.flame_only)])
+    return " ".join([*digests, plates, repr(config.other_method), repr(config.frame_time), str(config.flame_only)])
 
 
 def _figures(film) -> dict:

@@ -22,7 +22,7 @@ class ViewConfig:
     dataset: Path | None = None
     """Dataset folder: shows its cameras with their pictures, and knows the frame times."""
     port: int = 8080
-    """Of http://localhost:PORT."""
+    """The page is http://localhost:PORT."""
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 lets other machines look."""
 

@@ -16,12 +16,12 @@ from gof.harmonics import plain_color
 from gof.io.importers import ImportOptions, read_result
 from gof.report.own_pages import only_own_pages
 from gof.rotations import quaternions_wxyz, rotation_matrices
-from gof.share import controls
+from gof.share import controls, legend
 from gof.share.opened import middle_of, newest, time_span
 
 INVISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
-ARROWS = 3000  # lines a browser draws without stuttering
-LINE_PX, LINE_COLOUR = 1.5, (80, 200, 255)
+LINE_PX, TAIL, HEAD = 1.6, 0.4, 1.0  # of a velocity line: width, and brightness at its ends (viser's do not fade)
+SAMPLED = 5  # instants of a result whose motion is no closed form, at which the largest speed is looked for
 RADIANCE, SPEED, DOUBT = controls.COLOURS
 EMBER = (217, 95, 2)  # of sliders and buttons
 FILLED = 0.9  # of the window's height, by the near side of a round flame, when it opens
@@ -34,8 +34,9 @@ def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray
     """What is visible at a time.
 
     Returns:
-        centers (N, 3) m, covariances (N, 3, 3) m², rgbs (N, 3) in [0, 1], opacities (N, 1), velocities (N, 3) m/s, and
-        doubts (N,) m/s: standard deviation of a component of the velocity, inf where nobody says.
+        centers (N, 3) m, covariances (N, 3, 3) m², rgbs (N, 3) in [0, 1], opacities (N, 1), velocities (N, 3) m/s,
+        doubts (N,) m/s: standard deviation of a component of the velocity, inf where nobody says; and rows (N,): which
+        of `gaussians` they are.
     """
     position, opacity = gaussians.at(time_s)
     seen = opacity >= INVISIBLE
@@ -46,14 +47,29 @@ def splats(gaussians: TransientGaussians, time_s: float) -> dict[str, np.ndarray
         "rgbs": np.clip(plain_color(gaussians.color[seen]), 0, 1),
         "opacities": opacity[seen, None],
         "velocities": gaussians[seen].moving_gas,
-        "doubts": np.where(gaussians.dynamic[seen], gaussians.velocity_sd[seen], 0),
+        "doubts": np.where(gaussians.dynamic[seen], gaussians.velocity_sd[seen], np.inf),
+        "rows": np.flatnonzero(seen),
     }
 
 
 def mapped(values: np.ndarray, largest: float) -> np.ndarray:
-    """(N, 3) colours in [0, 1], dark violet for 0 to yellow for `largest` and above (inf too)."""
+    """(N, 3) colours in [0, 1], dark violet for 0 to yellow for `largest` and above; grey for inf: nobody says."""
     share = np.clip(values / max(largest, 1e-12), 0, 1)
-    return controls.scheme()[np.uint8(255 * share)].astype(np.float32) / 255
+    colours = controls.scheme()[np.uint8(255 * share)].astype(np.float32) / 255
+    colours[np.isinf(values)] = legend.NOBODY_SAYS
+    return colours
+
+
+def scale_html(largest: float, note: str) -> str:
+    """The legend of the page of `gof share`: its colours, its numbers, its words."""
+    colours = ", ".join(f"rgb({r},{g},{b})" for r, g, b in controls.scheme()[::16])
+    ticks = "".join(f"<span>{tick}</span>" for tick in legend.ticks(largest))
+    return (
+        f'<div style="padding: 0.4em 0.8em; font-size: 12px"><div style="height: 10px; border-radius: 5px; '
+        f'background: linear-gradient(90deg, {colours})"></div>'
+        f'<div style="display: flex; justify-content: space-between; margin-top: 3px">{ticks}</div>'
+        f'<p style="margin: 4px 0 0">{note}</p></div>'
+    )
 
 
 class Viewer:
@@ -102,7 +118,9 @@ class Viewer:
         self.play = gui.add_checkbox(controls.PLAY, True)
         self.speed = gui.add_dropdown(controls.SPEED, tuple(controls.SPEEDS), initial_value=controls.FIRST_SPEED)
         self.loop = gui.add_checkbox(controls.LOOP, True)
+        self.scale = gui.add_html("", visible=False)
         self.text = gui.add_markdown("")
+        self._offer()
         self._frustums = {}
         self._take_keys()
         self._stand()
@@ -139,6 +157,7 @@ class Viewer:
         try:
             if self._stamp != _stamp(newest(self.path)):
                 self.result = self._read()
+                self._offer()
         except (GofError, OSError):
             pass  # it is being replaced at this moment; the next look finds it
 
@@ -149,33 +168,57 @@ class Viewer:
             return
         self._shown = state
         seen = splats(self.result.state_at(time_s), time_s)
-        velocity, doubt = seen.pop("velocities"), seen.pop("doubts")
+        velocity, doubt, rows = seen.pop("velocities"), seen.pop("doubts"), seen.pop("rows")
         speed = np.linalg.norm(velocity, axis=-1)
-        largest = float(np.percentile(speed, 98)) if len(speed) else 0.0
-        if self.color.value != RADIANCE:
-            seen["rgbs"] = mapped(speed if self.color.value == SPEED else doubt, largest)
+        if self.color.value == SPEED:
+            seen["rgbs"] = mapped(speed, self.speed_max)
+        elif self.color.value == DOUBT:
+            seen["rgbs"] = mapped(doubt, self.doubt_max)
         seen["covariances"] = seen["covariances"] * np.float32((self.size.value / 100) ** 2)
         scene = self.server.scene
         scene.add_gaussian_splats("/flame", **seen)
-        moving = np.flatnonzero(velocity.any(-1))[:: max(1, len(velocity) // ARROWS)]
-        step = 0.02 * self.length_s  # an arrow is the way of a fiftieth of the clip
-        ends = np.stack([seen["centers"][moving], seen["centers"][moving] + step * velocity[moving]], 1)
+        moving = np.flatnonzero(velocity.any(-1) & legend.has_line(len(self.result))[rows])
+        heads = seen["centers"][moving]
+        ends = np.stack([heads - legend.line_s(self.length_s) * velocity[moving], heads], 1)
+        paint = 255 * mapped(speed[moving], self.speed_max)[:, None] * np.array([[TAIL], [HEAD]])
         # On the screen: viser's own default is a centimetre of the world, which would cover a candle.
         width = {"thickness": LINE_PX, "thickness_units": "screen"}
-        scene.add_line_segments("/velocity", ends, LINE_COLOUR, visible=self.lines.value, **width)
+        scene.add_line_segments("/velocity", ends, np.uint8(paint), visible=self.lines.value, **width)
+        self._show_scale()
         mean = np.average(speed, weights=seen["opacities"][:, 0]) if len(speed) else 0.0
-        legend = "" if self.color.value == RADIANCE else f" · violet 0, yellow {largest:.2f} m/s and more"
         self.text.content = (
             f"**{self._file.name}** · {1e3 * (time_s - self.first_s):.1f} ms · {len(velocity):,} of "
-            f"{len(self.result):,} Gaussians visible · mean speed {mean:.2f} m/s{_how_sure(doubt)}{legend}"
+            f"{len(self.result):,} Gaussians visible · mean speed {mean:.2f} m/s{_how_sure(doubt)}"
         )
+
+    def _offer(self) -> None:
+        """The scales of the result that was read, and the colours and lines that it has something for."""
+        result = self.result
+        closed = isinstance(result, TransientGaussians)
+        times = np.linspace(self.first_s, self.first_s + self.length_s, 1 if closed else SAMPLED)
+        states = [result.state_at(float(time_s)) for time_s in times]
+        self.speed_max, self.doubt_max = legend.speed_scale(states), legend.doubt_scale(states)
+        largest = {RADIANCE: 1.0, SPEED: self.speed_max, DOUBT: self.doubt_max}
+        offered = tuple(colour for colour in controls.COLOURS if largest[colour] > 0)
+        if offered != tuple(self.color.options):
+            self.color.options = offered
+        self.lines.visible = self.speed_max > 0
+
+    def _show_scale(self) -> None:
+        """The legend of whatever is coloured by a velocity; the page of `gof share` shows the same one."""
+        if self.color.value == DOUBT:
+            self.scale.content = scale_html(self.doubt_max, legend.DOUBT_NOTE)
+        else:
+            way = f" {legend.line_note(legend.line_s(self.length_s))}" if self.lines.value else ""
+            self.scale.content = scale_html(self.speed_max, legend.SPEED_NOTE + way)
+        self.scale.visible = self.color.value != RADIANCE or self.lines.value
 
     def _take_keys(self) -> None:
         """The player's keys, as commands of viser."""
 
         def next_color() -> None:
-            at = controls.COLOURS.index(self.color.value)
-            self.color.value = controls.COLOURS[(at + 1) % len(controls.COLOURS)]
+            at = self.color.options.index(self.color.value)
+            self.color.value = self.color.options[(at + 1) % len(self.color.options)]
 
         def flip(box) -> None:
             box.value = not box.value

@@ -21,10 +21,9 @@ from gof.cameras import Camera
 from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.errors import GofError
-from gof.evaluate.weighted import weighted_quantile
 from gof.files import atomic_path
 from gof.gaussians import TransientGaussians
-from gof.share import controls
+from gof.share import controls, legend
 from gof.share.agreement import Agreement, measure
 from gof.share.opened import Opened, middle_of, time_span
 from gof.share.pictures import PLATE_QUALITY, PLATE_SIDE, base64_text, frames_within, webp
@@ -34,8 +33,6 @@ from gof.share.truth import true_velocity
 PLAYER = Path(__file__).parent / "player"
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")
 SHADERS = [f"{name}.{kind}.glsl" for name in ("splat", "line", "pane") for kind in ("vert", "frag")]
-LINES = 9000  # Gaussians of a result that have a velocity line; a quarter of them or fewer live at a time
-LINE_SHARE = 0.03  # of the clip, that a velocity line lasts
 FILLED = 0.65  # of the picture's height, by the flame, where no dataset has a camera
 CHECKED = 3  # cameras, and times, at which quantisation is measured
 
@@ -89,6 +86,9 @@ def share_page(
     frames, said = frames_within(views, round(pictures_mb * 1e6), lambda i, n: progress(i, n, stage="pictures"))
     plates = _plates(views, results)
     texts = [base64_text(p.data) for p in packed]
+    shown = [result.gaussians for result in results]
+    speed_max, doubt_max = legend.speed_scale(shown, truths), legend.doubt_scale(shown)
+    line_s = legend.line_s(last_s - first_s)
     content = {
         "first_s": first_s,
         "length_s": last_s - first_s,
@@ -101,10 +101,13 @@ def share_page(
             {"name": r.name, "header": p.header(), "data": text}
             for r, p, text in zip(results, packed, texts, strict=True)
         ],
-        "speed_max": _speed_scale(results, truths),
-        "doubt_max": _doubt_scale(results),
-        "line_s": float(f"{LINE_SHARE * (last_s - first_s):.1g}"),
-        "lines": LINES,
+        "speed_max": speed_max,
+        "doubt_max": doubt_max,
+        "speed_ticks": legend.ticks(speed_max),
+        "doubt_ticks": legend.ticks(doubt_max),
+        "notes": {"speed": legend.SPEED_NOTE, "doubt": legend.DOUBT_NOTE, "line": legend.line_note(line_s)},
+        "line_s": line_s,
+        "lines": legend.LINES,
         "scheme": controls.scheme().ravel().tolist(),
         "colours": controls.COLOURS,
         "file": out.stem,
@@ -216,31 +219,6 @@ def _checked(
     some = [cameras[i] for i in sorted({int(k) for k in np.linspace(0, len(cameras) - 1, CHECKED)})]
     times = [first_s + share * (last_s - first_s) for share in np.linspace(0, 1, CHECKED + 2)[1:-1]]
     return measure(gaussians, unpack(packed), some, times)
-
-
-def _speed_scale(results: list[Opened], truths: list[np.ndarray | None]) -> float:
-    """m/s of the last colour: the 98th percentile by opacity, over all results and the truth; 0 = nothing moves."""
-    fields = [(r.gaussians, r.gaussians.moving_gas) for r in results]
-    fields += [(r.gaussians, v) for r, v in zip(results, truths, strict=True) if v is not None]
-    return _scale([(np.linalg.norm(v, axis=-1)[g.dynamic], g.opacity[g.dynamic]) for g, v in fields])
-
-
-def _doubt_scale(results: list[Opened]) -> float:
-    known = [r.gaussians[r.gaussians.dynamic & np.isfinite(r.gaussians.velocity_sd)] for r in results]
-    return _scale([(g.velocity_sd, g.opacity) for g in known])
-
-
-def _scale(parts: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    largest = [weighted_quantile(value, weight, 0.98) for value, weight in parts if len(value) and weight.any()]
-    return _round_up(max(largest, default=0.0), 2)
-
-
-def _round_up(value: float, digits: int) -> float:
-    """To so many digits, so that legends are read easily."""
-    if value <= 0:
-        return 0.0
-    unit = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
-    return float(f"{np.ceil(value / unit - 1e-4) * unit:.6g}")
 
 
 def _subtitle(results: list[Opened], length_s: float) -> str:

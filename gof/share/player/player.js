@@ -336,21 +336,18 @@ function showScale() {
   const doubt = state.colouring === DOUBT;
   const visible = state.colouring !== RADIANCE || state.lines;
   byId("scale").hidden = !visible;
-  const says = `${doubt} ${visible} ${state.colouring}`;
+  const says = `${doubt} ${visible} ${state.colouring} ${state.lines}`;
   if (!visible || byId("scale").dataset.says === says) return;
   byId("scale").dataset.says = says;
   const largest = doubt ? share.doubt_max : share.speed_max;
   const stops = Array.from({ length: 17 }, (_, i) => share.scheme.slice(3 * Math.min(255, 16 * i)).slice(0, 3));
   byId("scale-bar").style.background = `linear-gradient(90deg, ${stops.map((rgb) => `rgb(${rgb})`).join(", ")})`;
   byId("scale-bar").setAttribute("aria-label", `Colours from 0 to ${largest.toPrecision(3)} metres per second and more`);
-  const ticks = [0, 0.25, 0.5, 0.75, 1].map((s) => {
-    const text = s === 1 ? `${largest.toPrecision(2)}+ m/s` : (s * largest).toPrecision(2).replace(/^0\.0$/, "0");
-    return Object.assign(document.createElement("span"), { textContent: s ? text : "0" });
-  });
+  const words = doubt ? share.doubt_ticks : share.speed_ticks;
+  const ticks = words.map((textContent) => Object.assign(document.createElement("span"), { textContent }));
   byId("scale-ticks").replaceChildren(...ticks);
-  byId("scale-note").textContent = doubt
-    ? "How unsure the velocity is, as the result says: standard deviation of a component. Grey: nobody says."
-    : `Speed.${state.lines ? ` A line is the way of ${+(1e3 * share.line_s).toPrecision(2)} ms.` : ""}`;
+  const { speed, doubt: unsure, line } = share.notes;
+  byId("scale-note").textContent = doubt ? unsure : state.lines ? `${speed} ${line}` : speed;
 }
 
 function showFacts() {
