@@ -74,7 +74,8 @@ def made(scene: str, preset: str, work: Path) -> Path:
     samples = min(SAMPLES.get(scene, 2), spec.render.samples)
     file, folder = work / f"{scene}.json", work / scene
     scene_spec.save(replace(spec, render=replace(spec.render, samples=samples)), file)
-    subprocess.run([sys.executable, "-m", "gof", "generate", str(file), "--out", str(folder)], check=True, stdout=sys.stderr)
+    command = [sys.executable, "-m", "gof", "generate", str(file), "--out", str(folder)]
+    subprocess.run(command, check=True, stdout=sys.stderr)
     return folder
 
 
