@@ -226,7 +226,7 @@ class Viewer:
         add = self.server.gui.add_command
         add(controls.PLAY, hotkey="space").on_trigger(lambda event: flip(self.play))
         add(controls.COLOUR, hotkey="C").on_trigger(lambda event: next_color())
-        add(controls.LINES, hotkey="V").on_trigger(lambda event: flip(self.lines))
+        add(controls.LINES, hotkey="V").on_trigger(lambda event: self.speed_max > 0 and flip(self.lines))
         add(controls.RESET, hotkey="0").on_trigger(lambda event: self._look_from(event.client, None))
         for number, camera in enumerate(self.dataset.cameras[:9] if self.dataset else (), 1):
             add(f"{controls.CAMERA} {camera.name}", hotkey=str(number)).on_trigger(

@@ -175,6 +175,31 @@ def test_nothing_is_offered_that_a_result_does_not_have(tmp_path):
         viewer.server.stop()
 
 
+def test_positions_over_time_have_a_scale_and_lines_too(tmp_path):
+    """500 Gaussians at 1.5 m/s, as the page of importers writes them."""
+    pytest.importorskip("viser")
+    time_s = np.linspace(0, 0.4, 41)
+    start = np.random.default_rng(0).normal([0, 0, 0.5], 0.1, (500, 3))
+    np.savez(
+        tmp_path / "mine.npz",
+        schema="gof-trajectory/1",
+        time_s=time_s,
+        position=np.stack([start + [0, 0, 1.5 * t] for t in time_s]),
+        opacity=np.full((41, 500), 0.3),
+        scale=np.full((500, 3), 0.02),
+        rotation=np.tile([1.0, 0, 0, 0], (500, 1)),
+    )
+    viewer = Viewer(tmp_path / "mine.npz", port=0)
+    try:
+        assert tuple(viewer.color.options) == ("Radiance", "Speed")
+        assert viewer.speed_max in (1.5, 1.6), "rounded up, from differences of float32 places"
+        viewer.lines.value, viewer.color.value = True, SPEED
+        viewer.show(0.2)
+        assert f"{viewer.speed_max}+ m/s" in viewer.scale.content and "mean speed 1.50 m/s" in viewer.text.content
+    finally:
+        viewer.server.stop()
+
+
 def test_the_same_gaussians_have_lines_at_all_times():
     """Not more than 9000 of many, spread over all of them; all of few."""
     assert has_line(8000).all()
