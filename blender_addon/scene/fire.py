@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ..pure.spec import SceneSpec
-from . import effects, material, meshes
+from . import effects, mantaflow, material, meshes
 from .fire_objects import FLAME_NAME, FireObjects
 
 
@@ -121,6 +121,7 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     for curve in _curves(emitter.animation_data.action):
         for key in curve.keyframe_points:
             key.interpolation = "LINEAR"
+    mantaflow.wait_for_keys(emitter)
     return emitter
 
 

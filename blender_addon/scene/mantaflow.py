@@ -51,6 +51,17 @@ def enable() -> None:
     sys.meta_path.insert(0, _MantaFinder(library))
 
 
+def wait_for_keys(item: bpy.types.Object) -> None:
+    """Let the solver take a step only after the keyed values of an object that it reads: a burner, a force field.
+
+    Call once all values are keyed. Blender's graph orders the solver after such an object's place and shape, and not
+    after its other keyed values (a field's strength, the offset of the fuel's texture): with those alone it is chance
+    whether a step sees its own key or the one of the step before, and two bakes of one spec part there. One action is
+    evaluated as a whole, so a key of the place, which need not change, brings the others into that order.
+    """
+    item.keyframe_insert("location", frame=1)
+
+
 def leave(status: int = 0) -> None:
     """End this process at once, with its output flushed.
 

@@ -58,7 +58,12 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
     )
     start_s: FloatProperty(
-        name="Start (s)", description="Time of the first picture on the clock of the grids", default=0, min=0
+        name="Start (s)",
+        description="Time of the first picture on the clock of the grids",
+        default=0,
+        min=0,
+        step=1,
+        precision=5,
     )
     radiance: FloatProperty(
         name="Radiance",
@@ -69,6 +74,7 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
         default=1,
         min=1e-6,
         soft_max=100,
+        precision=6,
     )
     preset: EnumProperty(
         name="Preset",

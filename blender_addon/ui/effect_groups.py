@@ -46,10 +46,11 @@ def _properties(settings: type) -> dict:
         note = notes.get(field.name, "")
         common = {"name": label(field.name, note), "description": note}
         kind = kinds[field.name]
+        precision = 6 if common["name"].endswith("(s)") else 3  # a shutter of 1/8000 s
         if kind is float:
-            found[field.name] = bpy.props.FloatProperty(**common, default=field.default, precision=3)
+            found[field.name] = bpy.props.FloatProperty(**common, default=field.default, precision=precision)
         elif kind == tuple[float, float, float]:
-            found[field.name] = bpy.props.FloatVectorProperty(**common, default=field.default, precision=3)
+            found[field.name] = bpy.props.FloatVectorProperty(**common, default=field.default, precision=precision)
         elif kind is int:
             found[field.name] = bpy.props.IntProperty(**common, default=field.default)
         elif typing.get_origin(kind) is typing.Literal:

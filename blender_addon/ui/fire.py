@@ -28,15 +28,27 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
         soft_max=8,
     )
     arc_deg: FloatProperty(
-        name="Arc (°)", description="Angle between the first and the last camera", default=70, min=0, max=359
+        name="Arc (°)",
+        description="Angle between the first and the last camera",
+        default=70,
+        min=0,
+        max=359,
+        precision=3,
     )
     azimuth_deg: FloatProperty(
-        name="Facing (°)", description="Angle from +X to the middle of the arc, counter-clockwise", default=-90
+        name="Facing (°)",
+        description="Angle from +X to the middle of the arc, counter-clockwise",
+        default=-90,
+        precision=3,
     )
-    radius: FloatProperty(name="Distance (m)", description="From the fire", default=2.8, min=0.05, soft_max=20)
-    height: FloatProperty(name="Height (m)", description="Of the cameras above the place of the fire", default=0.9)
+    radius: FloatProperty(
+        name="Distance (m)", description="From the fire", default=2.8, min=0.05, soft_max=20, precision=3
+    )
+    height: FloatProperty(
+        name="Height (m)", description="Of the cameras above the place of the fire", default=0.9, precision=3
+    )
     look_at_height: FloatProperty(
-        name="Aim (m)", description="Height of the point that the cameras look at", default=0.75
+        name="Aim (m)", description="Height of the point that the cameras look at", default=0.75, precision=3
     )
     focal_mm: FloatProperty(
         name="Focal (mm)",
@@ -44,6 +56,7 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
         default=50,
         min=1,
         soft_max=200,
+        precision=3,
     )
     sensor_px: IntVectorProperty(
         name="Sensor (px)",
@@ -69,6 +82,7 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
         default=100,
         min=1,
         max=32767,
+        precision=3,
     )
 
 
@@ -90,9 +104,17 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
             ("logs", "Logs", "Three crossed logs"),
         ],
     )
-    radius: FloatProperty(name="Radius (m)", description="Of the burner", default=0.13, min=0.001, soft_max=2)
+    radius: FloatProperty(
+        name="Radius (m)", description="Of the burner", default=0.13, min=0.001, soft_max=2, precision=4
+    )
     intensity: FloatProperty(
-        name="Intensity", description="Factor on the flame's light", default=1, min=1e-4, max=1e4, soft_max=10
+        name="Intensity",
+        description="Factor on the flame's light",
+        default=1,
+        min=1e-4,
+        max=1e4,
+        soft_max=10,
+        precision=4,
     )
     light: EnumProperty(
         name="Light",
@@ -116,13 +138,14 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
         ],
     )
     clearance: FloatProperty(
-        name="Lift (m)", description="From the place of the fire up to the burner", default=0.03, min=0
+        name="Lift (m)", description="From the place of the fire up to the burner", default=0.03, min=0, precision=4
     )
     domain_size: FloatVectorProperty(
         name="Domain (m)",
         description="Box of air around the fire",
         default=(0.8, 0.8, 1.6),
         min=0.01,
+        precision=3,
         subtype="XYZ",
     )
     resolution: IntProperty(

@@ -86,7 +86,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
     files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     mode: bpy.props.EnumProperty(name="Show As", items=MODES, default=gaussian_nodes.QUICK)
     start_frame: bpy.props.FloatProperty(
-        name="Start Frame", default=1.0, description="Scene frame that is time 0 of the reconstruction"
+        name="Start Frame", default=1.0, precision=3, description="Scene frame that is time 0 of the reconstruction"
     )
     fit: bpy.props.EnumProperty(
         name="Scene",
@@ -105,12 +105,14 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         name="Files (per s)",
         default=0.0,
         min=0.0,
+        precision=3,
         description="Numbers per second of a PLY sequence; 0 = one per frame of the scene",
     )
     clip_seconds: bpy.props.FloatProperty(
         name="Clip (s)",
         default=0.0,
         min=0.0,
+        precision=5,
         description="FTGS-PLY: seconds from the first to the last frame; 0 = by its number of frames",
     )
 

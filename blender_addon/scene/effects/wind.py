@@ -10,6 +10,7 @@ import numpy as np
 from ...pure.effects.wind import Settings
 from ...pure.similarity import wind_push
 from ...pure.spec import SceneSpec
+from .. import mantaflow
 from ..fire_objects import FireObjects
 
 FIELD_M_S = 0.15
@@ -36,6 +37,7 @@ def apply(fire: FireObjects, settings: Settings, spec: SceneSpec) -> None:
         for frame, gust in zip(frames, np.random.default_rng(spec.seed).uniform(-1, 1, len(frames)), strict=True):
             wind.field.strength = strength * (1 + settings.gusts * gust)
             wind.field.keyframe_insert("strength", frame=frame)
+        mantaflow.wait_for_keys(wind)
 
 
 def field_strength(settings: Settings, spec: SceneSpec) -> float:
