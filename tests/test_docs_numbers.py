@@ -111,7 +111,7 @@ TOY = {
     "hard_cases": ("FLAME",),
     "interval_coverage": ("--repeats", "20"),
     "motion_bounds": ("FLAME",),
-    "real_clips": ("FLAME", "--out", "OUT", *TINY),
+    "real_clips": ("FLAME", "--out", "OUT", "--methods", "gof", *TINY),
     "real_motion": ("FLAME",),
     "reconstruct_memory": ("FLAME", "--runs", "96", "300", "16"),
     "render_kernels": ("--quick",),
