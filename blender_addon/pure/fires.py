@@ -61,6 +61,8 @@ class Burner:
     """Metres."""
     half_height: float
     """From the centre to where the flame begins, metres."""
+    name: str = "burner"
+    """What messages call it."""
 
     @property
     def bottom(self) -> float:
@@ -213,7 +215,8 @@ class GridFire:
         places = np.add([hearth.position_m for hearth in hearths], self.position)
         centre = (places.min(0) + places.max(0)) / 2
         reach = np.linalg.norm(places - centre, axis=1) + [hearth.diameter_m / 2 for hearth in hearths]
-        return Burner(tuple(centre.tolist()), float(reach.max()), 0.0)
+        name = "hearth of the grids" if len(hearths) == 1 else f"circle around the grids' {len(hearths)} hearths"
+        return Burner(tuple(centre.tolist()), float(reach.max()), 0.0, name)
 
     def bake_steps(self, spec: SceneSpec) -> int:
         """Steps that the bake makes: those that are looked at."""

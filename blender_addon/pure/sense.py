@@ -27,7 +27,7 @@ LEAST_ACROSS, CELLS_ACROSS = (
     3,
 )  # of a burner or an obstacle, below which it is a point, and hardly more, to the solver
 COLUMN = 1.5  # burner radii from the axis, which the flame fills
-PIXELS_ACROSS = 4  # of a burner in a picture, below which the flame is a dot
+PIXELS_ACROSS = 4  # of a burner (or, where nobody knows one, of the grids' box) in a picture, below which it is a dot
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,7 @@ def _cameras(spec: SceneSpec) -> Iterator[Finding]:
     low, high = np.array(box.min), np.array(box.max)
     foot = np.array(burner.position) if burner else np.array([*(low + high)[:2] / 2, low[2]])
     radius = burner.radius if burner else 0.0
+    thing, wide = (burner.name, 2 * radius) if burner else ("whole box of the grids", float(min((high - low)[:2])))
     axis = np.linspace(foot, [foot[0], foot[1], (foot[2] + high[2]) / 2], 9)
     sizes, burning, blind = {}, [], []
     for name, place, sees in zip(spec.cameras.names, positions(spec.cameras), seen(spec.cameras, axis), strict=True):
@@ -126,7 +127,7 @@ def _cameras(spec: SceneSpec) -> Iterator[Finding]:
         if not sees.any():
             blind.append(name)
             continue
-        sizes[name] = spec.picture_px[0] * spec.cameras.focal_mm / (2 * HALF_SENSOR) * 2 * radius / max(aside, 1e-9)
+        sizes[name] = spec.picture_px[0] * spec.cameras.focal_mm / (2 * HALF_SENSOR) * wide / max(aside, 1e-9)
     if burning:
         away = _length(COLUMN * radius)
         text = f"cameras: {', '.join(burning)} in the fire at {_point(foot)}; go more than {away} from its axis"
@@ -137,7 +138,7 @@ def _cameras(spec: SceneSpec) -> Iterator[Finding]:
     name = min(sizes, key=sizes.get, default="")
     if name and 0 < sizes[name] < PIXELS_ACROSS:
         more = spec.cameras.focal_mm * PIXELS_ACROSS / sizes[name]
-        text = f"cameras: in {name} the burner is {sizes[name]:.1f} pixels across"
+        text = f"cameras: in {name} the {thing} is {sizes[name]:.1f} pixels across"
         yield Finding(f"{text}; cameras.focal_mm {more:.0f} makes it {PIXELS_ACROSS}, or go nearer", False)
 
 

@@ -90,6 +90,6 @@ def test_what_is_no_fire_is_refused_by_file_and_field(tmp_path):
             assert "fire.start_s" in text if name == "short" else "fire.grids" in text, name
             assert "[Bake" not in text
     assert "fire.json: no such file" in found["empty"][1] and "write_fire" in found["absent"][1]
-    assert "python -m gof_benchmark.solvers.vdb" in found["vdb"][1]
+    assert f"python -m gof_benchmark.solvers.vdb {tmp_path}/vdb/*.vdb --out {tmp_path}/vdb_fire" in found["vdb"][1]
     assert "0..0.02 s" in found["short"][1]
     assert not (tmp_path / "new").exists()

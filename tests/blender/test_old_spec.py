@@ -25,8 +25,8 @@ SPEC = {
 }
 GRID = (12, 12, 24)
 # Recorded with Blender 4.5.15 from commits 175ca65, the last that knew version 1 alone, and b8463a6: equal to the bit,
-# but for one bake of eight of the former. That one (5.5 % away, relative L2) had a gust of wind one step late; since
-# `mantaflow.wait_for_keys` none can be, and the bounds below would not let it pass.
+# but for one bake of eight of the former, 5.5 % away (relative L2). It is gone; another such bake was one whose third
+# step had the gust of the second. Since `mantaflow.wait_for_keys` that cannot be, and these bounds would refuse it.
 MEAN_M_S = [0.41319, 0.43598, 0.47675]  # speed over all cells, of every frame
 RMS_M_S = [0.97410, 1.00864, 1.08022]
 VECTORS_M_S = {  # of the last frame, by cell

@@ -13,11 +13,12 @@ from gof_benchmark.commands import generate
 from gof_benchmark.fires import __file__ as FIRES
 from gof_benchmark.generator import looks
 from gof_benchmark.scenes import FOLDER as SCENES
+from gof_benchmark.solvers.grids import FireDescription, FireFrame, Hearth, write_fire
 from gof_blender.pure import camera_poses, cost_model, rooms, sense
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.effects import moving_emitter, obstacles
-from gof_blender.pure.fires import Domain, Fire
+from gof_blender.pure.fires import Domain, Fire, GridFire
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.rig import Pose, Rig
 from gof_blender.pure.spec import BlendFile, Clip, Display, Render, SceneSpec
@@ -127,6 +128,33 @@ def test_rooms_refuse_what_does_not_fit_and_the_studio_grows():
     assert "below the floor" in fatal(replace(PLAIN, cameras=Rig(height=-0.2)))
     under = replace(PLAIN, domain=Domain((-0.4, -0.4, -0.3), (0.8, 0.8, 1.6)))
     assert "reaches 30 cm below the floor" in fatal(under)
+
+
+@pytest.mark.parametrize(
+    ("hearths", "thing", "wide_m"),
+    [
+        ((), "whole box of the grids", 0.3),
+        (((0.1, 0.0),), "hearth of the grids", 0.1),
+        (((0.1, -0.05), (0.1, 0.05)), "circle around the grids' 2 hearths", 0.2),
+    ],
+)
+def test_a_note_on_grids_names_what_they_have(tmp_path, hearths, thing, wide_m):
+    """Grids bring hearths or none: the note on small pictures speaks of those, or of the box, and of no burner."""
+    grid, cell = (6, 8, 10), 0.05
+    matrix = np.diag([cell, cell, cell, 1.0])
+    described = tuple(Hearth(1.0, across, (x, 0.0, 0.0), 0.1) for across, x in hearths)
+    about = FireDescription("far", "none", (0.0, 0.1), "none", hearths=described)
+    still = np.zeros((*grid, 3), np.float32)
+    write_fire(tmp_path / "far", about, matrix, lambda k: FireFrame(still, still))
+    distance, pixels = 20.0, 64
+    rig = Rig(count=1, eval_count=0, radius=distance, look_at=(0, 0, 0.2), sensor_px=(pixels, pixels), roll_deg=0)
+    fire = GridFire(str(tmp_path / "far"), position=(0.0, 0.0, 0.1))
+    clip = Clip(frames=2, fps=100.0, warm_up_frames=0)
+    spec = replace(PLAIN, domain=None, fire=fire, cameras=rig, clip=clip, render=Render(100), effects=())
+    note = hints(spec)
+    assert f"the {thing} is" in note and "burner" not in note
+    found = float(re.search(r"is ([\d.]+) pixels across", note)[1])
+    assert found == pytest.approx(pixels * rig.focal_mm / 36 * wide_m / distance, abs=0.06)
 
 
 @pytest.mark.blender

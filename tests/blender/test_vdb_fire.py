@@ -1,11 +1,18 @@
 """A fire from OpenVDB files, written with Blender's library as other programs do, against the field they hold."""
 
+import re
+import shlex
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 from gof_benchmark.solvers import vdb
 from gof_benchmark.solvers.grids import FireGrids
 from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.io import FileFormatError
+from gof_blender.pure.io.fire_store import FireStore
 from tests.blender.runs import TOY, in_blender
 
 WRITE = """
@@ -91,3 +98,17 @@ def test_what_does_not_fit_is_refused_by_file_and_grid(tmp_path, capsys):
 def test_light_needs_a_temperature(tmp_path, capsys):
     assert vdb.main(["x.vdb", "--out", str(tmp_path / "fire"), "--rate-hz", "24"]) == 1
     assert "--temperature" in capsys.readouterr().out
+
+
+@pytest.mark.blender
+def test_the_command_that_the_panel_gives_does_it(tmp_path):
+    """The line of the message, in a shell as it stands, with the names of these files' grids put in."""
+    folder = tmp_path / "my cache"
+    folder.mkdir()
+    written(folder)
+    with pytest.raises(FileFormatError) as error:
+        FireStore(folder)
+    command = re.search(r"python (-m gof_benchmark.solvers.vdb .*); then choose", str(error.value))[1]
+    command = command.replace("--velocity velocity", "--velocity vel").replace("--flame flame", "--flame flames")
+    subprocess.run(f"{shlex.quote(sys.executable)} {command}", shell=True, check=True, cwd=tmp_path)
+    assert FireStore(tmp_path / "my cache_fire").velocity.time_s == pytest.approx([0, 1 / 24])

@@ -9,6 +9,7 @@ All on one clock and one box of upright cubes, world axes (Z up, metres). Other 
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -102,5 +103,11 @@ class FireStore:
 
 def _remedy(path: Path) -> str:
     if any(path.glob("*.vdb")):
-        return "; bring its OpenVDB files into one with python -m gof_benchmark.solvers.vdb"
+        folder = shlex.quote(str(path))
+        fire = shlex.quote(f"{path}_fire")
+        return (
+            "; it holds OpenVDB files, which do not say their rate and units. Run once, where gof is installed: "
+            f"python -m gof_benchmark.solvers.vdb {folder}/*.vdb --out {fire} --rate-hz 24 "
+            f"--velocity velocity --velocity-m-s 1 --flame flame --kelvin-at-0 1700 --up z; then choose {fire}"
+        )
     return "; choose one that gof_benchmark.solvers.grids.write_fire wrote"
