@@ -79,13 +79,19 @@ def run_all(study: SettingsStudy, dataset: Dataset) -> dict[str, list[Row]]:
 
 
 def mean_row(rows: list[Row]) -> Row:
-    """Of the runs of one setting, which differ in their seed: means, and "SCORE_sd" where there are several."""
+    """Of the runs of one setting, which differ in their seed: means, and "SCORE_sd" where there are several.
+
+    A score that one of them lacks is None.
+    """
     mean = {"seconds": float(np.mean([row["seconds"] for row in rows]))}
     for score in SCORES:
         values = [row[score] for row in rows]
-        if None not in values:
-            mean |= {score: float(np.mean(values))}
-            mean |= {f"{score}_sd": float(np.std(values, ddof=1))} if len(rows) > 1 else {}
+        if None in values:
+            mean |= {score: None}
+            continue
+        mean |= {score: float(np.mean(values))}
+        if len(rows) > 1:
+            mean |= {f"{score}_sd": float(np.std(values, ddof=1))}
     return rows[0] | mean
 
 

@@ -57,9 +57,10 @@ def wait_for_keys(item: bpy.types.Object) -> None:
     Call once all values are keyed. Blender's graph orders the solver after such an object's place and shape, and not
     after its other keyed values (a field's strength, the offset of the fuel's texture): with those alone it is chance
     whether a step sees its own key or the one of the step before, and two bakes of one spec part there. One action is
-    evaluated as a whole, so a key of the place, which need not change, brings the others into that order.
+    evaluated as a whole, so a key of the place, which need not change, brings the others into that order. It is of the
+    delta, which is added to the location: that stays free, to be moved by hand.
     """
-    item.keyframe_insert("location", frame=1)
+    item.keyframe_insert("delta_location", frame=1)
 
 
 def leave(status: int = 0) -> None:

@@ -58,7 +58,7 @@ def line_note(seconds: float) -> str:
 
 def _short(value: float) -> str:
     """Two digits, never as a power of ten."""
-    return f"{float(f'{value:.2g}'):g}"
+    return np.format_float_positional(float(f"{value:.2g}"), trim="-")
 
 
 def _scale(parts: list[tuple[np.ndarray, np.ndarray]]) -> float:

@@ -52,7 +52,6 @@ def write(
     Args:
         x_label, y_label: with their units.
         lines: points by the name in the legend. What has no place on a logarithmic axis, and NaN, is left out.
-            A spread is that of y.
         log: the axes that are logarithmic.
     Raises:
         GofError: `path` is no .svg, .pdf or .png.   MissingDependencyError: matplotlib is not installed.
@@ -78,7 +77,7 @@ def write(
             )
             for x, y, label, spread in points:
                 if spread:
-                    axes.vlines(x, y - spread, y + spread, color=colour, linewidth=1.0)
+                    axes.plot([x, x], [y - spread, y + spread], color=colour, linewidth=1.0)
                 axes.annotate(
                     plain(label, LETTERS_A_ROW) if label else "",
                     (x, y),
@@ -104,7 +103,7 @@ def write(
 def _has_place(point: Point, log: Logarithmic) -> bool:
     if not np.isfinite((point.x, point.y)).all():
         return False
-    return ("x" not in log or point.x > 0) and ("y" not in log or point.y > point.spread)
+    return ("x" not in log or point.x > 0) and ("y" not in log or point.y > 0)
 
 
 def _limits(values: Sequence[float]) -> tuple[float, float]:

@@ -133,6 +133,24 @@ def test_place_at_the_cursor_on_an_object_and_in_centimetres():
     assert found["same"], "a scene in centimetres is the same spec"
 
 
+def test_what_is_moved_by_hand_stays_there_when_time_goes_on():
+    """Burner and wind have keys of their own (fuel, gusts), of which none may take them back to where they were."""
+    found = in_addon("""
+        fire.resolution, fire.effects.wind.use, fire.effects.wind.gusts = 16, True, 0.5
+        bpy.ops.gof.add_fire()
+        for part in ("emitter", "effect"):
+            thing = place.find(scene, part)
+            result[part] = thing.animation_data.action is not None
+            thing.location.x += 0.1
+            result[part] = [result[part], tuple(thing.location)]
+        scene.frame_set(scene.frame_current + 1)
+        for part in ("emitter", "effect"):
+            result[part].append(tuple(place.find(scene, part).location))
+    """)
+    for keyed, put, later in (found["emitter"], found["effect"]):
+        assert keyed and later == put
+
+
 def test_edits_of_the_objects_are_read_back():
     found = in_addon("""
         from math import radians

@@ -13,6 +13,7 @@ from gof.errors import DataFormatError, GofError
 from gof.fields import VelocityField, VelocitySequence
 from gof.gaussians import TransientGaussians
 from gof.io.importers import ImportOptions
+from gof.share import legend
 from gof.share.agreement import measure
 from gof.share.opened import Opened, dataset_beside, middle_of, newest, open_result
 from gof.share.page import front_camera, share_page
@@ -272,3 +273,10 @@ def test_what_has_no_closed_form_is_refused(tmp_path):
     nothing.save(tmp_path / "n.npz", "test")
     with pytest.raises(DataFormatError, match="no Gaussian"):
         open_result(tmp_path / "n.npz", ImportOptions())
+
+
+def test_numbers_of_the_legend_are_short_and_never_powers_of_ten():
+    assert legend.ticks(4.2) == ["0", "1.1", "2.1", "3.2", "4.2+ m/s"]
+    assert legend.ticks(4e-5) == ["0", "0.00001", "0.00002", "0.00003", "0.00004+ m/s"]
+    assert legend.ticks(1.2e6)[-1] == "1200000+ m/s"
+    assert legend.line_note(0.011) == "A line is the way of 11 ms."

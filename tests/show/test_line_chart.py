@@ -47,6 +47,17 @@ def test_an_axis_that_is_not_logarithmic_shows_zero_and_below(tmp_path):
     assert {"0.0", "100"} <= set(texts(drawn))
 
 
+def test_a_bar_goes_a_spread_up_and_down(tmp_path):
+    points = [line_chart.Point(1.0, 1.0), line_chart.Point(10.0, 2.0, spread=0.5)]
+    drawn = svg(tmp_path, {"mean": points}, log="x")
+    ((x, one), (x_bar, two)) = next(iter(marks(drawn).values()))
+    line, bar = sorted(curves(drawn, line_chart.COLOURS[0]), key=lambda c: c[0][0])
+    assert np.allclose(line, [(x, one), (x_bar, two)], atol=1e-3)
+    (low_x, low), (high_x, high) = bar
+    assert low_x == high_x == pytest.approx(x_bar, abs=1e-3)
+    assert low - two == pytest.approx((one - two) / 2, abs=1e-3) == two - high
+
+
 def test_a_long_line_has_no_marks_and_more_lines_than_colours_are_told_apart_by_dashes(tmp_path):
     many = {f"line {k}": [(1.0, k + 1.0, ""), (2.0, k + 1.0, "")] for k in range(len(line_chart.COLOURS) + 1)}
     drawn = svg(tmp_path, many)
