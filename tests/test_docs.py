@@ -52,8 +52,12 @@ def test_pictures_are_shown_somewhere():
 
 
 REVIEWS = {
-    "reliability": [*(f"H{n}" for n in range(1, 5)), *(f"M{n}" for n in range(1, 9)), *(f"L{n}" for n in range(1, 11))],
-    "importers": [str(n) for n in range(1, 20)],
+    "reliability_measured": [
+        *(f"H{n}" for n in range(1, 5)),
+        *(f"M{n}" for n in range(1, 9)),
+        *(f"L{n}" for n in range(1, 11)),
+    ],
+    "importers_measured": [str(n) for n in range(1, 20)],
 }
 
 
