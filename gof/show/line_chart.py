@@ -25,6 +25,7 @@ DASHES, MARKS = ("-", "--", ":"), "os^Dv"  # the second round of the colours is 
 GRID = "#e3e3e3"
 STEPS = (1, 2, 5)  # of a decade that get a number
 MARKED = 25  # a line of more points has no marks
+LABELS_TURN = 0.85  # of the width: labels further right stand left of their marks
 ROOM = 0.06  # beyond the outermost points, of an axis
 
 Logarithmic = Literal["xy", "x", "y", ""]
@@ -62,7 +63,7 @@ def write(
     legend_in = ROW_IN * sum(words.count("\n") + 1 for words in names.values()) + 0.1
     whole = height + legend_in
     with printed(path, width, whole) as figure:
-        axes = figure.add_axes((0.12, (legend_in + 0.5) / whole, 0.85, (height - 0.85) / whole))
+        axes = figure.add_axes((0.14, (legend_in + 0.5) / whole, 0.83, (height - 0.85) / whole))
         for number, (name, points) in enumerate(placed.items()):
             colour = COLOURS[number % len(COLOURS)]
             axes.plot(
@@ -75,17 +76,9 @@ def write(
                 markersize=3.5,
                 label=names[name],
             )
-            for x, y, label, spread in points:
+            for x, y, _, spread in points:
                 if spread:
                     axes.plot([x, x], [y - spread, y + spread], color=colour, linewidth=1.0)
-                axes.annotate(
-                    plain(label, LETTERS_A_ROW) if label else "",
-                    (x, y),
-                    xytext=(4, 4),
-                    textcoords="offset points",
-                    fontsize=POINT_LABEL,
-                    color=colour,
-                )
         for which, axis, column in (("x", axes.xaxis, 0), ("y", axes.yaxis, 1)):
             values = [point[column] for points in placed.values() for point in points]
             if values and which in log:
@@ -93,11 +86,29 @@ def write(
                 low, high = _limits(values)
                 getattr(axes, f"set_{which}lim")(low, high)
                 number_decades(axis, low, high)
+        for number, points in enumerate(placed.values()):
+            for point in (point for point in points if point.label):
+                _write_beside(axes, point, COLOURS[number % len(COLOURS)])
         axes.set_xlabel(x_label, fontsize=WORDS)
         axes.set_ylabel(y_label, fontsize=WORDS)
         axes.set_title(title, fontsize=TITLE, fontweight="bold", loc="left")
         dress(axes, WORDS)
         figure.legend(loc="lower left", bbox_to_anchor=(0.1, 0.0), fontsize=WORDS, frameon=False, labelspacing=0.3)
+
+
+def _write_beside(axes: Axes, point: Point, colour: str) -> None:
+    """A mark's words: right of it, or left of it in the right part of the chart, where they would leave the figure."""
+    across, _ = axes.transAxes.inverted().transform(axes.transData.transform((point.x, point.y)))
+    side, shift = ("left", 4) if across < LABELS_TURN else ("right", -4)
+    axes.annotate(
+        plain(point.label, LETTERS_A_ROW),
+        (point.x, point.y),
+        xytext=(shift, 4),
+        textcoords="offset points",
+        horizontalalignment=side,
+        fontsize=POINT_LABEL,
+        color=colour,
+    )
 
 
 def _has_place(point: Point, log: Logarithmic) -> bool:

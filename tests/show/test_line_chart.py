@@ -86,3 +86,12 @@ def test_the_chart_is_white_in_every_format_so_that_it_reads_on_a_dark_page(tmp_
 
 def test_nothing_to_draw_is_an_empty_chart(tmp_path):
     assert "error, px" in texts(svg(tmp_path, {"none": [(0.0, 1.0, "")]}))
+
+
+def test_no_words_leave_the_figure(tmp_path):
+    """Small numbers have many figures, and the last points' labels stand left of their marks."""
+    points = [line_chart.Point(1.0, 1e-4, "first"), line_chart.Point(100.0, 1.0, "a long label of the last point")]
+    line_chart.write(tmp_path / "c.png", "t", "x, m", "relative error", {"one": points})
+    picture = cv2.imread(str(tmp_path / "c.png"), cv2.IMREAD_GRAYSCALE)
+    for border in (picture[:, :3], picture[:, -3:], picture[:3], picture[-3:]):
+        assert border.min() == 255
