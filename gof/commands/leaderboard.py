@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from gof.dataset import Dataset
@@ -103,11 +104,12 @@ def main(argv: list[str]) -> int:
 
 
 def _table(title: str, rows: list[Row]) -> Table:
-    table = Table(title=title, title_justify="left")
+    """In a narrow window names are folded; numbers and words of headings stay whole."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0)
     shown = [key for key in used_columns(rows) if key in SHOWN]
-    table.add_column("method", no_wrap=True)
+    table.add_column("method", overflow="fold")
     for key in shown:
-        table.add_column(COLUMNS[key].heading, justify="right")
+        table.add_column(COLUMNS[key].heading.replace(" ", "\n"), justify="right", no_wrap=True)
     for row in rows:
         table.add_row(row.name, *(row.text(key) for key in shown), style=None if row.competes else "dim")
     return table

@@ -38,8 +38,8 @@ class EvaluatedResult:
 
     @classmethod
     def of(cls, folder: Path, about: AboutMethod, scores: Scores) -> EvaluatedResult:
-        """A folder's result: what method.json says of its costs, else what its costs.json do."""
-        stages = _training(folder)
+        """A folder's result: what method.json says of its costs, else what the costs.json of its training does."""
+        stages = _training(folder, scores)
         train_s, memory_mb = about.train_seconds, about.memory_mb
         if train_s is None and stages:
             train_s = float(sum(stage.seconds for stage in stages))
@@ -192,7 +192,7 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
     """The results in folders with a scores.json of `gof evaluate`, with names that differ.
 
     Seconds to train: "train_seconds" of DIR/method.json (see `AboutMethod`), or the sum of
-    DIR/reconstruct/costs.json or DIR/costs.json; None when there is neither.
+    DIR/reconstruct/costs.json, DIR/costs.json or the one beside the result that was scored; None when there is none.
 
     Raises:
         DataFormatError: a folder has no scores.json, or it is not one of this version's `gof evaluate`.
@@ -212,10 +212,13 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
     ]
 
 
-def _training(folder: Path) -> tuple[StageCost, ...]:
-    for path in (folder / "reconstruct" / "costs.json", folder / "costs.json"):
-        if path.is_file():
-            return StageLog(path).stages()
+def _training(folder: Path, scores: Scores) -> tuple[StageCost, ...]:
+    homes = [folder / "reconstruct", folder]
+    if scores.import_.path is not None:
+        homes.append(Path(scores.import_.path).parent)
+    for home in homes:
+        if (home / "costs.json").is_file():
+            return StageLog(home / "costs.json").stages()
     return ()
 
 

@@ -6,19 +6,21 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gof.commands.evaluate import main as evaluate_main
-from gof.commands.leaderboard import main
+from gof.commands.leaderboard import SHOWN, _table, main
 from gof.costs import Costs, StageCost
 from gof.errors import DataFormatError
-from gof.evaluate.leaderboard import Leaderboard, best_rows, collect, pareto, rows_of, to_csv, to_markdown
+from gof.evaluate.leaderboard import Leaderboard, best_rows, collect, pareto, rows_of, to_csv, to_markdown, used_columns
 from gof.evaluate.streams import draw, max_projection, streamlines, volume, x_slice
 from gof.gaussians import TransientGaussians
 from gof.records import read_record, write_record
+from gof.terminal import console
 from tests.evaluate.synthetic_flame import flame_dataset
 
 pytestmark = pytest.mark.long
@@ -64,6 +66,34 @@ def test_rows(results):
     assert best["l2"] == 0 and best["train_s"] == 1 and "speed_ratio" not in best and "gaussians" not in best
     with pytest.raises(DataFormatError, match="gof evaluate"):
         collect([results / "data"])
+
+
+def test_seconds_are_found_beside_the_result_that_was_scored(results, tmp_path):
+    (tmp_path / "trained").mkdir()
+    shutil.copy(results / "exact/result.npz", tmp_path / "trained")
+    write_record(tmp_path / "trained/costs.json", Costs((StageCost("optimise", 7.5, 0.0),)))
+    words = [
+        f"{tmp_path}/trained/result.npz",
+        "--truth",
+        f"{results}/data",
+        "--out",
+        f"{tmp_path}/board",
+        "--no-images",
+    ]
+    assert evaluate_main(words) == 0
+    (board,) = collect([tmp_path / "board"])
+    assert board.train_s == 7.5 and board.memory_mb is None, "0: not measured"
+
+
+def test_numbers_stay_whole_in_a_narrow_window(results, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    results = collect([results / n for n in ("exact", "slow")])
+    rows = rows_of([replace(result, name=f"{result.name} of a long name") for result in results])
+    console().print(_table("Leaderboard", rows))
+    printed = capsys.readouterr().out
+    assert "…" not in printed and max(map(len, printed.splitlines())) <= 80
+    numbers = [word for line in printed.splitlines() if " slow" in line for word in line.split() if word[0].isdigit()]
+    assert numbers == [rows[1].text(key) for key in used_columns(rows) if key in SHOWN]
 
 
 def test_tables(results):
