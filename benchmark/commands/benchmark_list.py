@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Literal
 
 import tyro
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from gof.files import write_json
 from gof.terminal import console
 from gof_benchmark.suite import Size, SuiteScene, scenes_of, suite_name
 from gof_blender.pure.cost_model import REFERENCE, duration, known_machine, predict
+
+
+WHOLE = ("scene", "split", "solver", "picture", "spec")  # columns that are not folded in a narrow window
 
 
 @dataclass
@@ -63,9 +67,9 @@ def main(argv: list[str]) -> int:
     config = tyro.cli(ListConfig, prog="gof benchmark list", args=argv)
     scenes = scenes_of(config.size, config.split)
     lines = [asdict(Line.of(scene)) for scene in scenes]
-    table = Table(title=f"{suite_name()}, {config.size}", title_justify="left")
+    table = Table(title=f"{suite_name()}, {config.size}", title_justify="left", box=SIMPLE_HEAD, padding=0)
     for heading in Line.__dataclass_fields__:
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=heading in WHOLE, overflow="fold")
     for line in lines:
         table.add_row(*line.values())
     out = console()

@@ -96,12 +96,15 @@ def test_names_that_are_not_there():
         benchmark.main(["nothing"])
 
 
-def test_the_list_is_printed(capsys, tmp_path):
+def test_the_list_is_printed(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     assert benchmark.main(["--help"]) == 0
     assert benchmark_list.main(["--size", "paper", "--split", "test", "--json", str(tmp_path / "list.json")]) == 0
     lines = json.loads((tmp_path / "list.json").read_text())["scenes"]
     assert len(lines) == 10 and lines[0]["picture"] == "720x1280"
-    assert "GoF-Bench 1" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "GoF-Bench 1" in printed and max(map(len, printed.splitlines())) <= 80
+    assert all(line[word] in printed for line in lines for word in ("scene", "picture", "spec")), "names stay whole"
 
 
 # ---------------------------------------------------------------- what is made
