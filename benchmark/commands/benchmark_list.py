@@ -15,7 +15,6 @@ from gof.terminal import console
 from gof_benchmark.suite import Size, SuiteScene, scenes_of, suite_name
 from gof_blender.pure.cost_model import REFERENCE, duration, known_machine, predict
 
-
 WHOLE = ("scene", "split", "solver", "picture", "spec")  # columns that are not folded in a narrow window
 
 

@@ -98,7 +98,7 @@ def test_names_that_are_not_there():
 
 def test_the_list_is_printed(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    assert benchmark.main(["--help"]) == 0
+    assert benchmark.main(["--help"]) == 0 and "gof benchmark PART" in capsys.readouterr().out
     assert benchmark_list.main(["--size", "paper", "--split", "test", "--json", str(tmp_path / "list.json")]) == 0
     lines = json.loads((tmp_path / "list.json").read_text())["scenes"]
     assert len(lines) == 10 and lines[0]["picture"] == "720x1280"
