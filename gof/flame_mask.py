@@ -5,9 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+WEAK, STRONG = 0.15, 0.35  # display values: more than a fire throws on its surroundings
+
 
 def flame_mask(
-    image: np.ndarray, static: np.ndarray, weak: float = 0.15, strong: float = 0.35, grow_px: int = 2
+    image: np.ndarray, static: np.ndarray, weak: float = WEAK, strong: float = STRONG, grow_px: int = 2
 ) -> np.ndarray:
     """(H, W) bool: where flame may be, closed and grown by `grow_px`.
 
@@ -18,9 +20,14 @@ def flame_mask(
         image, static: (H, W, 3) display sRGB in [0, 1], with and without fire.
         weak, strong: display values.
     """
-    rise = image - static
-    rise = np.minimum(rise[..., 0], rise[..., 0] - rise[..., 2])
+    rise = above_plate(image, static)
     _, region = cv2.connectedComponents((rise > weak).astype(np.uint8))
     flame = np.isin(region, np.unique(region[rise > strong])) & (region > 0)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow_px + 1, 2 * grow_px + 1))
     return cv2.dilate(cv2.morphologyEx(flame.astype(np.uint8), cv2.MORPH_CLOSE, disc), disc) > 0
+
+
+def above_plate(image: np.ndarray, static: np.ndarray) -> np.ndarray:
+    """(..., H, W): how far red, and red over blue, rise above the plate: the smaller of the two, display values."""
+    rise = image - static
+    return np.minimum(rise[..., 0], rise[..., 0] - rise[..., 2])

@@ -10,8 +10,46 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from gof.flame_mask import STRONG, WEAK, above_plate, flame_mask
+
 LEAST_SEEN = 1 / 8  # share of the pictures in which a pixel must be free of flame for its median to be believed
 FILL = 1 / 24  # of the height: how far light is carried on behind the flame
+FAINT, FAINT_SOMEWHERE = 0.06, 0.12  # of `flame_mask` over a lit plate, display values
+NOISE_TO_SD = 1.4826  # of a normal distribution, from the median of its absolute values
+LEAST_OVER_NOISE = 4.0  # standard deviations
+NOISE_PICTURES = 16  # of a clip, from which its noise is read
+
+
+def faint_flame(
+    static: np.ndarray, images: np.ndarray, bright: np.ndarray, unseen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Masks that have the faint flame, too, and the plate in the light of the fire.
+
+    Over a plate in the dark, faint flame and what the fire throws on a wall rise alike. So bright flame is found first;
+    pixels without it say what is thrown; and above *that*, flame may be fainter.
+
+    Args:
+        static, images: as in `lit_plate`.
+        bright: (F, H, W) bool, flame that stands out of the dark.   unseen: (F, 1, 1) bool, pictures that are none.
+    Returns:
+        (F, H, W) bool, `bright` and more, and (H, W, 3) `lit_plate` by it. Where the thrown light is nowhere known (a
+        clip of a picture or two), `bright` and the plate in the dark.
+    """
+    plate = lit_plate(static, images, bright | unseen)
+    free = ~(bright | unseen)
+    if not often(free).any():
+        return bright, plate
+    few = slice(None, None, -(-len(images) // NOISE_PICTURES))
+    noise = NOISE_TO_SD * np.median(np.abs(above_plate(images[few], plate)[free[few]]))
+    weak = min(max(FAINT, LEAST_OVER_NOISE * noise), WEAK)
+    strong = min(max(FAINT_SOMEWHERE, 2 * LEAST_OVER_NOISE * noise), STRONG)
+    masks = bright | np.stack([flame_mask(image, plate, weak, strong) for image in images])
+    return masks, lit_plate(static, images, masks | unseen)
+
+
+def often(free: np.ndarray) -> np.ndarray:
+    """(H, W) bool: pixels that are free of flame, `free` (F, H, W), in enough pictures for a median of them."""
+    return free.sum(0) >= max(LEAST_SEEN * len(free), 2)
 
 
 def lit_plate(static: np.ndarray, images: np.ndarray, masks: np.ndarray) -> np.ndarray:
@@ -25,7 +63,7 @@ def lit_plate(static: np.ndarray, images: np.ndarray, masks: np.ndarray) -> np.n
         seen.
     """
     count = (~masks).sum(0)
-    seen = count >= max(LEAST_SEEN * len(images), 2)
+    seen = often(~masks)
     rise = np.zeros_like(static, dtype=np.float32)
     for row in range(len(static)):  # sorting whole clips of large pictures would take gigabytes
         free = np.sort(np.where(masks[:, row, :, None], np.inf, images[:, row]), axis=0)

@@ -75,6 +75,7 @@ class Method:
     Attributes:
         scene: what the flame is drawn in where nobody says otherwise.
         lit_plates: plates in the fire's light (`lit_plate`), not in the dark.
+        faint_flame: flame as faint as what the fire throws on its surroundings is found, too, above `lit_plates`.
         flow_of_light: optical flow of the light above the plates, to both neighbouring frames and back again, without
             what does not come back; else of the pictures, to the next frame.
         flow_masks: flame is where the optical flow is; else where red rises above the plate (`flame_mask`).
@@ -91,6 +92,7 @@ class Method:
 
     scene: SceneName
     lit_plates: bool
+    faint_flame: bool
     flow_of_light: bool
     flow_masks: bool
     vetoes: bool
@@ -108,6 +110,7 @@ class Method:
 OURS = Method(
     scene="plates",
     lit_plates=True,
+    faint_flame=True,
     flow_of_light=True,
     flow_masks=False,
     vetoes=True,
@@ -139,6 +142,7 @@ PAPER_POSITION = 1.6e-4, 1.6e-6  # 3DGS, of the cameras' extent
 PAPER = Method(
     scene="gaussians",  # "Dynamic Scene": static and flame Gaussians in one pass
     lit_plates=False,
+    faint_flame=False,
     flow_of_light=False,  # "Dynamic Scene": the flow between consecutive frames
     flow_masks=True,  # authors: above 0.5 px per frame, dilated twice by 5x5
     vetoes=False,  # authors: at least two cameras

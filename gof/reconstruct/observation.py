@@ -17,7 +17,7 @@ from gof.colour import srgb_to_linear
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.flame_mask import flame_mask
-from gof.reconstruct.lit_plate import lit_plate
+from gof.reconstruct.lit_plate import faint_flame, lit_plate
 from gof.reconstruct.methods import OURS, Method
 from gof.reconstruct.occluders import blocked_views
 from gof.reconstruct.optical_flow import Flow, dis
@@ -190,7 +190,7 @@ class _View(NamedTuple):
     delivered: np.ndarray
 
 
-def _view(dataset: Dataset, camera: int, frames: np.ndarray, lit: bool) -> _View:
+def _view(dataset: Dataset, camera: int, frames: np.ndarray, method: Method) -> _View:
     static = dataset.static(camera)
     image = np.stack([dataset.image(camera, k) for k in frames])
     counts = dataset.board_weight(camera)
@@ -198,7 +198,11 @@ def _view(dataset: Dataset, camera: int, frames: np.ndarray, lit: bool) -> _View
         image = static + counts[..., None] * (image - static)
     mask = np.stack([flame_mask(picture, static) for picture in image])
     delivered = was_delivered(image, static)
-    plate = lit_plate(static, image, mask | ~delivered[:, None, None]) if lit else static
+    unseen = ~delivered[:, None, None]
+    if method.faint_flame:
+        mask, plate = faint_flame(static, image, mask, unseen)
+    else:
+        plate = lit_plate(static, image, mask | unseen) if method.lit_plates else static
     return _View(dataset.camera_times_s(camera), image, static, plate, mask, delivered)
 
 
@@ -226,7 +230,7 @@ def observe(
     frames = np.array(sorted(dataset.train_frames))
     if not len(frames):
         raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
-    views = [_view(dataset, c, frames, method.lit_plates) for c in range(len(dataset.cameras))]
+    views = [_view(dataset, c, frames, method) for c in range(len(dataset.cameras))]
     if not any(view.mask.any() for view in views):
         raise DataFormatError(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"

@@ -1,8 +1,10 @@
 """The plate in the fire's light, against scenes whose light is known."""
 
+import cv2
 import numpy as np
 
-from gof.reconstruct.lit_plate import lit_plate
+from gof.flame_mask import flame_mask
+from gof.reconstruct.lit_plate import faint_flame, lit_plate
 
 HEIGHT, WIDTH, FRAMES = 96, 60, 12
 
@@ -50,3 +52,47 @@ def test_without_anything_to_see_the_plate_stays_as_it_is():
     one = lit_plate(static, images[:1], masks[:1])  # a single picture has no median
     assert np.allclose(one, static, atol=1e-6)
     assert np.isfinite(lit_plate(np.ones_like(static), images, masks)).all()
+
+
+def faint_beside_bright(noise=0.0, frames=24):
+    """The block of `flame_in_a_lit_room`, and a flame left of it that is no brighter than the light on the wall."""
+    static, truth, images, bright = flame_in_a_lit_room(frames=frames)
+    faint = np.zeros_like(bright)
+    for k in range(frames):
+        faint[k, 60 + k : 70 + k, 2:9] = True
+    images = np.where((faint & ~bright)[..., None], images + [0.18, 0.08, 0.0], images)
+    images = images + noise * np.random.default_rng(1).normal(size=images.shape)
+    return static, truth, images, bright, faint & ~bright
+
+
+def test_faint_flame_is_found_and_thrown_light_is_not():
+    static, truth, images, bright, faint = faint_beside_bright()
+    unseen = np.zeros((len(images), 1, 1), bool)
+    masks, plate = faint_flame(static, images, bright, unseen)
+    near = np.stack([cv2.dilate(mask.astype(np.uint8), np.ones((9, 9))) > 0 for mask in bright | faint])
+    assert masks[faint].all() and masks[bright].all() and not masks[~near].any()
+    assert np.abs(plate - truth).max() < 1e-6
+    dark = np.stack([flame_mask(image, static) for image in images])
+    assert not dark[faint].all(), "otherwise the test says nothing"
+    low = np.stack([flame_mask(image, static, 0.06, 0.12) for image in images])
+    assert low[~near].any(), "a lower threshold alone takes the wall for flame"
+
+
+def test_noise_is_no_faint_flame():
+    """Grain of 0.04, with which single pixels rise by more than the threshold of quiet pictures."""
+    static, _, images, bright, faint = faint_beside_bright(noise=0.04)
+    masks, _ = faint_flame(static, images, bright, np.zeros((len(images), 1, 1), bool))
+    near = np.stack([cv2.dilate(mask.astype(np.uint8), np.ones((9, 9))) > 0 for mask in bright | faint])
+    assert masks[~near].mean() < 1e-3
+    assert (
+        np.mean([flame_mask(image, static, 0.06, 0.12)[~n].mean() for image, n in zip(images, near, strict=True)]) > 0.2
+    )
+
+
+def test_where_thrown_light_is_unknown_bright_flame_is_all():
+    static, _, images, bright, _ = faint_beside_bright()
+    masks, plate = faint_flame(static, images[:1], bright[:1], np.zeros((1, 1, 1), bool))
+    assert np.array_equal(masks, bright[:1]) and np.allclose(plate, static)
+    unseen = np.ones((len(images), 1, 1), bool)
+    masks, plate = faint_flame(static, images, bright, unseen)
+    assert np.array_equal(masks, bright) and np.allclose(plate, static)
