@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
+from gof.capture.board_points import BoardPoints
 from gof.capture.locate import BoardNotFound, Summary, locate
 from gof.capture.mask import board_mask
 from gof.capture.template import BoardTemplate
@@ -24,7 +26,11 @@ TURNS: dict[int, Turn] = {roll: turn for turn, roll in ROLL_DEG.items()}
 
 
 def annotate(
-    dataset: Dataset, template: BoardTemplate, footage: list[Path] | None = None, cameras: Path | None = None
+    dataset: Dataset,
+    template: BoardTemplate,
+    footage: list[Path] | None = None,
+    cameras: Path | None = None,
+    points: Mapping[int, BoardPoints] = MappingProxyType({}),
 ) -> dict[str, str]:
     """Write the masks, then dataset.json with their names.
 
@@ -32,6 +38,8 @@ def annotate(
         footage: one video per training camera, as given to `gof ingest`; None = look in the dataset's own pictures
             for training.
         cameras: cameras.json of that footage; None = it is undistorted.
+        points: where a user marked the board, by the video's place in `footage`; the others are looked through for the
+            marker.
     Returns:
         what was added, or why not, in words, by camera.
     Raises:
@@ -50,7 +58,7 @@ def annotate(
         turn = _turn(entry, dataset.path)
         try:
             if footage:
-                mask = mask_from_footage(footage[c], lenses[c], turn, template)
+                mask = mask_from_footage(footage[c], lenses[c], turn, template, points.get(c))
             else:
                 frames = dataset.train_frames[:LOOK_AT]
                 mask = find_mask((np.uint8(np.rint(255 * dataset.image(c, k))) for k in frames), template)
@@ -67,27 +75,29 @@ def annotate(
     return notes
 
 
-def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate) -> np.ndarray:
-    """(H, W) uint8, 255 on the board, from RGB pictures of a fixed camera.
+def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate, points: BoardPoints | None = None) -> np.ndarray:
+    """(H, W) uint8, 255 on the board, from RGB pictures of a fixed camera; `points`: see `locate`.
 
     Raises:
-        BoardNotFound: the board cannot be found in them.
+        BoardNotFound: the board cannot be found in them.   DataFormatError: the points do not fit a board.
     """
     summary = Summary()
     for picture in islice(pictures, LOOK_AT):
         summary.add(picture)
-    board = locate(summary, template)
+    board = locate(summary, template, points=points)
     height, width = summary.low.shape
     return np.rint(255 * board_mask(board, template, (width, height))).astype(np.uint8)
 
 
-def mask_from_footage(footage: Path, lens: Lens | None, turn: Turn, template: BoardTemplate) -> np.ndarray:
+def mask_from_footage(
+    footage: Path, lens: Lens | None, turn: Turn, template: BoardTemplate, points: BoardPoints | None = None
+) -> np.ndarray:
     """The mask as `find_mask` finds it in stored pictures, undistorted and turned as they are.
 
     Raises:
         BoardNotFound, DataFormatError: not found; the footage is not readable, or of another size than its lens.
     """
-    mask = find_mask(stored_frames(footage), template)
+    mask = find_mask(stored_frames(footage), template, points)
     height, width = mask.shape
     lens = lens or Lens(width, height, np.eye(3))
     if (width, height) != (lens.width, lens.height):

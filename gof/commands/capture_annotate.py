@@ -9,9 +9,12 @@ from typing import Annotated
 import tyro
 
 from gof.capture.annotate import annotate
+from gof.capture.board_points import read_board_points
 from gof.capture.template import BoardTemplate
 from gof.dataset import Dataset
+from gof.errors import GofError
 from gof.files import write_json
+from gof.footage import distinct_names
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class AnnotateConfig:
     pictures."""
     cameras: Path | None = None
     """The file given to gof ingest --cameras, when the footage is not yet undistorted."""
+    board_points: Path | None = None
+    """Points of the board in those videos of --footage whose marker is partly hidden; as in gof capture sync."""
     template: str = "paper_rig"
     """Board: gof_board, paper_rig, or a JSON file."""
     json: Path | None = None
@@ -38,7 +43,14 @@ class AnnotateConfig:
 def main(argv: list[str]) -> int:
     """Annotate a dataset and say what was added."""
     config = tyro.cli(AnnotateConfig, prog="gof capture annotate", args=argv)
-    notes = annotate(Dataset.open(config.dataset), BoardTemplate.load(config.template), config.footage, config.cameras)
+    template, points = BoardTemplate.load(config.template), {}
+    if config.board_points is not None:
+        if not config.footage:
+            raise GofError("--board-points: are pixels of the videos as stored; give these with --footage")
+        names = distinct_names(config.footage)
+        marked = read_board_points(config.board_points, template, names)
+        points = {names.index(name): found for name, found in marked.items()}
+    notes = annotate(Dataset.open(config.dataset), template, config.footage, config.cameras, points)
     for name, note in notes.items():
         print(f"{name}: {note}")
     if config.json:

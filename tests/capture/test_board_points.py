@@ -13,9 +13,11 @@ from gof.capture.signals import read_signals
 from gof.capture.synthetic import SyntheticShot, render
 from gof.capture.template import BoardTemplate
 from gof.cli import main as gof
+from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.pictures import write_picture
 from gof_benchmark.evidence.capture_accuracy import errors
+from tests.conftest import look_at, write_dataset
 
 BOARD = BoardTemplate.load("gof_board")
 SHOT = SyntheticShot(width=400, height=560, marker_px=42, centre=(0.48, 0.72), row_time=4.0)
@@ -109,3 +111,24 @@ def test_marks_that_fit_no_board_are_refused_by_name(tmp_path, capsys):
     ring = ["--template", "rocsync", "--board-points", str(tmp_path / "points.json")]
     assert gof(["capture", "sync", str(video), "--out", str(tmp_path / "o"), *ring]) != 0
     assert "a ring board" in capsys.readouterr().err
+
+
+def test_annotate_takes_marked_points(tmp_path, capsys):
+    """Whatever flickers on a board with half a marker is masked, and not much else: as on one with a whole marker."""
+    whole = np.stack(list(render(SHOT, BOARD, 16)))
+    videos = [film(tmp_path / "cam", SHOT, frames=16), tmp_path / "other"]
+    videos[1].mkdir()
+    for k, picture in enumerate(whole):
+        write_picture(videos[1] / f"{k:03d}.png", picture[..., None].repeat(3, -1))
+    cameras = [look_at(f"cam_{c}", (0.3 * c, -3, 1), (0, 0, 1), 400, 560, 500.0) for c in range(2)]
+    dark = np.zeros((4, 2, 560, 400, 3))
+    folder = write_dataset(tmp_path / "data", cameras, dark, dark[0], 0.0025 * np.arange(4))
+    (tmp_path / "points.json").write_text(json.dumps({"cam": marks(SHOT, (2, 3), (0, 4, 9))}))
+    command = ["capture", "annotate", str(folder), "--template", "gof_board", "--board-points"]
+    command += [str(tmp_path / "points.json")]
+    assert gof([*command, "--footage", *map(str, videos)]) == 0
+    assert capsys.readouterr().out.count("board mask, ") == 2
+    half, all_of_it = (Dataset.open(folder).board_weight(c) for c in range(2))
+    assert half[np.ptp(whole.astype(np.int16), axis=0) > 30].max() < 0.05
+    assert ((half < 0.5) & (all_of_it < 0.5)).sum() > 0.8 * ((half < 0.5) | (all_of_it < 0.5)).sum()
+    assert gof(command) == 1 and "--footage" in capsys.readouterr().err
