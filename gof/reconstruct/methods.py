@@ -53,6 +53,8 @@ class Rates:
         color, plate: display values; a plate's is 0 where plates stay as they are.
         t_mu, log_t_sigma, scale, rotation, opacity: of the raw parameters (`gof.reconstruct.parameters`).
         beta_2: how slowly Adam forgets the size of gradients.
+        held: steps after which a Gaussian's rates, its position's aside, fall as 1 / step. At full rates a long run
+            learns the training frames ever better and the ones between them worse. None: they never fall.
     """
 
     lengths: Literal["voxels", "extent"]
@@ -66,6 +68,7 @@ class Rates:
     color: float
     plate: float
     beta_2: float
+    held: int | None
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,7 @@ OURS = Method(
         color=0.01,
         plate=0.001,
         beta_2=0.99,
+        held=2500,
     ),
 )
 
@@ -172,6 +176,7 @@ PAPER = Method(
         color=0.0025 * SH_COLOR,  # 3DGS
         plate=0.0,
         beta_2=0.999,  # Adam's own
+        held=None,
     ),
 )
 

@@ -52,24 +52,24 @@ class Schedule:
     plate_loss: float = 1.0
     seed: int = 0  # of the order of the pictures
 
-    def raw_rates(self, units: Units) -> dict[str, float]:
-        """Learning rate of each raw parameter (see `parameters`) at the first step, in m and s."""
-        rates = self.rates
-        return {
-            "x0": rates.position[0] * units.voxel_size,
-            "velocity": rates.velocity * units.voxel_size / units.frame_time_s,
-            "t_mu": rates.t_mu * units.frame_time_s,
-            "log_t_sigma": rates.log_t_sigma,
-            "scale": rates.scale,
-            "rotation": rates.rotation,
-            "opacity": rates.opacity,
-            "color": rates.color,
-        }
+    def raw_rates(self, units: Units, step: int = 0) -> dict[str, float]:
+        """Learning rate of each raw parameter (see `parameters`) at a step, in m and s.
 
-    def position_rate(self, units: Units, step: int) -> float:
-        """The position's rate falls exponentially from the first to the last step. m."""
-        first, last = self.rates.position
-        return first * units.voxel_size * (last / first) ** (step / max(self.iterations, 1))
+        The position's falls exponentially from the first to the last step.
+        """
+        rates = self.rates
+        first, last = rates.position
+        falls = 1.0 if rates.held is None else min(1.0, rates.held / max(step, 1))
+        return {
+            "x0": first * units.voxel_size * (last / first) ** (step / max(self.iterations, 1)),
+            "velocity": falls * rates.velocity * units.voxel_size / units.frame_time_s,
+            "t_mu": falls * rates.t_mu * units.frame_time_s,
+            "log_t_sigma": falls * rates.log_t_sigma,
+            "scale": falls * rates.scale,
+            "rotation": falls * rates.rotation,
+            "opacity": falls * rates.opacity,
+            "color": falls * rates.color,
+        }
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def optimize(
     held_out = None
     for step in range(start, schedule.iterations):
         f, c = pictures.drawn(schedule.seed, step)
-        flame.optimizer.set_learning_rate({"x0": schedule.position_rate(units, step)})
+        flame.optimizer.set_learning_rate(schedule.raw_rates(units, step))
         drawn = flame.drawn(f, c)
         loss = _loss(drawn, pictures, f, c, schedule.alpha_loss)
         loss += schedule.plate_loss * surroundings.moved(c, flame.optimizer)
