@@ -52,6 +52,7 @@ ROWS: dict[str, Method] = {
     "bright flame alone": replace(OURS, faint_flame=False),
     "plates in the dark": replace(OURS, lit_plates=False, faint_flame=False),
     "plates stay as they are": _rates(plate=0.0),
+    "rates that do not fall": _rates(held=None),
     "seeds in half of the voxels": _seeding(by_emission=False),
     "lives of four frame times": _seeding(short_lives=False),
     "seeds of opacity 0.4": _seeding(opacity=PAPER.seeding.opacity),
