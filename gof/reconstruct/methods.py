@@ -19,6 +19,7 @@ from gof.cameras import Camera
 MethodName = Literal["gof", "paper"]
 SceneName = Literal["plates", "gaussians"]  # what the flame is drawn in, see `gof.reconstruct.surroundings`
 
+LAST_SHARE = 0.1  # of a rate, at the last step of a run that is longer than `held`
 FRAME_MS = 2.5  # of the paper's captures, at 400 Hz; the authors' rates are per ms, ours per frame time
 SH_COLOR = 0.28209479  # display value of a unit of 3DGS' constant colour coefficient
 
@@ -53,8 +54,8 @@ class Rates:
         color, plate: display values; a plate's is 0 where plates stay as they are.
         t_mu, log_t_sigma, scale, rotation, opacity: of the raw parameters (`gof.reconstruct.parameters`).
         beta_2: how slowly Adam forgets the size of gradients.
-        held: steps after which a Gaussian's rates, its position's aside, fall as 1 / step. At full rates a long run
-            learns the training frames ever better and the ones between them worse. None: they never fall.
+        held: steps after which a Gaussian's other rates fall, too, exponentially to `LAST_SHARE` at the last step; at
+            full rates a long run learns the training frames ever better and the ones between them worse. None: never.
     """
 
     lengths: Literal["voxels", "extent"]

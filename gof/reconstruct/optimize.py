@@ -17,7 +17,7 @@ from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.density import DensityControl
-from gof.reconstruct.methods import Rates, cameras_extent
+from gof.reconstruct.methods import LAST_SHARE, Rates, cameras_extent
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.parameters import from_raw, splats, to_raw
 from gof.reconstruct.surroundings import Drawn, Surroundings
@@ -55,11 +55,12 @@ class Schedule:
     def raw_rates(self, units: Units, step: int = 0) -> dict[str, float]:
         """Learning rate of each raw parameter (see `parameters`) at a step, in m and s.
 
-        The position's falls exponentially from the first to the last step.
+        The position's falls exponentially from the first to the last step, the others from `Rates.held` on.
         """
-        rates = self.rates
+        rates, falls = self.rates, 1.0
         first, last = rates.position
-        falls = 1.0 if rates.held is None else min(1.0, rates.held / max(step, 1))
+        if rates.held is not None and step > rates.held:
+            falls = LAST_SHARE ** ((step - rates.held) / max(self.iterations - rates.held, 1))
         return {
             "x0": first * units.voxel_size * (last / first) ** (step / max(self.iterations, 1)),
             "velocity": falls * rates.velocity * units.voxel_size / units.frame_time_s,
