@@ -19,6 +19,7 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
 from gof.flame_mask import flame_mask
 from gof.precision import require_digits
+from gof.reconstruct.lit_plate import faint_flame
 from gof.reconstruct.observation import light_above, was_delivered
 from gof.reconstruct.voxels import flame_box
 
@@ -78,7 +79,8 @@ def window_share(dataset: Dataset) -> float:
     """
     shares = []
     for view in _views(dataset):
-        rows, columns = np.nonzero(view.mask.any(0))
+        mask, _ = faint_flame(view.static, view.image, view.mask, np.zeros((len(view.image), 1, 1), bool))
+        rows, columns = np.nonzero(mask.any(0))
         if len(rows):
             sides = np.array([np.ptp(rows), np.ptp(columns)]) + 1
             shares.append(np.minimum(WINDOW_ROOM * sides / view.static.shape[:2], 1))
