@@ -14,14 +14,17 @@ def flame_mask(
     """(H, W) bool: where flame may be, closed and grown by `grow_px`.
 
     Flame raises red most, and so does the light it throws on its surroundings, only less. Hence hysteresis: regions
-    whose rise in red, and in red over blue, is above `weak` everywhere and above `strong` somewhere.
+    whose rise in red, and in red over blue, is above `weak` everywhere and above `strong` somewhere. An overexposed core
+    is white; so where red rises above `strong` a region goes on, whatever blue does. White light that touches no flame
+    (LEDs) is none.
 
     Args:
         image, static: (H, W, 3) display sRGB in [0, 1], with and without fire.
         weak, strong: display values.
     """
     rise = above_plate(image, static)
-    _, region = cv2.connectedComponents((rise > weak).astype(np.uint8))
+    white_hot = image[..., 0] - static[..., 0] > strong
+    _, region = cv2.connectedComponents(((rise > weak) | white_hot).astype(np.uint8))
     flame = np.isin(region, np.unique(region[rise > strong])) & (region > 0)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow_px + 1, 2 * grow_px + 1))
     return cv2.dilate(cv2.morphologyEx(flame.astype(np.uint8), cv2.MORPH_CLOSE, disc), disc) > 0
