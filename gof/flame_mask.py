@@ -14,9 +14,9 @@ def flame_mask(
     """(H, W) bool: where flame may be, closed and grown by `grow_px`.
 
     Flame raises red most, and so does the light it throws on its surroundings, only less. Hence hysteresis: regions
-    whose rise in red, and in red over blue, is above `weak` everywhere and above `strong` somewhere. An overexposed core
-    is white; so where red rises above `strong` a region goes on, whatever blue does. White light that touches no flame
-    (LEDs) is none.
+    whose rise in red, and in red over blue, is above `weak` everywhere and above `strong` somewhere. An overexposed
+    core is white; so where red rises above `strong` a region goes on, whatever blue does. White light that touches no
+    flame (LEDs) is none.
 
     Args:
         image, static: (H, W, 3) display sRGB in [0, 1], with and without fire.

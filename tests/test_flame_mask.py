@@ -5,7 +5,7 @@ import pytest
 
 from gof.flame_mask import flame_mask
 
-ORANGE, WHITE, GLOW = (0.95, 0.6, 0.2), (1.0, 1.0, 0.95), (0.45, 0.33, 0.25)
+ORANGE, WHITE, GLOW = (0.95, 0.6, 0.2), (1.0, 1.0, 0.95), (0.42, 0.33, 0.25)
 
 
 @pytest.fixture
