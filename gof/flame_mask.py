@@ -31,6 +31,9 @@ def flame_mask(
 
 
 def above_plate(image: np.ndarray, static: np.ndarray) -> np.ndarray:
-    """(..., H, W): how far red, and red over blue, rise above the plate: the smaller of the two, display values."""
-    rise = image - static
-    return np.minimum(rise[..., 0], rise[..., 0] - rise[..., 2])
+    """(..., H, W): how far red, and red over blue, rise above the plate: the smaller of the two, display values.
+
+    0 where green rises more than red, as it does where leaves sway and never where something glows.
+    """
+    red, green, blue = np.moveaxis(image - static, -1, 0)
+    return np.where(green > red, 0.0, np.minimum(red, red - blue))

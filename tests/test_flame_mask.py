@@ -41,5 +41,11 @@ def test_faint_parts_belong_to_a_flame_that_is_bright_somewhere(static):
     assert not alone.any() and beside[10:40, 10:30].all()
 
 
+def test_leaves_are_none(static):
+    leaves = ((10, 30, 10, 30), (0.8, 0.95, 0.3))
+    assert not flame_mask(painted(static, leaves), static).any()
+    assert flame_mask(painted(static, ((10, 30, 10, 30), (0.8, 0.7, 0.3))), static).any(), "red in place of green"
+
+
 def test_a_picture_like_its_plate_has_none(static):
     assert not flame_mask(static, static).any()
