@@ -65,6 +65,7 @@ def save(collection: bpy.types.Collection, path: Path) -> None:
     surroundings.collection.children.link(collection)
     surroundings.world = bpy.context.scene.world
     surroundings.render.filepath = "//"
+    surroundings.view_layers[0].update()  # Blender 5.2 crashes where it writes a scene that was never looked at
     with atomic_path(path) as draft:
         bpy.data.libraries.write(str(draft), {surroundings}, path_remap="NONE", fake_user=True, compress=True)
     bpy.data.scenes.remove(surroundings)
