@@ -87,14 +87,14 @@ def _in_burner(body: Body, spec: SceneSpec) -> str:
 
 def _in_gas(body: Body, spec: SceneSpec) -> str:
     text = (
-        f"{body.name!r} reaches into the domain, {sense.box_text(spec.domain)}, and is no obstacle: gas and flame pass "
-        "through it. If it is in the flame's way, move it, or give it Physics > Fluid > Effector in Blender"
+        f"{body.name!r} is in the domain and no obstacle: gas and flame pass through it. Move it if it is in their "
+        "way, or give it Physics > Fluid > Effector in Blender"
     )
     block = _block(body.triangles, spec)
     if block is None:
         return text
     place, size = (sense.point_text(values) for values in (block.position, block.size))
-    return f"{text}; or put a block there: effects.obstacles, shape box, position {place}, size {size} m"
+    return f"{text}; or list a block: effects.obstacles, shape box, position {place}, size {size} m"
 
 
 def _block(triangles: np.ndarray, spec: SceneSpec) -> Obstacle | None:
