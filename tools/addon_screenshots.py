@@ -3,10 +3,10 @@
     python tools/addon_screenshots.py --result RESULT.npz --dataset DATASET [--out docs/images]
                                       [--work out/addon_window]
 
-Needs Debian's packages blender, python3-numpy, python3-openimageio, xvfb, xdotool and imagemagick. The window is
-drawn by software on a virtual screen. Builds the zip, installs it into an empty user folder and starts that Blender;
-then plays a person: moves the pointer and presses. Every press is checked by what it has done to the scene; a press
-without effect ends the script with an error and a picture of the screen.
+Needs Debian's packages blender, python3-numpy, python3-openimageio, python3-openvdb, xvfb, xdotool and imagemagick.
+The window is drawn by software on a virtual screen. Builds the zip, installs it into an empty user folder and starts
+that Blender; then plays a person: moves the pointer and presses. Every press is checked by what it has done to the
+scene; a press without effect ends the script with an error and a picture of the screen.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ DESELECT = "bpy.ops.object.select_all(action='DESELECT')"  # the active object s
 SIDEBAR = "222x440+1098+60"
 QUESTION = "400x180+310+690"
 IMPORT = (1205, 183)  # in the third panel, when the first two are closed
+EXPORT_VDB, EXPORT_POINTS = (1204, 559), (1204, 580)  # likewise, with a reconstruction, in Solid view
 DIALOG_FOLDER, DIALOG_FIRST_FILE, DIALOG_IMPORT = (720, 48), (500, 105), (1527, 1057)
 FIRST_HEADER, HEADER_STEP = (1152, 97), 28  # of the panels when all are closed
 
@@ -310,6 +311,7 @@ def reconstruction(window: Window, out: Path, result: Path, dataset: Path) -> No
     window.wait(lambda: window.python(f"{THINGS} == 1"), 300)
     window.undone(THINGS)
     window.settle()
+    exports(window)
     window.python("bpy.ops.view3d.view_axis(type='FRONT'); view.shading.type = 'MATERIAL'\nNone")
     select = "thing = scene.objects[0]; bpy.context.view_layer.objects.active = thing; thing.select_set(True)"
     window.python(f"{select}\nscene.frame_set((scene.frame_start + scene.frame_end) // 2)\nNone")
@@ -327,6 +329,30 @@ def reconstruction(window: Window, out: Path, result: Path, dataset: Path) -> No
     window.settle()
     window.rest()
     window.photograph(out / "addon_score.webp", crop="1600x1000+0+0", width=1000)
+
+
+def exports(window: Window) -> None:
+    """OpenVDB files by the file dialog; and why Debian's Blender writes no points, said before the dialog."""
+    folder = window.work / "exported"
+    folder.mkdir()
+    last = window.python("end, scene.frame_end = scene.frame_end, scene.frame_start + 2\nend")
+    window.click(*EXPORT_VDB)
+    window.click(*DIALOG_FOLDER, times=2)
+    window.key("ctrl+a")
+    window.type(f"{folder}/")
+    window.key("Return")
+    time.sleep(3)
+    window.photograph(window.work / "export_dialog.png")
+    window.click(*DIALOG_IMPORT)
+    window.wait(lambda: len(list(folder.glob("*.vdb"))) == 3, 120)
+    window.settle()
+    before = window.python("len(bpy.context.window_manager.windows[0].screen.areas)")
+    window.click(*EXPORT_POINTS)
+    window.photograph(window.work / "no_points.png")
+    assert window.python("len(bpy.context.window_manager.windows[0].screen.areas)") == before, "no dialog has opened"
+    window.python(f"scene.frame_end = {last}\nNone")
+    for path in sorted(folder.glob("*.vdb")):
+        print(f"exported: {path.name}, {path.stat().st_size / 1e6:.1f} MB")
 
 
 def main() -> int:

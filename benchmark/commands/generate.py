@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,7 +15,9 @@ from gof.files import only_run_in, write_json
 from gof.terminal import console
 from gof_benchmark.generator.looks import require_look
 from gof_benchmark.scenes import claim, load_scene
+from gof_blender.pure import look_process
 from gof_blender.pure.checked_json import SpecError
+from gof_blender.pure.child import JobError
 from gof_blender.pure.layout import Layout, leaving
 from gof_blender.pure.sense import require_sense
 from gof_blender.pure.spec import SceneSpec
@@ -102,7 +105,16 @@ def _checked(spec: SceneSpec, layout: Layout) -> list[str]:
         from gof_benchmark.generator import machine
 
         machine.refuse(spec, layout.root)
+        notes += _in_its_scene(spec)
     return notes
+
+
+def _in_its_scene(spec: SceneSpec) -> list[str]:
+    """What the user should know of objects in a .blend of theirs. Raises GofError: it cannot be the surroundings."""
+    try:
+        return look_process.notes(spec, [sys.executable, "-c"])
+    except (SpecError, JobError) as error:
+        raise GofError(f"{spec.name}: {error}") from error
 
 
 def _print_estimate(spec: SceneSpec, layout: Layout, json: Path | None) -> None:

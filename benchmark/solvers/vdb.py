@@ -37,7 +37,7 @@ class FromVdb:
     rate_hz: float
     """Frames per second of the fire's clock; the first is at 0 s."""
     velocity: str = "velocity"
-    """Name of the grid of vectors that moves the gas."""
+    """Name of the grid of vectors that moves the gas, or of three grids of numbers: vel for vel.x, vel.y and vel.z."""
     velocity_m_s: float = 1.0
     """Of one unit in that grid, m/s."""
     metres: float = 1.0
@@ -96,7 +96,8 @@ class Sequence:
         if not self.files:
             raise DataFormatError("no OpenVDB files were named")
         glowing = [config.emission] if config.emission else [config.flame, config.temperature]
-        self.names = [config.velocity, *filter(None, glowing)]
+        self.velocity = self._parts_of_velocity()
+        self.names = [*self.velocity, *filter(None, glowing)]
 
     @cached_property
     def box(self) -> Box:
@@ -120,7 +121,8 @@ class Sequence:
 
     def frame(self, index: int) -> FireFrame:
         config, values = self.config, {name: self._values(self.files[index], name) for name in self.names}
-        velocity = values[config.velocity] * config.velocity_m_s
+        parts = [values[name] for name in self.velocity]
+        velocity = (np.stack(parts, axis=-1) if len(parts) == 3 else parts[0]) * config.velocity_m_s
         if config.emission:
             emission = values[config.emission] / config.metres
         else:
@@ -135,7 +137,7 @@ class Sequence:
     def _values(self, path: Path, name: str) -> np.ndarray:
         """(X, Y, Z) or (X, Y, Z, 3) of the box. Raises DataFormatError: vectors for numbers, or numbers for vectors."""
         grid = self._grid(path, name)
-        vectors = name in (self.config.velocity, self.config.emission)
+        vectors = name in (self.config.velocity, self.config.emission)  # velocity's parts have other names
         values = np.zeros((*self.box.shape, 3) if vectors else self.box.shape, np.float32)
         try:
             grid.copyToArray(values, ijk=self.box.low)
@@ -146,6 +148,16 @@ class Sequence:
                 values[..., axis] += np.roll(values[..., axis], -1, axis)
             values /= 2
         return values
+
+    def _parts_of_velocity(self) -> list[str]:
+        """Names of the one or three grids of velocity in the first file."""
+        name, path = self.config.velocity, self.files[0]
+        try:
+            there = {grid.name for grid in self._vdb.readAllGridMetadata(str(path))}
+        except Exception as error:  # its own types are not exported
+            raise DataFormatError(f"{path}: is no OpenVDB file: {error}") from error
+        ways = [[f"{name}{link}{axis}" for axis in "xyz"] for link in (".", "_", "")]
+        return next((parts for parts in ways if name not in there and there.issuperset(parts)), [name])
 
     def _grid(self, path: Path, name: str) -> Any:
         try:

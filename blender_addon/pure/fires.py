@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Vector = tuple[float, float, float]
 MOST_CELLS = 2048  # along the longest side
 LEAST_SIDE, MOST_SIDE = 1e-3, 1e3
+LEAST_LOGS, MOST_LOGS = 2, 8
 MOST_JET = 100.0  # m/s; faster gas is no longer the incompressible gas of the solver
 
 
@@ -77,7 +78,7 @@ class Fire:
     fuel: str = "propane_high"
     """Name of a preset in FUELS."""
     shape: Literal["disc", "sphere", "logs"] = "disc"
-    """disc: a flat round burner of 1/3 radius height; sphere: a ball; logs: three crossed logs."""
+    """disc: a flat round burner of 1/3 radius height; sphere: a ball; logs: crossed logs."""
     position: Vector = (0.0, 0.0, 0.12)
     """Centre of the emitter, world metres."""
     radius: float = 0.13
@@ -93,8 +94,14 @@ class Fire:
     solver: the same constants at every size, as in specs of version 1: much too fast below a metre."""
     intensity: float = 1.0
     """Factor on the flame's light."""
+    logs: int = 3
+    """How many logs, of the shape logs."""
 
     def __post_init__(self):
+        rule = f"in [{LEAST_LOGS}, {MOST_LOGS}]"
+        require(LEAST_LOGS <= self.logs <= MOST_LOGS, "fire.logs", rule, self.logs)
+        rule = 'left out unless fire.shape is "logs"'
+        require(self.shape == "logs" or self.logs == Fire.logs, "fire.logs", rule, self.logs)
         require(0 <= self.jet_speed <= MOST_JET, "fire.jet_speed", f"in [0, {MOST_JET:g}] m/s", self.jet_speed)
         require(self.fuel in FUELS, "fire.fuel", f"one of {sorted(FUELS)}", self.fuel)
         require(self.radius > 0, "fire.radius", "positive", self.radius)

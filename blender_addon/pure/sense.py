@@ -54,7 +54,7 @@ def require_sense(spec: SceneSpec, files: bool = True) -> list[str]:
 
 def findings(spec: SceneSpec) -> list[Finding]:
     """All that does not make sense. Raises SpecError: files of a fire of grids are wrong."""
-    simulated = [*_burner(spec), *_obstacles(spec)] if isinstance(spec.fire, Fire) else []
+    simulated = [*_burner(spec), *obstacles(spec)] if isinstance(spec.fire, Fire) else []
     return [*simulated, *_cameras(spec), *_room(spec)]
 
 
@@ -89,7 +89,8 @@ def _burner(spec: SceneSpec) -> Iterator[Finding]:
                 )
 
 
-def _obstacles(spec: SceneSpec) -> Iterator[Finding]:
+def obstacles(spec: SceneSpec) -> Iterator[Finding]:
+    """Bodies of the effect that the solver flows around."""
     cell = max(spec.domain.size) / spec.domain.resolution
     low, high = np.array(spec.domain.min), np.array(spec.domain.max)
     for effect in (effect for effect in spec.effects if hasattr(effect, "items")):
@@ -97,10 +98,12 @@ def _obstacles(spec: SceneSpec) -> Iterator[Finding]:
             name, half = f"effects.obstacles.items[{number}]", np.array(item.size) / 2
             centre = np.array(item.position)
             if ((centre + half <= low) | (centre - half >= high)).any():
-                yield Finding(f"{name}.position: {_point(centre)} is outside the domain, {_box(spec.domain)}", True)
+                yield Finding(
+                    f"{name}.position: {point_text(centre)} is outside the domain, {box_text(spec.domain)}", True
+                )
             elif (np.abs(np.array(spec.fire.position) - centre) < half).all():
                 yield Finding(
-                    f"{name}.position: the obstacle stands on the burner at {_point(spec.fire.position)}", True
+                    f"{name}.position: the obstacle stands on the burner at {point_text(spec.fire.position)}", True
                 )
             elif min(item.size) < CELLS_ACROSS * cell:
                 text = (
@@ -123,17 +126,17 @@ def _cameras(spec: SceneSpec) -> Iterator[Finding]:
             burning.append(name)
             continue
         if ((place > low) & (place < high)).all():
-            yield Finding(f"cameras: {name} at {_point(place)} is in the domain, {_box(box)}", False)
+            yield Finding(f"cameras: {name} at {point_text(place)} is in the domain, {box_text(box)}", False)
         if not sees.any():
             blind.append(name)
             continue
         sizes[name] = spec.picture_px[0] * spec.cameras.focal_mm / (2 * HALF_SENSOR) * wide / max(aside, 1e-9)
     if burning:
         away = _length(COLUMN * radius)
-        text = f"cameras: {', '.join(burning)} in the fire at {_point(foot)}; go more than {away} from its axis"
+        text = f"cameras: {', '.join(burning)} in the fire at {point_text(foot)}; go more than {away} from its axis"
         yield Finding(f"{text} (cameras.radius)", True)
     if blind:
-        text = f"cameras: the fire at {_point(foot)} is not in the picture of {', '.join(blind)}"
+        text = f"cameras: the fire at {point_text(foot)} is not in the picture of {', '.join(blind)}"
         yield Finding(f"{text}; change cameras.look_at or cameras.focal_mm, or turn them there", True)
     name = min(sizes, key=sizes.get, default="")
     if name and 0 < sizes[name] < PIXELS_ACROSS:
@@ -151,7 +154,7 @@ def _room(spec: SceneSpec) -> Iterator[Finding]:
         yield Finding(f"domain.min: reaches {_length(-box.min[2])} below the floor, which is at z = 0", True)
     places = dict(zip(spec.cameras.names, positions(spec.cameras), strict=True))
     for name in (name for name, place in places.items() if place[2] <= 0):
-        yield Finding(f"cameras: {name} at {_point(places[name])} is below the floor, which is at z = 0", True)
+        yield Finding(f"cameras: {name} at {point_text(places[name])} is below the floor, which is at z = 0", True)
     if spec.background == "studio":
         return
     large = 'choose the background "studio", which grows with the fire, or a .blend of yours'
@@ -163,22 +166,26 @@ def _room(spec: SceneSpec) -> Iterator[Finding]:
         )
     for axis in (0, 1):
         if box.min[axis] < room.low[axis] or (axis == 0 and box.max[0] > room.high[0]):
-            yield Finding(f"domain: {_box(box)} is larger than the {spec.background}; {large}", True)
+            yield Finding(f"domain: {box_text(box)} is larger than the {spec.background}; {large}", True)
     for name, place in places.items():
         if place[1] > room.high[1]:
-            text = f"cameras: {name} at {_point(place)} stands behind the {room.wall} of the {spec.background}, which "
+            text = (
+                f"cameras: {name} at {point_text(place)} stands behind the {room.wall} of the {spec.background}, which "
+            )
             yield Finding(text + f"stand at y = {room.high[1]:g}; go nearer, or {large}", True)
         elif (place[:2] < room.low[:2]).any() or place[0] > room.high[0]:
-            yield Finding(f"cameras: {name} at {_point(place)} is off the floor and sees its edge; {large}", False)
+            yield Finding(f"cameras: {name} at {point_text(place)} is off the floor and sees its edge; {large}", False)
 
 
 def _length(metres: float) -> str:
     return f"{1000 * metres:.3g} mm" if metres < 0.01 else f"{100 * metres:.3g} cm" if metres < 1 else f"{metres:.3g} m"
 
 
-def _point(place) -> str:
+def point_text(place) -> str:
+    """A place as people write it."""
     return f"({', '.join(f'{round(float(value), 6) + 0.0:.3g}' for value in place)})"
 
 
-def _box(domain: Domain) -> str:
-    return f"{_point(domain.min)} to {_point(domain.max)} m"
+def box_text(domain: Domain) -> str:
+    """A box as people write it."""
+    return f"{point_text(domain.min)} to {point_text(domain.max)} m"

@@ -220,6 +220,8 @@ class SceneSpec:
     def to_dict(self) -> dict:
         """The JSON form; ``from_dict(to_dict())`` gives an equal spec."""
         data = {"schema": SCHEMA, "version": VERSION, **dataclasses.asdict(self)}
+        if data["fire"].get("logs") == Fire.logs:  # a later field: specs without it stay as they were, to the byte
+            del data["fire"]["logs"]
         data["effects"] = [
             {"name": name, **dataclasses.asdict(effect)}
             for name, effect in zip(self.effect_names, self.effects, strict=True)

@@ -18,7 +18,7 @@ def add_socket(tree: bpy.types.NodeTree, name: str, kind: str, output: bool = Fa
 
 
 def input_sockets(tree: bpy.types.NodeTree) -> dict[str, bpy.types.bpy_struct]:
-    """Inputs of a node group by name; a modifier keeps its values under their `identifier`."""
+    """Inputs of a node group by name; for their values in a modifier see `modifier_value`."""
     if hasattr(tree, "interface"):
         return {
             item.name: item
@@ -26,6 +26,21 @@ def input_sockets(tree: bpy.types.NodeTree) -> dict[str, bpy.types.bpy_struct]:
             if item.item_type == "SOCKET" and item.in_out == "INPUT"
         }
     return {item.name: item for item in tree.inputs}
+
+
+def modifier_value(modifier: bpy.types.Modifier, identifier: str) -> tuple[bpy.types.bpy_struct, str]:
+    """Where a modifier of nodes keeps the value of an input: the owner, and the property's name as layouts take it."""
+    if hasattr(modifier, "properties"):  # 5.2 and later
+        return getattr(modifier.properties.inputs, identifier), "value"
+    return modifier, f'["{identifier}"]'
+
+
+def modifier_path(modifier: bpy.types.Modifier, identifier: str) -> str:
+    """Path from the object to that value, for drivers and keyframes."""
+    path = f'modifiers["{modifier.name}"]'
+    if hasattr(modifier, "properties"):
+        return f"{path}.properties.inputs.{identifier}.value"
+    return f'{path}["{identifier}"]'
 
 
 def scene_variable(driver: bpy.types.Driver, name: str, path: str, scene: bpy.types.Scene) -> None:

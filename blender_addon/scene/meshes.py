@@ -115,15 +115,19 @@ def ellipsoid(
     return add(name, vertices, faces, collection, **place)
 
 
-def crossed_logs(name: str, radius: float, collection: bpy.types.Collection, **place) -> bpy.types.Object:
-    """Three round logs leaning on each other like spokes, inside a circle of the given radius about Z."""
+def crossed_logs(
+    name: str, radius: float, collection: bpy.types.Collection, count: int = 3, **place
+) -> bpy.types.Object:
+    """Round logs leaning on each other like spokes, two of them side by side, inside a circle of the radius about Z."""
     vertices, faces, uvs = [], [], []
     thick, segments = radius / 4.5, 14
-    for index in range(3):
-        angle = 2 * math.pi * index / 3 + 0.3
+    reach, aside = (0.88, 0.9 * thick) if count == 2 else (0.97, 0.0)  # two spokes would be one log
+    for index in range(count):
+        angle = 2 * math.pi * index / count + 0.3
         along = np.array([math.cos(angle), math.sin(angle), 0.0])
-        start, end = -0.35 * radius * along + [0, 0, thick * 0.9], 0.97 * radius * along - [0, 0, thick * 0.9]
         side = np.array([-along[1], along[0], 0.0])
+        start, end = -0.35 * radius * along + [0, 0, thick * 0.9], reach * radius * along - [0, 0, thick * 0.9]
+        start, end = start + aside * side, end + aside * side
         up = np.cross((end - start) / np.linalg.norm(end - start), side)
         first = len(vertices)
         for centre in (start, end):

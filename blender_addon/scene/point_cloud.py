@@ -23,16 +23,26 @@ class CloudInputs:
         self._sockets = compat.input_sockets(modifier.node_group)
 
     def __getitem__(self, name: str) -> float | int:
-        return self.modifier[self.identifier(name)]
+        owner, path = self.place(name)
+        return owner.path_resolve(path)
 
     def __setitem__(self, name: str, value: float) -> None:
         # A whole number stays one: Blender refuses to read the other kind.
-        self.modifier[self.identifier(name)] = type(self[name])(value)
+        owner, path = self.place(name)
+        value = type(self[name])(value)
+        if path.startswith("["):
+            owner[self._sockets[name].identifier] = value
+        else:
+            setattr(owner, path, value)
         self.thing.update_tag()
 
-    def identifier(self, name: str) -> str:
-        """Key of the modifier's property, for layouts, drivers and keyframes."""
-        return self._sockets[name].identifier
+    def place(self, name: str) -> tuple[bpy.types.bpy_struct, str]:
+        """Owner and property, for layouts."""
+        return compat.modifier_value(self.modifier, self._sockets[name].identifier)
+
+    def path(self, name: str) -> str:
+        """Path from the object, for drivers and keyframes."""
+        return compat.modifier_path(self.modifier, self._sockets[name].identifier)
 
 
 def inputs(thing: bpy.types.Object | None) -> CloudInputs | None:
@@ -78,8 +88,7 @@ def add_view(mesh: bpy.types.Mesh, name: str) -> bpy.types.Object:
     thing.visible_shadow = False  # fire casts no shadow
     modifier = thing.modifiers.new(gaussian_nodes.NAME, "NODES")
     modifier.node_group = gaussian_nodes.node_group()
-    rate = inputs(thing).identifier("Frame Rate")
-    driver = thing.driver_add(f'modifiers["{modifier.name}"]["{rate}"]').driver
+    driver = thing.driver_add(inputs(thing).path("Frame Rate")).driver
     compat.scene_variable(driver, "fps", "render.fps", scene)
     compat.scene_variable(driver, "base", "render.fps_base", scene)
     driver.expression = "fps / base"  # a simple expression: runs even where Python in files is not allowed

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..pure import cost_model
+from ..pure import cost_model, look_process
 from ..pure import spec as spec_file
 from ..pure.checked_json import SpecError
 from ..pure.dataset_process import Job, expected_s, left_s
@@ -16,7 +16,8 @@ from ..pure.layout import Layout, leaving
 from ..pure.presets import PRESETS
 from ..pure.sense import require_sense
 from ..pure.spec import BACKGROUND, BlendFile, SceneSpec
-from ..scene import place
+from ..scene import bodies, place
+from ..scene.backgrounds import blend_file
 from ..scene.view import require_display
 from . import scene_spec
 from .job_operator import JobOperator, blender
@@ -166,12 +167,15 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
     def begin(self, context) -> Job:
         """A job whose folder is claimed and which fits this machine."""
         spec, layout = planned(context.scene)
-        for note in require_sense(spec, files=not _brings_its_scene(spec, layout)):
-            self.report({"WARNING"}, note)
+        notes = require_sense(spec, files=not _brings_its_scene(spec, layout))
         require_display(spec.display)
         layout.require_free(spec)
         if not layout.bake_marker.is_file():
             cost_model.require_room(spec, layout.root)
+            brings = _brings_its_scene(spec, layout)
+            notes += _in_this_scene(context, spec, again=True) if brings else look_process.notes(spec, blender())
+        for note in notes:
+            self.report({"WARNING"}, note)
         layout.claim(spec)
         if _brings_its_scene(spec, layout) and not layout.bake_marker.is_file():
             _copy_scene(context.scene, layout.background)
@@ -301,6 +305,8 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
             write_lines(layout, context, f"Finished {made}: see the report", "CHECKMARK")
             return
         _draw_cost(layout.box(), context, spec, folders)
+        if _brings_its_scene(spec, folders) and not folders.bake_marker.is_file():
+            notes += _in_this_scene(context, spec, again=False)
         for note in (*notes, *_unused(context.scene), *leaving(folders)):
             write_lines(layout, context, note, "INFO")
         text = "Resume" if folders.spec.is_file() else "Bake & Render"
@@ -322,6 +328,24 @@ def loss(job: Job) -> list[str]:
         done = f"The bake is {100 * job.share:.0f} % done. Stopped now, it would start over."
         return ["Stop the benchmark?", done, "Esc goes on with it."]
     return ["Stop the benchmark?", "Finished pictures stay; Resume goes on there.", "Esc goes on with it."]
+
+
+_seen: tuple[tuple, list[str]] = ((), [])  # what the panel has said last of this scene's objects, and of which
+
+
+def _in_this_scene(context, spec: SceneSpec, again: bool) -> list[str]:
+    """What the user should know of this scene's objects in the fire's domain.
+
+    A panel, which is drawn all the time, looks ``again`` only where an object has moved or changed its size.
+    """
+    global _seen
+    scene, graph = context.scene, context.view_layer.depsgraph
+    things = {thing for thing in scene.objects if not blend_file.stays_out(thing)}
+    to_ours = place.to_our_world(place.find(scene, place.PLACE).matrix_world, scene.unit_settings.scale_length)
+    these = bodies.signature(spec, graph, things, to_ours)
+    if again or these != _seen[0]:
+        _seen = these, bodies.notes(spec, graph, things, to_ours)
+    return list(_seen[1])
 
 
 def _brings_its_scene(spec: SceneSpec, layout: Layout) -> bool:

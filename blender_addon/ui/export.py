@@ -1,5 +1,6 @@
 """A reconstruction out again: OpenVDB files, one for each frame, or a point cache, over the scene's frame range."""
 
+import importlib.util
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,6 +61,13 @@ class _CloudExport(ExportHelper):
     def poll(cls, context):
         return point_cloud.inputs(context.object) is not None and "gof_source" in context.object
 
+    def invoke(self, context, event):
+        """Ask for a name, where this Blender can write any such file."""
+        if problem := self.why_not():
+            self.report({"ERROR"}, problem)
+            return {"CANCELLED"}
+        return super().invoke(context, event)
+
     def execute(self, context):
         try:
             said = self.write(context, context.object, Path(bpy.path.abspath(self.filepath)))
@@ -68,6 +76,11 @@ class _CloudExport(ExportHelper):
             return {"CANCELLED"}
         self.report({"INFO"}, said)
         return {"FINISHED"}
+
+    @staticmethod
+    def why_not() -> str | None:
+        """Why this Blender cannot write such files, if it cannot."""
+        raise NotImplementedError
 
     def write(self, context, thing: bpy.types.Object, path: Path) -> str:
         """Write the files; returns a line for the user."""
@@ -86,18 +99,24 @@ class GOF_OT_export_vdb(_CloudExport, bpy.types.Operator):
         name="Voxel (m)", default=0.0, min=0.0, precision=4, description="0: the longest side is 96 voxels"
     )
 
+    @staticmethod
+    def why_not() -> str | None:
+        _find_packages()
+        try:
+            vdb_file.library()
+        except ImportError:
+            return (
+                "This Blender comes without the OpenVDB module for Python: "
+                "use Blender 4.4 or later (Debian: python3-openvdb)"
+            )
+        return None
+
     def draw(self, context):
         number(self.layout, self, "voxel_m")
 
     def write(self, context, thing, path):
-        try:
-            from ..scene import images  # noqa: F401  (the wheel's Blender finds its own Python packages by it)
-
-            import openvdb  # noqa: F401  # isort: skip
-        except ImportError:
-            raise FileFormatError(
-                "this Blender comes without the openvdb module for Python: use 4.4 or later"
-            ) from None
+        if problem := self.why_not():
+            raise FileFormatError(problem)
         recording = Recording.of(context.scene, thing)
         cloud, voxel_m = recording.cloud, self.voxel_m
         if not voxel_m:
@@ -123,6 +142,13 @@ class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
     check_extension = None  # the name says which of the formats
     filter_glob: bpy.props.StringProperty(default="*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
 
+    @staticmethod
+    def why_not() -> str | None:
+        _find_packages()
+        if importlib.util.find_spec("pxr") or bpy.app.build_options.alembic:
+            return None
+        return "This Blender can write neither USD nor Alembic: use 4.2 or later, of blender.org"
+
     def write(self, context, thing, path):
         scene = context.scene
         if path.suffix.lower() == ".abc":
@@ -135,10 +161,7 @@ class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
 
     @staticmethod
     def _usd(scene, thing, path: Path) -> None:
-        try:
-            from ..scene import images  # noqa: F401  (the wheel's Blender finds its own Python packages by it)
-        except ImportError:
-            pass  # Debian's Blender, which may have pxr all the same
+        _find_packages()
         recording = Recording.of(scene, thing)
 
         def frames() -> Iterator[tuple[int, points.Points]]:
@@ -147,6 +170,14 @@ class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
 
         clock = usd_points.Clock(scene.frame_start, scene.frame_end, recording.rate)
         usd_points.write(path, frames(), clock, np.array(thing.matrix_world), scene.unit_settings.scale_length)
+
+
+def _find_packages() -> None:
+    """Let the wheel's Blender find its own Python packages; others do."""
+    try:
+        from ..scene import images  # noqa: F401
+    except ImportError:
+        pass  # Debian's Blender without OpenImageIO, which may have the packages all the same
 
 
 def _with_progress(recording: Recording) -> Iterator[tuple[int, float]]:

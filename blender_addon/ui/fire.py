@@ -4,6 +4,7 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty
 
 from ..pure.checked_json import SpecError
+from ..pure.fires import LEAST_LOGS, MOST_LOGS
 from ..pure.fuels import FUELS
 from ..scene import place
 from . import effect_groups, scene_spec
@@ -101,8 +102,11 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
         items=[
             ("disc", "Disc", "A flat round burner"),
             ("sphere", "Sphere", "A ball"),
-            ("logs", "Logs", "Three crossed logs"),
+            ("logs", "Logs", "Crossed logs"),
         ],
+    )
+    logs: IntProperty(
+        name="Logs", description="How many logs, leaning on each other", default=3, min=LEAST_LOGS, max=MOST_LOGS
     )
     radius: FloatProperty(
         name="Radius (m)", description="Of the burner", default=0.13, min=0.001, soft_max=2, precision=4
@@ -249,8 +253,10 @@ class GOF_PT_fire(SidebarPanel, bpy.types.Panel):
         fire, layout = context.scene.gof.fire, self.layout
         layout.use_property_split, layout.use_property_decorate = True, False
         column = layout.column(align=True)
-        for name in ("fuel", "light", "shape", "speeds"):
+        for name in ("fuel", "light", "speeds", "shape"):
             column.prop(fire, name)
+        if fire.shape == "logs":
+            number(column, fire, "logs")
         for name in ("intensity", "radius", "clearance"):
             number(column, fire, name)
         vector(layout.column(align=True), fire, "domain_size")

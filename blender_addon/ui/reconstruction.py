@@ -243,8 +243,7 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
 
         def show(column, *names):
             for name in names:
-                key = f'["{cloud.identifier(name)}"]'
-                number(column, cloud.modifier, key, UNITS.get(name, name))
+                number(column, *cloud.place(name), UNITS.get(name, name))
 
         column = layout.column(align=True)
         column.label(text=f"{len(context.object.data.vertices):,} Gaussians", icon="POINTCLOUD_DATA")
@@ -264,7 +263,7 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
         if settings.color != "image":
             unit = "s" if settings.color in ("age", "lifetime") else "m/s"
             for name in ("Color Min", "Color Max"):
-                number(column, cloud.modifier, f'["{cloud.identifier(name)}"]', f"{name} ({unit})")
+                number(column, *cloud.place(name), f"{name} ({unit})")
             column.operator("gof.fit_colors")
         column = layout.column(align=True)
         show(column, "Start Frame", "Time Scale")

@@ -38,6 +38,7 @@ def of_settings(scene: bpy.types.Scene) -> SceneSpec:
         light=fire.light,
         speeds=fire.speeds,
         intensity=exact(fire.intensity),
+        logs=fire.logs if fire.shape == "logs" else Fire.logs,
     )
     return SceneSpec(
         "fire",

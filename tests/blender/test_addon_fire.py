@@ -170,7 +170,7 @@ def test_edits_of_the_objects_are_read_back():
         result["spec"] = spec.to_dict()
         from gof_blender.scene import rig
         to_ours = place.to_our_world(marker.matrix_world, 1.0)
-        result["poses"] = max(np.abs(np.array(to_ours @ camera.matrix_world) - np.array(pose)).max()
+        result["poses"] = max(float(np.abs(np.array(to_ours @ camera.matrix_world) - np.array(pose)).max())
                               for camera, pose in zip(place.cameras(scene), rig.poses(spec.cameras)))
         domain.rotation_euler[0] = 0.3
         bpy.context.view_layer.update()

@@ -112,6 +112,7 @@ def test_only_numpy_and_blender_are_imported(built):
         "bl_math",
         "OpenImageIO",
         "openvdb",
+        "pyopenvdb",
         "pxr",
         "_cycles",
     }

@@ -144,7 +144,8 @@ def test_plate_plus_fire_is_the_full_render(toy):
             return render._beauty(render._render(camera, beside))[..., :3]
         full = shot()
         # Display values of an array are those Blender itself saves for its render.
-        scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGB"
+        images.set_format(scene.render.image_settings, "PNG")
+        scene.render.image_settings.color_mode = "RGB"
         scene.render.image_settings.color_depth = "8"
         bpy.data.images["Render Result"].save_render(str(beside.with_name("blender.png")), scene=scene)
         render._write_png(beside.with_name("ours.png"), full)

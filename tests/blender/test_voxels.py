@@ -1,5 +1,11 @@
 """A reconstruction as OpenVDB grids: against closed forms, and as Blender reads the files."""
 
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,6 +14,9 @@ from gof_blender.pure import voxels
 from gof_blender.pure.io.cloud import GaussianCloud
 from tests.blender.runs import in_blender
 from tests.conftest import random_gaussians
+
+ROOT = Path(__file__).resolve().parents[2]
+BLENDER = shutil.which("blender")
 
 
 def cloud(**changes) -> GaussianCloud:
@@ -125,3 +134,66 @@ def test_files_are_where_blender_has_the_cloud(tmp_path):
     assert found["velocity"][1] == pytest.approx(2.0, abs=1e-5)
     assert found["grids"] == ["density", "emission", "velocity"]
     assert np.abs(found["middle"] - centre).max() < 0.08, "Blender's box is of whole leaves of 8 voxels"
+
+
+@pytest.mark.skipif(not BLENDER, reason="no Blender application on this machine (Debian: apt-get install blender)")
+def test_what_debians_blender_writes_is_what_the_wheel_writes(tmp_path):
+    """With Debian's python3-openvdb; without it, and of USD and Alembic, one line says what to do."""
+    random_gaussians(40).save(tmp_path / "some.npz")
+    (tmp_path / "gof_blender").symlink_to(ROOT / "blender_addon")  # the name that the installed package has
+    script = """
+        import sys, json
+        sys.path.insert(0, FOLDER)
+        import bpy, gof_blender
+        gof_blender.register()
+        scene = bpy.context.scene
+        scene.render.fps, scene.frame_start, scene.frame_end = 100, 11, 12
+        bpy.ops.gof.import_result(filepath=FOLDER + "/some.npz", fit="keep")
+        said = {}
+        for name, operator, more in (("vdb", bpy.ops.gof.export_vdb, {"voxel_m": 0.05}),
+                                     ("usdc", bpy.ops.gof.export_points, {}), ("abc", bpy.ops.gof.export_points, {})):
+            try:
+                operator(filepath=f"{FOLDER}/NAME.{name}", **more)
+                said[name] = ""
+            except RuntimeError as error:
+                said[name] = str(error)
+        json.dump(said, open(FOLDER + "/NAME.json", "w"))
+    """
+    script = "\n".join(line[8:] for line in script.splitlines()).replace("FOLDER", repr(str(tmp_path)))
+    (tmp_path / "application.py").write_text(script.replace("NAME", "application"))
+    command = [BLENDER, "-b", "--factory-startup", "--python-exit-code", "1", "--python"]
+    plain = {name: value for name, value in os.environ.items() if name != "OCIO"}  # the wheel's, once it is imported
+    run = subprocess.run(
+        [*command, tmp_path / "application.py"], capture_output=True, text=True, timeout=120, env=plain
+    )
+    assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
+    said = json.loads((tmp_path / "application.json").read_text())
+    if not (tmp_path / "application_0011.vdb").exists():
+        assert (
+            "without the OpenVDB module for Python: use Blender 4.4 or later (Debian: python3-openvdb)" in said["vdb"]
+        )
+        pytest.skip("no python3-openvdb for the Blender application")
+    for name, wanted in (("usdc", "pxr modules for Python: use 4.2"), ("abc", "built without Alembic")):
+        assert (tmp_path / f"application.{name}").exists() or wanted in said[name]
+    pytest.importorskip("bpy", reason="the second Blender")
+    found = in_blender(
+        script.replace("NAME", "wheel")
+        + """
+import numpy as np
+import openvdb
+for frame in ("0011", "0012"):
+    theirs, ours = ({g.name: g for g in openvdb.readAll(f"{sys.argv[1]}/{name}_{frame}.vdb")[0]} for name in
+                    ("application", "wheel"))
+    for name, grid in ours.items():
+        low, high = grid.evalActiveVoxelBoundingBox()
+        values = np.zeros((2, *(np.array(high) - low + 1), 3)[: 4 + (name != "density")], np.float32)
+        grid.copyToArray(values[0], ijk=low)
+        theirs[name].copyToArray(values[1], ijk=low)
+        place = [g.transform.indexToWorld((1, 2, 3)) for g in (grid, theirs[name])]
+        result[f"{name} {frame}"] = [float(np.abs(values[0] - values[1]).max() / values[0].max()), place]
+        """,
+        tmp_path,
+    )
+    assert len(found) == 6
+    for off, (here, there) in found.values():
+        assert off < 1e-5 and here == pytest.approx(there, abs=1e-9)

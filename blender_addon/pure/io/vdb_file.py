@@ -3,16 +3,26 @@
 OpenVDB puts the value of index (i, j, k) at the transform of (i, j, k); ours sits at the cell's centre, index + 0.5.
 The half cell goes into the transform, so that other programs have the grids where they are. Cycles differs: it renders
 the value of index i in the middle between the transforms of i and i + 1 (measured: `tests/blender/test_grid_fire.py`).
-Needs the ``openvdb`` module that Blender ships, never bpy.
+Needs the ``openvdb`` module that Blender ships, or Debian's ``pyopenvdb``; never bpy.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
 from .files import atomic_path
+
+
+def library() -> ModuleType:
+    """OpenVDB's Python module, whatever it is called. Raises ImportError: this Python has none."""
+    try:
+        import openvdb
+    except ImportError:
+        import pyopenvdb as openvdb  # its name until OpenVDB 10
+    return openvdb
 
 
 def write(path: Path, grids: dict[str, np.ndarray], index_to_world: np.ndarray, for_cycles: bool = False) -> None:
@@ -26,8 +36,7 @@ def write(path: Path, grids: dict[str, np.ndarray], index_to_world: np.ndarray, 
     Raises:
         ValueError: a grid of another shape or with NaN.
     """
-    import openvdb
-
+    openvdb = library()
     to_world = np.array(index_to_world, np.float64)
     if not for_cycles:
         to_world[:3, 3] += to_world[:3, :3] @ [0.5, 0.5, 0.5]

@@ -2,8 +2,9 @@
 
 Everything in the file's scene that is visible in renders is brought in and moved so that the chosen empty becomes the
 origin of our world, with the empty's turn about Z undone and the file's unit scale applied: one of its units may be a
-centimetre. Objects stand still, as they are at the file's current frame. Its cameras and fluid domains stay out, and so
-does a fire that the add-on has put there. Of the disk only its pictures come in (`foreign`).
+centimetre. Objects stand still, as they are at the file's current frame. Its cameras, fluid domains and flows stay out,
+and so does a fire that the add-on has put there. An effector of its fluids is an obstacle of our gas, seen or hidden.
+Of the disk only its pictures come in (`foreign`).
 """
 
 from __future__ import annotations
@@ -38,11 +39,12 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     to_ours = place.to_our_world(marker.matrix_world, scale)
     poses = {thing: to_ours @ thing.matrix_world for thing in scene.objects}
     for thing, pose in poses.items():
-        if thing is not marker and _stays_out(thing):
+        if thing is not marker and stays_out(thing):
             bpy.data.objects.remove(thing)  # also for its name, which may be one of ours
             continue
         _place(thing, pose, scale)
-        if thing is marker or not thing.hide_render:  # it may shape others all the same, by a modifier of theirs
+        # What is hidden may shape others all the same, by a modifier of theirs.
+        if thing is marker or is_obstacle(thing) or not thing.hide_render:
             collection.objects.link(thing)
     ours = bpy.context.scene
     ours.world = scene.world
@@ -63,6 +65,7 @@ def save(collection: bpy.types.Collection, path: Path) -> None:
     surroundings.collection.children.link(collection)
     surroundings.world = bpy.context.scene.world
     surroundings.render.filepath = "//"
+    surroundings.view_layers[0].update()  # Blender 5.2 crashes where it writes a scene that was never looked at
     with atomic_path(path) as draft:
         bpy.data.libraries.write(str(draft), {surroundings}, path_remap="NONE", fake_user=True, compress=True)
     bpy.data.scenes.remove(surroundings)
@@ -81,9 +84,16 @@ def _append_scene(path: Path) -> bpy.types.Scene:
     return scene
 
 
-def _stays_out(thing: bpy.types.Object) -> bool:
-    fluid = any(modifier.type == "FLUID" for modifier in thing.modifiers)
+def stays_out(thing: bpy.types.Object) -> bool:
+    """Whether an object of a user's scene is no part of the surroundings."""
+    fluid = any(modifier.type == "FLUID" and modifier.fluid_type in ("DOMAIN", "FLOW") for modifier in thing.modifiers)
     return bool(thing.type == "CAMERA" or fluid or place.part_of(thing))
+
+
+def is_obstacle(thing: bpy.types.Object) -> bool:
+    """Whether gas flows around an object."""
+    effectors = [modifier.effector_settings for modifier in thing.modifiers if modifier.type == "FLUID"]
+    return any(settings and settings.effector_type == "COLLISION" and settings.use_effector for settings in effectors)
 
 
 def _place(thing: bpy.types.Object, pose: Matrix, scale: float) -> None:

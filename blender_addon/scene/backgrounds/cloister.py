@@ -7,7 +7,7 @@ import math
 import bpy
 import numpy as np
 
-from ...pure.fires import Burner
+from ...pure.fires import Fire, GridFire
 from ...pure.spec import SceneSpec
 from .. import material, meshes
 from .lighting import light, sky
@@ -50,7 +50,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     _things(rng, collection, dark, pale)
     _ivy(rng, collection)
     if spec.fire.burner:
-        _hearth(spec.fire.burner, rng, collection, rubble)
+        _hearth(spec.fire, rng, collection, rubble)
     light(collection, (-3.0, -2.2, 4.2), 230.0, 1.6, (0.70, 0.80, 1.0))
     light(collection, (2.9, -1.8, 2.8), 70.0, 1.0, (1.0, 0.86, 0.68))
     for x in (-BAY, BAY):
@@ -205,14 +205,15 @@ def _leaves(rng, name: str, collection, points: np.ndarray, size: float, leaf) -
     meshes.add(name, vertices.tolist(), faces.tolist(), collection, uvs, material=leaf)
 
 
-def _hearth(burner: Burner, rng, collection, rubble) -> None:
-    """Charred logs, where the fire has some, in a ring of stones."""
+def _hearth(fire: Fire | GridFire, rng, collection, rubble) -> None:
+    """Charred logs, as many as the fire has, in a ring of stones."""
+    burner, logs = fire.burner, fire.logs if isinstance(fire, Fire) else Fire.logs
     x, y, z = burner.position
     bark = material.tiles(
         "Char", ((0.035, 0.024, 0.018), (0.015, 0.012, 0.01)), (0.06, 0.022, 0.01), (0.1, 0.03), 0.006, stains=0.7
     )
-    logs = meshes.crossed_logs("Logs", burner.radius, collection, location=(x, y, z - 0.02), material=bark)
-    logs.scale = (1.05, 1.05, 0.95)
+    pile = meshes.crossed_logs("Logs", burner.radius, collection, logs, location=(x, y, z - 0.02), material=bark)
+    pile.scale = (1.05, 1.05, 0.95)
     ring = 1.35 * burner.radius + 0.08
     count = round(2 * math.pi * ring / 0.15)
     for index in range(count):

@@ -45,7 +45,7 @@ def _burner(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     x, y, z = burner.position
     if shape == "logs":
         bark = material.tiles("Bark", ((0.055, 0.035, 0.022), (0.02, 0.014, 0.01)), (0.008, 0.006, 0.005), (0.3, 0.04))
-        meshes.crossed_logs("Logs", 0.97 * burner.radius, collection, location=(x, y, z), material=bark)
+        meshes.crossed_logs("Logs", 0.97 * burner.radius, collection, spec.fire.logs, location=(x, y, z), material=bark)
         return
     steel = material.plain("Steel", (0.10, 0.11, 0.12), 0.45, 0.8)
     if shape == "sphere":

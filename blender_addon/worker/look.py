@@ -1,0 +1,59 @@
+"""Worker that looks into a spec's .blend before anything is made of it.
+
+    python -m gof_blender.worker.look --spec spec.json
+
+Its last line on standard output is ``{"notes": [...]}``: what the maker of the scene should know (`pure.bodies`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import traceback
+from pathlib import Path
+
+from ..pure import spec as scene_spec
+from ..pure.checked_json import SpecError
+from .reporter import leave
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Look, and say what there is; returns the exit status, 2 where the spec or its .blend is wrong."""
+    parser = argparse.ArgumentParser(prog="python -m gof_blender.worker.look", description=__doc__.split("\n")[0])
+    parser.add_argument("--spec", type=Path, required=True, help="scene spec (JSON)")
+    args = parser.parse_args(argv)
+    try:
+        print(json.dumps({"notes": look(scene_spec.load(args.spec))}), flush=True)
+    except SpecError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except Exception:
+        traceback.print_exc()
+        return 1
+    return 0
+
+
+def look(spec: scene_spec.SceneSpec) -> list[str]:
+    """What is to be said of the surroundings, which are built as a dataset has them. Raises SpecError: see `build`."""
+    import bpy
+    from mathutils import Matrix
+
+    from ..scene import bodies
+    from ..scene.backgrounds import blend_file
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    collection = bpy.data.collections.new("Background")
+    bpy.context.scene.collection.children.link(collection)
+    blend_file.build(spec, collection)
+    graph = bpy.context.evaluated_depsgraph_get()
+    return bodies.notes(spec, graph, set(collection.objects), Matrix())
+
+
+def run(argv: list[str]) -> None:
+    """One look as the only work of this process."""
+    leave(main(argv))
+
+
+if __name__ == "__main__":
+    leave(main())
