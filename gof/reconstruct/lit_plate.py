@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from gof.flame_mask import STRONG, WEAK, above_plate, flame_mask
+from gof.flame_mask import STRONG, WEAK, flame_mask
 
 LEAST_SEEN = 1 / 8  # share of the pictures in which a pixel must be free of flame for its median to be believed
 FILL = 1 / 24  # of the height: how far light is carried on behind the flame
@@ -40,7 +40,7 @@ def faint_flame(
     if not often(free).any():
         return bright, plate
     few = slice(None, None, -(-len(images) // NOISE_PICTURES))
-    noise = NOISE_TO_SD * np.median(np.abs(above_plate(images[few], plate)[free[few]]))
+    noise = NOISE_TO_SD * np.median(np.abs(images[few][..., 0] - plate[..., 0])[free[few]])
     weak = min(max(FAINT, LEAST_OVER_NOISE * noise), WEAK)
     strong = min(max(FAINT_SOMEWHERE, 2 * LEAST_OVER_NOISE * noise), STRONG)
     masks = bright | np.stack([flame_mask(image, plate, weak, strong) for image in images])
