@@ -160,7 +160,7 @@ PAPER = """
         def plan():
             paper = Paper()
             system = SimpleNamespace(ui_scale=1.0)
-            context = SimpleNamespace(scene=scene, region=SimpleNamespace(width=220),
+            context = SimpleNamespace(scene=scene, view_layer=bpy.context.view_layer, region=SimpleNamespace(width=220),
                                       preferences=SimpleNamespace(system=system))
             bpy.types.GOF_PT_benchmark._draw_plan(None, context, paper)
             return " ".join(paper.said)
