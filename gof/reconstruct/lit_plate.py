@@ -39,12 +39,21 @@ def faint_flame(
     free = ~(bright | unseen)
     if not often(free).any():
         return bright, plate
-    few = slice(None, None, -(-len(images) // NOISE_PICTURES))
-    noise = NOISE_TO_SD * np.median(np.abs(images[few][..., 0] - plate[..., 0])[free[few]])
+    noise = _noise(images, plate, free)
     weak = min(max(FAINT, LEAST_OVER_NOISE * noise), WEAK)
     strong = min(max(FAINT_SOMEWHERE, 2 * LEAST_OVER_NOISE * noise), STRONG)
     masks = bright | np.stack([flame_mask(image, plate, weak, strong) for image in images])
     return masks, lit_plate(static, images, masks | unseen)
+
+
+def _noise(images: np.ndarray, plate: np.ndarray, free: np.ndarray) -> float:
+    """Standard deviation of red about the plate where `free` (F, H, W) of flame, display values; flame hardly moves it.
+
+    Of NOISE_PICTURES pictures that have a free pixel; there must be one.
+    """
+    some = np.flatnonzero(free.any((1, 2)))
+    few = some[:: -(-len(some) // NOISE_PICTURES)]
+    return NOISE_TO_SD * float(np.median(np.abs(images[few, ..., 0] - plate[..., 0])[free[few]]))
 
 
 def often(free: np.ndarray) -> np.ndarray:

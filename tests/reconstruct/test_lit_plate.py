@@ -1,5 +1,7 @@
 """The plate in the fire's light, against scenes whose light is known."""
 
+import warnings
+
 import cv2
 import numpy as np
 
@@ -96,3 +98,13 @@ def test_where_thrown_light_is_unknown_bright_flame_is_all():
     unseen = np.ones((len(images), 1, 1), bool)
     masks, plate = faint_flame(static, images, bright, unseen)
     assert np.array_equal(masks, bright) and np.allclose(plate, static)
+
+
+def test_noise_is_read_off_pictures_that_were_delivered():
+    """Where those that would be taken are none: no NaN, no warning, the same masks for the others."""
+    static, _, images, bright, faint = faint_beside_bright()
+    unseen = (np.arange(len(images)) % 2 == 0)[:, None, None]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        masks, plate = faint_flame(static, images, bright, unseen)
+    assert np.isfinite(plate).all() and masks[1::2][faint[1::2]].all()
