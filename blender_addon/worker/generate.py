@@ -29,7 +29,6 @@ import os
 import shutil
 import sys
 import time
-import traceback
 from pathlib import Path
 
 from ..pure import spec as scene_spec
@@ -39,7 +38,7 @@ from ..pure.effects import encodes, shows_board
 from ..pure.io.files import write_json
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
-from .reporter import Reporter, leave, peak_mb, run_alone
+from .reporter import Reporter, exit_status, leave, peak_mb, run_alone
 
 GENERATOR_VERSION = "0.2.0"
 
@@ -227,19 +226,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--stage", choices=STAGES, required=True)
     args = parser.parse_args(argv)
     layout = Layout(args.out.resolve())
-    try:
+
+    def work() -> None:
         spec = scene_spec.load(args.spec)
         progress = Reporter(args.stage, layout.log(args.stage))
         os.chdir(layout.hidden)  # Mantaflow leaves files where it runs
         STAGES[args.stage](spec, layout, progress)
         progress.line(cost={"cpu_s": time.process_time(), "peak_mb": peak_mb()})
-    except SpecError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except Exception:
-        traceback.print_exc()
-        return 1
-    return 0
+
+    return exit_status(work, SpecError)
 
 
 def run(argv: list[str]) -> None:

@@ -18,8 +18,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
-import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +26,7 @@ from ..pure.description import FILE, DatasetDescription
 from ..pure.io import FileFormatError, gaussians_file
 from ..pure.io.files import atomic_path
 from ..pure.spec import SceneSpec
-from .reporter import Reporter, leave
+from .reporter import Reporter, exit_status, leave
 
 
 def read_spec(dataset: Path) -> SceneSpec:
@@ -212,15 +210,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("result", "dataset", "blend", "preview"):
         if getattr(args, name) is not None:
             setattr(args, name, getattr(args, name).resolve())
-    try:
-        run(args)
-    except FileFormatError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except Exception:
-        traceback.print_exc()
-        return 1
-    return 0
+    return exit_status(lambda: run(args), FileFormatError)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-import traceback
 from pathlib import Path
 
 from ..pure import spec as scene_spec
 from ..pure.checked_json import SpecError
-from .reporter import leave
+from .reporter import exit_status, leave
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -23,15 +21,11 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gof_blender.worker.look", description=__doc__.split("\n")[0])
     parser.add_argument("--spec", type=Path, required=True, help="scene spec (JSON)")
     args = parser.parse_args(argv)
-    try:
+
+    def work() -> None:
         print(json.dumps({"notes": look(scene_spec.load(args.spec))}), flush=True)
-    except SpecError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except Exception:
-        traceback.print_exc()
-        return 1
-    return 0
+
+    return exit_status(work, SpecError)
 
 
 def look(spec: scene_spec.SceneSpec) -> list[str]:

@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import threading
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 
@@ -41,6 +42,20 @@ def peak_mb() -> float | None:
     except ModuleNotFoundError:  # Windows
         return None
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # macOS counts bytes
+
+
+def exit_status(work: Callable[[], None], *wrong: type[Exception]) -> int:
+    """Do the work, and return the status to end with: 0; 2 where it raised one of `wrong`, which is what its caller can
+    mend and is said in a line; 1 after anything else, with its traceback."""
+    try:
+        work()
+    except wrong as error:
+        print(error, file=sys.stderr)
+        return 2
+    except Exception:
+        traceback.print_exc()
+        return 1
+    return 0
 
 
 def leave(status: int) -> None:

@@ -8,15 +8,13 @@ Progress goes to standard output as lines ``{"progress": {"stage": "score", "don
 from __future__ import annotations
 
 import argparse
-import sys
-import traceback
 from pathlib import Path
 
 from ..pure import dve
 from ..pure.io import FileFormatError, gaussians_file
 from ..pure.io.records import write_record
 from ..pure.scores import Scores
-from .reporter import Reporter, leave, run_alone
+from .reporter import Reporter, exit_status, leave, run_alone
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -27,25 +25,23 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="scores.json to write")
     parser.add_argument("--clip-seconds", type=float, default=0.0, help="of a file whose time runs from 0 to 1")
     args = parser.parse_args(argv)
+    return exit_status(lambda: score(args), FileFormatError, OSError)
+
+
+def score(args: argparse.Namespace) -> None:
+    """Score frame by frame, and write what came out. Raises FileFormatError, OSError: a file that says no score."""
     progress = Reporter("score", args.out.with_suffix(".log"))
+    cloud = gaussians_file.load(
+        args.result, gaussians_file.Clock(dve.frame_rate(args.dataset), args.clip_seconds or None)
+    )
+    scores = Scores()
     try:
-        rate = dve.frame_rate(args.dataset)
-        cloud = gaussians_file.load(args.result, gaussians_file.Clock(rate, args.clip_seconds or None))
-        scores = Scores()
         for done, total, so_far in dve.score(cloud, args.dataset):
             scores = so_far
             progress(done, total)
-        write_record(args.out, scores)
-    except (FileFormatError, OSError) as error:
-        print(f"score: {error}", file=sys.stderr)
-        return 2
-    except MemoryError:
-        print("score: not enough memory for the true velocity around the Gaussians of one frame", file=sys.stderr)
-        return 2
-    except Exception:
-        traceback.print_exc()
-        return 1
-    return 0
+    except MemoryError as error:
+        raise FileFormatError("not enough memory for the true velocity around the Gaussians of one frame") from error
+    write_record(args.out, scores)
 
 
 def run(argv: list[str]) -> None:
