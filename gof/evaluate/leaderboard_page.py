@@ -152,7 +152,10 @@ def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str, gri
     charts = pareto_figures(rows)
     keys, best = used_columns(rows), best_rows(rows)
     cells = [
-        [{"text": row.text(key), "value": getattr(row, key), "best": best.get(key) == i} for key in keys]
+        [
+            {"text": row.text(key), "value": getattr(row, key), "mark": "best" if best.get(key) == i else ""}
+            for key in keys
+        ]
         for i, row in enumerate(rows)
     ]
     environment = Environment(loader=PackageLoader("gof.evaluate", "."), autoescape=True, undefined=StrictUndefined)

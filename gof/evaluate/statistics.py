@@ -149,8 +149,9 @@ def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
 # ---------------------------------------------------------------- who is better
 
 
-def ranks(means: Sequence[float], doubts: np.ndarray, better: int) -> list[int]:
-    """Places of methods: 1 + the number of methods that are better beyond doubt. Who cannot be told apart shares one.
+def ranks(means: Sequence[float], doubts: np.ndarray, better: int) -> list[tuple[int, int]]:
+    """The best and the worst place that a method may have: behind all that are better beyond doubt, before all that are
+    worse beyond doubt. Who cannot be told apart shares places.
 
     Args:
         means: of each method.
@@ -160,7 +161,9 @@ def ranks(means: Sequence[float], doubts: np.ndarray, better: int) -> list[int]:
     """
     told = apart(doubts)
     ahead = better * np.subtract.outer(np.asarray(means, np.float64), means) > 0  # [i, j]: i is better than j
-    return [1 + int((told[:, j] & ahead[:, j]).sum()) for j in range(len(means))]
+    surely_ahead = told & ahead
+    best, worst = 1 + surely_ahead.sum(0), len(means) - surely_ahead.sum(1)
+    return list(zip(best.tolist(), worst.tolist(), strict=True))
 
 
 def apart(doubts: np.ndarray) -> np.ndarray:

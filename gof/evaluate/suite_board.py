@@ -7,7 +7,7 @@ on the same frames of the same scenes, difference by difference (`gof.evaluate.s
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import ClassVar
 
@@ -50,7 +50,8 @@ class Figure:
     Attributes:
         half_width: of its 95 % interval; None where nobody can say.
         seed_sd: standard deviation over runs of one scene, mean over scenes; None with one run each.
-        rank: shared by methods that cannot be told apart; None for those that do not compete.
+        rank, last_rank: the best and the worst place that it may have, shared with methods that it cannot be told apart
+            from; None for those that do not compete.
         wins: scenes where its mean is the best of all.
     """
 
@@ -58,6 +59,7 @@ class Figure:
     half_width: float | None = None
     seed_sd: float | None = None
     rank: int | None = None
+    last_rank: int | None = None
     wins: int | None = None
 
 
@@ -130,9 +132,7 @@ def _row(
     for key in RANKED:
         estimate, seed_sd = _estimate(key, name, here)
         if estimate is not None:
-            place = places[key].get(name)
-            rank, wins = (place.rank, place.wins) if place else (None, None)
-            figures[key] = Figure(estimate.mean, estimate.half_width, seed_sd, rank, wins)
+            figures[key] = placed(Figure(estimate.mean, estimate.half_width, seed_sd), places[key].get(name))
     return BoardRow(
         name=name,
         what="; ".join(filter(None, (about.code, about.commit, about.licence, about.hardware))),
@@ -216,6 +216,11 @@ def difference(key: str, first: str, second: str, scene: ScoredScene) -> Estimat
     return Estimate(frames.mean, float(np.sqrt(frames.standard_error**2 + seeds)), frames.degrees)
 
 
+def placed(figure: Figure, place: Figure | None) -> Figure:
+    """The figure with the ranks and wins of `place`; None: it has none."""
+    return figure if place is None else replace(figure, rank=place.rank, last_rank=place.last_rank, wins=place.wins)
+
+
 def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, Figure]:
     """Mean, rank and wins of the methods that have the figure everywhere; empty with fewer than two."""
     sign = COLUMNS[key].better
@@ -232,8 +237,8 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
     per_scene = np.array([[_estimate(key, name, [scene])[0].mean for name in names] for scene in scenes])
     wins = (per_scene == (sign * per_scene).max(1, keepdims=True) * sign).sum(0)
     return {
-        name: Figure(mean, rank=rank, wins=int(won))
-        for name, mean, rank, won in zip(names, means, order, wins, strict=True)
+        name: Figure(mean, rank=first, last_rank=last, wins=int(won))
+        for name, mean, (first, last), won in zip(names, means, order, wins, strict=True)
     }
 
 
@@ -247,9 +252,8 @@ def _alone(scene: ScoredScene, methods: dict[str, AboutMethod], whose: dict[str,
         for name in names:
             estimate, seed_sd = _estimate(key, name, [scene])
             if estimate is not None:
-                place = places.get(name)
-                rank = place.rank if place else None
-                figures[name][key] = Figure(estimate.mean, estimate.half_width, seed_sd, rank)
+                figure = placed(Figure(estimate.mean, estimate.half_width, seed_sd), places.get(name))
+                figures[name][key] = replace(figure, wins=None)  # of one scene they say nothing
     clip_s = scene.times_s[-1] - scene.times_s[0]
     eddy = scene.eddy_time
     eddies = clip_s / max(eddy.seconds, 1e-9)

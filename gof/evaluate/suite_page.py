@@ -23,14 +23,24 @@ def used(rows: tuple[BoardRow, ...]) -> list[str]:
     return [key for key in RANKED if key in there] + [key for key in there if key not in RANKED]
 
 
-def best(rows: tuple[BoardRow, ...], key: str) -> set[int]:
-    """Numbers of the rows that are first in a column: all that share rank 1, else the one with the best mean."""
-    found = {i: row.figures[key] for i, row in enumerate(rows) if row.competes and key in row.figures}
-    first = {i for i, figure in found.items() if figure.rank == 1}
+def best(figures: Mapping[int, Figure], key: str) -> int | None:
+    """Which of a column's competing figures has the best mean; None where none is better, or there is one alone."""
     sign = COLUMNS[key].better
-    if first or not sign or len(found) < 2 or any(figure.rank for figure in found.values()):
-        return first
-    return {max(found, key=lambda i: sign * found[i].mean)}
+    if not sign or len(figures) < 2:
+        return None
+    return max(figures, key=lambda i: sign * figures[i].mean)
+
+
+def marks_of(figures: Mapping[int, Figure], key: str) -> dict[int, str]:
+    """ "best" for the best mean of a column, "first" for those that may be as good as it: they may be the first."""
+    leader = best(figures, key)
+    may_be = {i: "first" for i, figure in figures.items() if figure.rank == 1}
+    return may_be if leader is None else may_be | {leader: "best"}
+
+
+def competing(rows: tuple[BoardRow, ...], key: str) -> dict[int, Figure]:
+    """The column's figures of the rows that compete, by the row's number."""
+    return {i: row.figures[key] for i, row in enumerate(rows) if row.competes and key in row.figures}
 
 
 def value(key: str, figure: Figure | None) -> str:
@@ -46,7 +56,9 @@ def remark(figure: Figure | None, scenes: int) -> str:
     """Rank, wins and the spread of seeds, where there are any."""
     if figure is None:
         return ""
-    parts = [f"rank {figure.rank}"] if figure.rank else []
+    parts = []
+    if figure.rank:
+        parts = [f"rank {figure.rank}" + (f" to {figure.last_rank}" if figure.last_rank != figure.rank else "")]
     parts += [f"{figure.wins} of {scenes} wins"] if figure.wins is not None and scenes > 1 else []
     parts += [f"seeds ± {figure.seed_sd:.2g}"] if figure.seed_sd is not None else []
     return ", ".join(parts)
@@ -66,9 +78,9 @@ def marks(row: BoardRow) -> tuple[str, str]:
 
 
 def to_markdown(board: SuiteBoard) -> str:
-    """Those that share the first place of a column in bold; rows that do not compete in italics."""
+    """The best mean of a column in bold; rows that do not compete in italics."""
     keys = used(board.rows)
-    marked = {key: best(board.rows, key) for key in keys}
+    leaders = {key: best(competing(board.rows, key), key) for key in keys}
     headings = ["method", "given", "knew before", *(COLUMNS[key].heading for key in keys)]
     lines = [f"| {' | '.join(headings)} |", "|---|---|---|" + "---:|" * len(keys)]
     for i, row in enumerate(board.rows):
@@ -78,7 +90,7 @@ def to_markdown(board: SuiteBoard) -> str:
         for key in keys:
             figure = row.figures.get(key)
             text = " ".join(filter(None, (value(key, figure), _in_brackets(remark(figure, len(board.scenes))))))
-            cells.append(f"**{text}**" if i in marked[key] else text)
+            cells.append(f"**{text}**" if i == leaders[key] else text)
         name = " ".join(filter(None, (name if row.competes else f"*{name}*", _in_brackets(partly(row, board)))))
         lines.append(f"| {name} | {given} | {knew} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
@@ -97,7 +109,7 @@ def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | N
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     keys = used(board.rows)
-    marked = {key: best(board.rows, key) for key in keys}
+    marked = {key: marks_of(competing(board.rows, key), key) for key in keys}
     table = []
     for i, row in enumerate(board.rows):
         cells = [
@@ -105,7 +117,7 @@ def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | N
                 "text": value(key, row.figures.get(key)),
                 "small": remark(row.figures.get(key), len(board.scenes)),
                 "value": row.figures[key].mean if key in row.figures else None,
-                "best": i in marked[key],
+                "mark": marked[key].get(i, ""),
             }
             for key in keys
         ]
@@ -131,6 +143,8 @@ def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | N
 def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None, chart: str | None) -> dict:
     """What the page shows of a scene."""
     keys = [key for key in RANKED if any(key in figures for figures in scene.figures.values())]
+    finished = {name: figures for name, figures in scene.figures.items() if any(one.rank for one in figures.values())}
+    marked = {key: marks_of({name: has[key] for name, has in finished.items() if key in has}, key) for key in keys}
     rows = [
         (
             name,
@@ -138,7 +152,7 @@ def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None, chart: str
                 {
                     "text": value(key, figures.get(key)),
                     "small": remark(figures.get(key), 1),
-                    "best": key in figures and figures[key].rank == 1,
+                    "mark": marked[key].get(name, ""),
                 }
                 for key in keys
             ],

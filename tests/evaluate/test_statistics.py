@@ -104,8 +104,8 @@ def test_holms_procedure():
 
 def test_methods_that_cannot_be_told_apart_share_a_rank():
     doubts = np.array([[1, 0.4, 1e-4], [0.4, 1, 0.3], [1e-4, 0.3, 1]])
-    assert ranks([0.30, 0.35, 0.50], doubts, better=-1) == [1, 1, 2], "the middle one is behind nobody"
-    assert ranks([0.30, 0.35, 0.50], doubts, better=1) == [2, 1, 1]
+    assert ranks([0.30, 0.35, 0.50], doubts, better=-1) == [(1, 2), (1, 3), (2, 3)], "the middle one is behind nobody"
+    assert ranks([0.30, 0.35, 0.50], doubts, better=1) == [(2, 3), (1, 3), (1, 2)]
 
 
 def test_bad_points():
