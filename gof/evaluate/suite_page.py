@@ -32,7 +32,7 @@ def best(figures: Mapping[int, Figure], key: str) -> int | None:
 
 
 def marks_of(figures: Mapping[int, Figure], key: str) -> dict[int, str]:
-    """ "best" for the best mean of a column, "first" for those that may be as good as it: they may be the first."""
+    """How a column's figures are marked: "best" is the best mean, "first" are the others that may be first as well."""
     leader = best(figures, key)
     may_be = {i: "first" for i, figure in figures.items() if figure.rank == 1}
     return may_be if leader is None else may_be | {leader: "best"}

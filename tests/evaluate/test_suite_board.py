@@ -15,8 +15,8 @@ from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import FrameScore, PictureScore, Scores
-from gof.evaluate.suite_board import ScoredScene, SuiteBoard, board, difference
-from gof.evaluate.suite_page import to_html, to_markdown
+from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference
+from gof.evaluate.suite_page import marks_of, remark, to_html, to_markdown
 from gof.evaluate.training_curve import TrainingCurve
 from gof.on_cpu.curve import Curve
 from gof.records import read_record, write_record
@@ -301,3 +301,11 @@ def test_a_curve_that_gof_baseline_wrote_is_read(tmp_path):
     for loss in np.linspace(1, 0.5, 30):
         written.add(loss)
     assert TrainingCurve.read(tmp_path / "curve.csv").step == (10, 20, 30)
+
+
+def test_a_shared_rank_says_how_far_it_reaches():
+    figures = {name: Figure(mean, rank=1, last_rank=2, wins=1) for name, mean in (("a", 0.3), ("b", 0.5))}
+    figures["c"] = Figure(0.9, rank=3, last_rank=3, wins=0)
+    assert [remark(figures[name], 1) for name in "abc"] == ["rank 1 to 2", "rank 1 to 2", "rank 3"]
+    assert marks_of(figures, "l2") == {"a": "best", "b": "first"}, "the mean decides who is bold, not who is shaded"
+    assert marks_of({"a": figures["a"]}, "l2") == {"a": "first"}, "one alone is best of nobody"
