@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from html import escape
 
+import numpy as np
+
 from gof import extras
 from gof.errors import MissingDependencyError
 from gof.evaluate import leaderboard_page
@@ -60,8 +62,13 @@ def remark(figure: Figure | None, scenes: int) -> str:
     if figure.rank:
         parts = [f"rank {figure.rank}" + (f" to {figure.last_rank}" if figure.last_rank != figure.rank else "")]
     parts += [f"{figure.wins} of {scenes} wins"] if figure.wins is not None and scenes > 1 else []
-    parts += [f"seeds ± {figure.seed_sd:.2g}"] if figure.seed_sd is not None else []
+    parts += [f"seeds ± {_two_digits(figure.seed_sd)}"] if figure.seed_sd is not None else []
     return ", ".join(parts)
+
+
+def _two_digits(number: float) -> str:
+    """Two significant digits without an exponent, as the means above it have none."""
+    return np.format_float_positional(number, precision=2, fractional=False, trim="-")
 
 
 def partly(row: BoardRow, board: SuiteBoard) -> str:

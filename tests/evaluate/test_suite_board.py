@@ -200,6 +200,12 @@ def test_frames_that_one_has_not_are_left_out_of_the_pair():
     assert difference("l2", "one", "two", cut).mean == pytest.approx(-0.1)
 
 
+@pytest.mark.parametrize(("spread", "text"), [(0.01, "0.01"), (8.74e-5, "0.000087"), (0.0, "0"), (12.34, "12")])
+def test_a_seeds_spread_has_no_exponent(spread, text):
+    """The means above it have none; "8.7e-05" is read as 8.7 by whoever is in a hurry."""
+    assert remark(Figure(0.5, seed_sd=spread), scenes=1) == f"seeds ± {text}"
+
+
 def test_page_and_tables(tmp_path):
     scenes = [scene(name, one=[0.0, 0.01, 0.02], two=0.1) for name in "abc"]
     found = board("A <b>title</b>", methods("one", "two"), scenes)
