@@ -147,6 +147,7 @@ NOT_AT_TOY_SIZE = {
     "noise_truth": "needs two fires baked by Blender; tests/fires/test_noise_truth.py tests its measures",
     "open_sockets": "runs every command, Blender's too",
     "ordinary_footage": "needs ffmpeg and the paper's clips",
+    "real_depth": "stereo has nothing to match in toy pictures; tests/ingest/test_real_depth.py tests its measures",
     "reliability": "tests/test_reliability.py runs its parts",
     "plate_kinds": "needs the true masks of a generated dataset",
     "render_agreement": "has one size; Mitsuba draws it in minutes",

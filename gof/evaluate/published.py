@@ -102,9 +102,8 @@ def rmse_disparity(drawn: np.ndarray, expected: np.ndarray, flame: np.ndarray) -
     Returns:
         None where nothing is left of the flame, or of `expected`.
     """
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (ERODE_PX, ERODE_PX))
-    inside = cv2.erode(flame.astype(np.uint8), kernel) > 0
-    if not inside.any() or not expected.max() > 0:
+    counts = inside(flame)
+    if not counts.any() or not expected.max() > 0:
         return None
     there = drawn > 0
     shape = np.zeros(drawn.shape)
@@ -115,7 +114,13 @@ def rmse_disparity(drawn: np.ndarray, expected: np.ndarray, flame: np.ndarray) -
     system = np.stack([shape.ravel(), np.ones(shape.size)], 1)
     scale, offset = np.linalg.lstsq(system, target.ravel(), rcond=None)[0]
     error = np.clip(scale * shape + offset, 0, 1) - target
-    return float(np.sqrt((error[inside] ** 2).mean()))
+    return float(np.sqrt((error[counts] ** 2).mean()))
+
+
+def inside(flame: np.ndarray) -> np.ndarray:
+    """(H, W) bool: where depth counts, the flame (H, W) bool eroded by ERODE_PX."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (ERODE_PX, ERODE_PX))
+    return cv2.erode(flame.astype(np.uint8), kernel) > 0
 
 
 def drawn_disparity(state: TransientGaussians, camera: Camera, time_s: float) -> np.ndarray:
