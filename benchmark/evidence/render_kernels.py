@@ -1,10 +1,11 @@
-"""The native kernels against Dr.Jit's: the same steps, in turn, in one process and on one thread.
+"""The native kernels against Dr.Jit's: the same steps, in turn, in one process; on one thread, and on all by the clock.
 
     python -m gof_benchmark.evidence.render_kernels [--quick] [--json FILE]
 
-CPU time, smallest and median of the repetitions. On a shared machine both change from minute to minute; because the two
-take turns their ratio does not. Gaussians lie in random order first, and along the Morton curve (as `gof reconstruct`
-keeps them) second.
+CPU time of one thread, smallest and median of the repetitions. On a shared machine both change from minute to minute;
+because the two take turns their ratio does not. The last line has whole steps on all threads by the clock, which says
+something on a machine that does nothing else: its load is printed. Gaussians lie in random order first, and along the
+Morton curve (as `gof reconstruct` keeps them) second.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from gof_benchmark.evidence.render_speed import KERNEL_GOALS_NS, Training
 KINDS = ("drjit", "native")
 PIXELS = 16  # of a block
 STEP_GOAL = 2.0
+RATE_GOAL = 28  # steps/s by the clock on two cores
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ def drawn_by(kind: str) -> Iterator[None]:
 
 
 def measure(n: int, width: int, height: int, repeats: int, morton: bool) -> dict[str, Any]:
-    """{part: {kind: [CPU ms, ...]}} and the number of (block, Gaussian) pairs."""
+    """{part: {kind: [CPU ms, ...]}}, steps on all threads in wall ms, and the number of (block, Gaussian) pairs."""
     import drjit as dr
 
     gaussians = flame(n)
@@ -77,7 +79,8 @@ def measure(n: int, width: int, height: int, repeats: int, morton: bool) -> dict
         "step without loss, with Adam": _step_without_loss,
         "step": lambda t: t.step(),
     }
-    figures: dict[str, Any] = {}
+    # First, and once: Dr.Jit's own kernels crash when its threads become more again.
+    figures: dict[str, Any] = {"by the clock": _on_all_threads(trainings, repeats)}
     threads = dr.thread_count()
     dr.set_thread_count(1)
     try:
@@ -94,6 +97,20 @@ def measure(n: int, width: int, height: int, repeats: int, morton: bool) -> dict
     finally:
         dr.set_thread_count(threads)
     return figures
+
+
+def _on_all_threads(trainings: dict[str, Training], repeats: int) -> dict[str, list[float]]:
+    """{kind: [wall ms of a step, ...]}."""
+    found: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    for repeat in range(repeats + 2):
+        for kind, training in trainings.items():
+            with drawn_by(kind):
+                start = time.perf_counter()
+                training.step()
+                spent = 1e3 * (time.perf_counter() - start)
+            if repeat >= 2:
+                found[kind].append(spent)
+    return found
 
 
 def _cpu_ms(run: Callable[[], object]) -> float:
@@ -176,7 +193,7 @@ def report(title: str, figures: dict[str, Any]) -> str:
         f"{'':32s}{'Dr.Jit':>18s}{'native':>18s}{'ratio':>8s}{'median':>8s}",
     ]
     for name, kinds in figures.items():
-        if name == "pairs":
+        if name in ("pairs", "by the clock"):
             continue
         ours, theirs = np.array(kinds["native"]), np.array(kinds["drjit"])
         times = "".join(f"{x.min():9.2f} ({np.median(x):6.2f})" for x in (theirs, ours))
@@ -188,6 +205,12 @@ def report(title: str, figures: dict[str, Any]) -> str:
             per_pair = [1e6 * x.min() / pairs for x in (theirs, ours)]
             line += f"  {per_pair[0]:.2f} and {per_pair[1]:.2f} ns per pair, goal {KERNEL_GOALS_NS[direction]}"
         lines.append(line)
+    rates = [1e3 / min(figures["by the clock"][kind]) for kind in KINDS]
+    middle = [1e3 / float(np.median(figures["by the clock"][kind])) for kind in KINDS]
+    lines.append(
+        f"steps/s on {os.cpu_count()} cores by the clock, load {os.getloadavg()[0]:.1f}: best (median) "
+        f"Dr.Jit {rates[0]:.1f} ({middle[0]:.1f}), native {rates[1]:.1f} ({middle[1]:.1f}), goal {RATE_GOAL}"
+    )
     return "\n".join([*lines, ""])
 
 
