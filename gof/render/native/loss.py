@@ -2,7 +2,8 @@
 
 Three stages follow each other at the distance of the window's reach: take in a row; SSIM of a row and its derivatives
 with respect to three local moments, blurred along the row at once; the gradient of a row, from eleven rows of those.
-Only those rows are kept, so everything but the pictures stays in the processor's cache.
+Only those rows are kept, so everything but the pictures stays in the processor's cache. They are kept twice, one ring
+behind the other, and rows outside the picture as zeros: the rows of any window then lie one after the other.
 """
 
 from __future__ import annotations
@@ -22,15 +23,16 @@ W0, W1, W2, W3, W4, W5 = W[: REACH + 1]
 
 
 @part
-def _down(pictures, others, slots, stride, x, first, end, row):
-    """Windowed sums down columns [x, x + 16) of a, a^2 and a b; `slots`: how many rows `pictures` keeps."""
+def _down(pictures, at, others, row, height, stride, x):
+    """Windowed sums down columns [x, x + 16) of a, a^2 and a b; the window's rows of a begin at `at`, 0 outside."""
     mean = square = product = spread(np.float32(0))
-    for k in range(first, end):
-        a = load(pictures, k % slots * stride + x)
-        weighted = a * W[k - row + REACH]
+    for k in range(SPAN):
+        a = load(pictures, at + k * stride + x)
+        weighted = a * W[k]
         mean = mean + weighted
         square = square + weighted * a
-        product = product + weighted * load(others, k * stride + x)
+        other = min(max(row + k - REACH, 0), height - 1)
+        product = product + weighted * load(others, other * stride + x)
     return mean, square, product
 
 
@@ -43,6 +45,19 @@ def _along(row, x):
 
 
 @part
+def _twice(rows, slot, ring, stride):
+    """Write a row once more, a ring further on; by vectors, as a slice goes to its own array by a third place."""
+    for x in range(0, stride, LANES):
+        store(rows, slot + ring + x, load(rows, slot + x))
+
+
+@part
+def _clear(rows, slot, stride):
+    for x in range(0, stride, LANES):
+        store(rows, slot + x, spread(np.float32(0)))
+
+
+@part
 def _row_of(width):
     return np.zeros(width + 2 * REACH, np.float32)
 
@@ -51,10 +66,11 @@ def _row_of(width):
 def moments(image, height, stride, mean, square):
     """Blurred values and squares of a channel (height, stride), whose rows end in zeros."""
     down, down_square = _row_of(stride), _row_of(stride)
+    padded = np.zeros((height + 2 * REACH) * stride, np.float32)
+    padded[REACH * stride : (REACH + height) * stride] = image
     for row in range(height):
         for x in range(0, stride, LANES):
-            first, end = max(row - REACH, 0), min(row + REACH + 1, height)
-            a, aa, _ = _down(image, image, height, stride, x, first, end, row)
+            a, aa, _ = _down(padded, row * stride, image, row, height, stride, x)
             store(down, x + REACH, a)
             store(down_square, x + REACH, aa)
         for x in range(0, stride, LANES):
@@ -84,24 +100,28 @@ def l1_ssim_rows(
     stride,), or one row for all and weight_stride 0; 0 beyond the width.
     """
     height = len(totals)
-    kept = np.zeros(SPAN * stride, np.float32)  # rows of the picture, then zeros
+    ring = SPAN * stride
+    kept = np.zeros(2 * ring, np.float32)  # rows of the picture, then zeros
     down, down_square, down_product = _row_of(stride), _row_of(stride), _row_of(stride)
     d_mean, d_square, d_product = _row_of(stride), _row_of(stride), _row_of(stride)
-    blurred = np.zeros((3, SPAN * stride), np.float32)  # rows of those, blurred along
+    blurred = np.zeros((3, 2 * ring), np.float32)  # rows of those, blurred along
     b_mean, b_square, b_product = blurred[0], blurred[1], blurred[2]
     line, lanes = np.empty(stride, np.float32), np.empty(LANES, np.float32)
     part_l1 = np.float32(1) - part_ssim
     for taken in range(max(begin - 2 * REACH, 0), stop + 2 * REACH):
+        slot = taken % SPAN * stride
         if taken < height:
-            slot = taken % SPAN * stride
-            for x in range(width):
-                kept[slot + x] = image[taken * width + x]
+            kept[slot : slot + width] = image[taken * width : (taken + 1) * width]
+        else:
+            _clear(kept, slot, stride)
+        _twice(kept, slot, ring, stride)
 
         row = taken - REACH
+        slot = row % SPAN * stride
         if max(begin - REACH, 0) <= row < min(stop + REACH, height):
-            first, end = max(row - REACH, 0), min(row + REACH + 1, height)
+            at = (row - REACH) % SPAN * stride
             for x in range(0, stride, LANES):
-                a, aa, ab = _down(kept, truth, SPAN, stride, x, first, end, row)
+                a, aa, ab = _down(kept, at, truth, row, height, stride, x)
                 store(down, x + REACH, a)
                 store(down_square, x + REACH, aa)
                 store(down_product, x + REACH, ab)
@@ -120,33 +140,36 @@ def l1_ssim_rows(
                 store(d_product, x + REACH, w * -2.0 * a1 * r1 * r2)
             if begin <= row < stop:
                 totals[row] += _added(total, lanes)
-            slot = row % SPAN * stride
             for x in range(0, stride, LANES):
                 store(b_mean, slot + x, _along(d_mean, x))
                 store(b_square, slot + x, _along(d_square, x))
                 store(b_product, slot + x, _along(d_product, x))
+        else:
+            for rows in (b_mean, b_square, b_product):
+                _clear(rows, slot, stride)
+        for rows in (b_mean, b_square, b_product):
+            _twice(rows, slot, ring, stride)
 
         row = taken - 2 * REACH
         if begin <= row < stop:
             # The picture's row may have left its ring: it is read again.
-            for x in range(stride):
-                line[x] = image[row * width + x] if x < width else np.float32(0)
-            total = spread(np.float32(0))
+            line[:width] = image[row * width : (row + 1) * width]
+            line[width:] = 0
+            total, slot = spread(np.float32(0)), (row - REACH) % SPAN * stride
             for x in range(0, stride, LANES):
                 g_mean = g_square = g_product = spread(np.float32(0))
-                for k in range(max(row - REACH, 0), min(row + REACH + 1, height)):
-                    at = k % SPAN * stride + x
-                    g_mean = g_mean + load(b_mean, at) * W[k - row + REACH]
-                    g_square = g_square + load(b_square, at) * W[k - row + REACH]
-                    g_product = g_product + load(b_product, at) * W[k - row + REACH]
+                for k in range(SPAN):
+                    at = slot + k * stride + x
+                    g_mean = g_mean + load(b_mean, at) * W[k]
+                    g_square = g_square + load(b_square, at) * W[k]
+                    g_product = g_product + load(b_product, at) * W[k]
                 a, b, w = load(line, x), load(truth, row * stride + x), load(weight, row * weight_stride + x) * part_l1
                 difference = a - b
                 total = total + w * absolute(difference)
                 sign = where(b < a, 1.0, where(a < b, spread(np.float32(-1)), 0.0))
                 store(line, x, g_mean + a * g_square * 2.0 + b * g_product + w * sign)
             totals[row] += _added(total, lanes)
-            for x in range(width):
-                gradient[row * width + x] = line[x]
+            gradient[row * width : (row + 1) * width] = line[:width]
 
 
 @part
