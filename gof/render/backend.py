@@ -24,10 +24,21 @@ BACKEND = os.environ.get("GOF_RENDER_BACKEND", "llvm")
 if BACKEND not in ("llvm", "cuda"):
     raise GofError(f"GOF_RENDER_BACKEND is '{BACKEND}'; use 'llvm' or 'cuda'")
 WORK_UNIT = 2048  # lanes
+THREADS_VARIABLE = "OMP_NUM_THREADS"  # what users and job schedulers set; NumPy, PyTorch and numba read it themselves
 KERNELS_VARIABLE = "GOF_RENDER_KERNELS"
 _types = import_module(f"drjit.{BACKEND}.ad")
 Array2f, Array3f, Array4f, Bool = _types.Array2f, _types.Array3f, _types.Array4f, _types.Bool
 Float, Int, UInt, Array2u = _types.Float, _types.Int, _types.UInt, _types.Array2u
+
+
+def _as_many_threads_as_asked() -> None:
+    """Dr.Jit takes a thread per core, whatever THREADS_VARIABLE says, and those without work cost time. Never more."""
+    asked = os.environ.get(THREADS_VARIABLE, "").split(",")[0]  # "4,2": of nested levels, the first
+    if asked.isdigit() and 0 < int(asked) < dr.thread_count():
+        dr.set_thread_count(int(asked))
+
+
+_as_many_threads_as_asked()
 
 
 @dataclass(frozen=True)

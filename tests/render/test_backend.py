@@ -101,3 +101,12 @@ def test_without_a_folder_to_keep_them_kernels_are_compiled_each_time(tmp_path):
         value, said = draw(XDG_CACHE_HOME=str(tmp_path / "file"))
         assert value > 0 and "no cache folder can be written" in said
     assert [p.name for p in Path(tmp_path).iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("asked, expected", [("1", 1), ("1,4", 1), ("0", None), ("many", None), ("100000", None)])
+def test_dr_jit_takes_as_many_threads_as_asked_and_never_more(asked, expected):
+    program = "import drjit as dr; n = dr.thread_count(); import gof.render.backend; print(n, dr.thread_count())"
+    environment = os.environ | {"OMP_NUM_THREADS": asked}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+    before, after = map(int, done.stdout.split())
+    assert after == (expected or before)
