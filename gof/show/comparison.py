@@ -75,8 +75,16 @@ class Moment:
         """(H, W) what a pixel counts for as flame: the dataset's mask, else a motion mask; none on the sync board."""
         mask = self.dataset.mask(self.number, self.frame)
         mask = flame_mask(self.recorded, self.plate).astype(np.float32) if mask is None else mask
-        board = self.dataset.board_weight(self.number)
-        return mask if board is None else mask * board
+        return mask if self.counts is None else mask * self.counts
+
+    @cached_property
+    def counts(self) -> np.ndarray | None:
+        """(H, W) what a pixel counts for: 0 on the sync board, whose lamps no flame model draws; None = all count."""
+        return self.dataset.board_weight(self.number)
+
+    def judged(self, image: np.ndarray) -> np.ndarray:
+        """The picture (H, W, 3) with what was recorded where nothing counts."""
+        return image if self.counts is None else self.recorded + self.counts[..., None] * (image - self.recorded)
 
     def flame_db(self, image: np.ndarray) -> str:
         """PSNR on flame pixels in words; nothing where there is no flame."""
@@ -116,13 +124,15 @@ def comparison(
 
     Args:
         parts: which are enlarged, or how many: then those where the results' mean error is largest, for all the same.
-        shown: "picture", with the flame's PSNR; "parts" of it; "error", of the plate alone in the first column;
+        shown: "picture", with the flame's PSNR; "parts" of it; "error", of the plate alone in the first column, none on
+            the sync board;
             "velocity" where anything moves, the true one at the first result's Gaussians in the first column.
     """
     shot = Shot(moment.camera, moment.time_s)
     drawn = [np.clip(picture(one, shot), 0, 1) for one in subjects]
     parts = parts if "parts" in shown else 0
-    boxes = largest_errors(drawn, moment.recorded, parts) if isinstance(parts, int) else list(parts)
+    judged = [moment.judged(image) for image in drawn]
+    boxes = largest_errors(judged, moment.recorded, parts) if isinstance(parts, int) else list(parts)
     rows: list[Row] = []
     if "picture" in shown:
         named = zip(subjects, drawn, strict=True)
@@ -132,17 +142,17 @@ def comparison(
     for number, box in enumerate(boxes):
         rows.append([replace(picture_tile(box.of(image), ""), frame=number) for image in (moment.recorded, *drawn)])
     if "error" in shown:
-        rows.append(_errors(drawn, moment))
+        rows.append(_errors(judged, moment))
     moving = _velocities(subjects, moment) if "velocity" in shown else []
     return [*rows, moving] if moving else rows
 
 
 def _errors(drawn: Sequence[np.ndarray], moment: Moment) -> Row:
-    """On the smallest scale that holds nearly all errors of the results; the plate's own may go beyond."""
+    """Of judged pictures, on the smallest scale that holds nearly all of them; the plate's own may go beyond."""
     found = np.concatenate([np.abs(image - moment.recorded).mean(-1).ravel() for image in drawn])
     most = next((scale for scale in ERROR_SCALES if scale >= np.quantile(found, 0.999)), 1.0)
     note = moment.flame_db(moment.plate)
-    plate = error_tile(moment.plate, moment.recorded, "error: plate alone", note, most)
+    plate = error_tile(moment.judged(moment.plate), moment.recorded, "error: plate alone", note, most)
     return [plate, *(error_tile(image, moment.recorded, "error", most=most) for image in drawn)]
 
 

@@ -310,6 +310,35 @@ def test_a_result_without_flame_is_its_plate_and_its_decibels_are_those_of_the_p
     assert len(rows) == 3, "nothing moves, so there is no row of velocities"
 
 
+def test_the_sync_boards_lamps_are_no_error(two):
+    """A lamp that shines in every frame but in no plate, in the corner that the flame is not in."""
+    folder = two / "data"
+    file = next((folder / "cameras/cam_1").rglob("*1.png"))
+    picture = cv2.imread(str(file))
+    picture[50:60, 2:12] = 255
+    cv2.imwrite(str(file), picture)
+    meta = json.loads((folder / "dataset.json").read_text())
+    meta["cameras"][1]["board_mask"] = "cameras/cam_1/board_mask.png"
+    (folder / "dataset.json").write_text(json.dumps(meta))
+
+    def rows_with(board):
+        cv2.imwrite(str(folder / meta["cameras"][1]["board_mask"]), np.uint8(255 * board))
+        moment = Moment(Dataset.open(folder), 1, 1)
+        nothing = TransientGaussians.load(two / "nothing.npz")
+        return comparison([subject("ours", nothing, "gof", two / "nothing.npz", moment)], moment, 1)
+
+    board = np.zeros((64, 36))
+    lamp = rows_with(board)
+    assert lamp[0][0].boxes[0].y > 40, "the lamp is the largest error there is"
+    board[46:64, 0:16] = 1
+    flame = rows_with(board)
+    assert flame[0][0].boxes[0].y < 20, "no longer"
+    assert flame[2][1].legend.high < lamp[2][1].legend.high
+    dark = flame[2][1].legend.colours[0]
+    np.testing.assert_allclose(flame[2][1].image[55, 6], 255 * dark, atol=4)
+    np.testing.assert_array_equal(flame[0][0].image, lamp[0][0].image)
+
+
 @pytest.mark.long
 def test_true_and_drawn_velocities_have_one_scale(made):
     dataset = Dataset.open(made / "data")
