@@ -79,7 +79,6 @@ def measure(n: int, width: int, height: int, repeats: int, morton: bool) -> dict
         "step without loss, with Adam": _step_without_loss,
         "step": lambda t: t.step(),
     }
-    # First, and once: Dr.Jit's own kernels crash when its threads become more again.
     figures: dict[str, Any] = {"by the clock": _on_all_threads(trainings, repeats)}
     threads = dr.thread_count()
     dr.set_thread_count(1)

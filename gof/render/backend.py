@@ -131,8 +131,9 @@ if BACKEND == "llvm":
 def frozen(function):
     """Record a function of arrays and integers once per set of integers and replay its kernels afterwards, at any
     array size: tracing the blend and loss kernels in Python costs milliseconds per step otherwise. Arrays must be in
-    memory."""
-    return dr.freeze(function, warn_after=1000)
+    memory. A recording holds as many sums as there were threads: with more of them it would write beyond its memory,
+    so it is of one number of threads."""
+    return dr.freeze(function, state_fn=lambda *_: dr.thread_count(), warn_after=1000)
 
 
 def opaque(value: float) -> Float:

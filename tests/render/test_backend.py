@@ -110,3 +110,25 @@ def test_dr_jit_takes_as_many_threads_as_asked_and_never_more(asked, expected):
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
     before, after = map(int, done.stdout.split())
     assert after == (expected or before)
+
+
+MORE_THREADS = """
+import drjit as dr
+from gof_benchmark.evidence.render_speed import Training
+training, most = Training(5000, 160, 90), dr.thread_count()
+dr.set_thread_count(1)
+for _ in range(3):
+    training.step()
+dr.set_thread_count(most)
+for _ in range(20):
+    training.step()
+print(most, float(dr.sum(training.frame.color[0])[0]) > 0)
+"""
+
+
+def test_threads_may_become_more_between_steps():
+    """What Dr.Jit records has room for the sums of so many threads; replayed with more, it once wrote beyond it."""
+    environment = os.environ | {"GOF_RENDER_KERNELS": "drjit", "OMP_NUM_THREADS": ""}
+    done = subprocess.run([sys.executable, "-c", MORE_THREADS], capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[1] == "True"
