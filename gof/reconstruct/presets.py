@@ -45,7 +45,7 @@ PRESETS: dict[PresetName, Effort] = {
 
 
 STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000
-NATIVE_SHARE = 0.53  # of a step's time that is left with the native kernels: the demo, 60 000 Gaussians, 180x320
+NATIVE_SHARE = 0.42  # of a step's time that is left with the native kernels: the demo, 60 000 Gaussians, 180x320
 
 
 def step_ms(gaussians: int, pixels: int, native: bool) -> float:
