@@ -11,8 +11,9 @@ at every held-out frame, completed along the picture's edges; the authors take a
     alone     ours, a flame before nothing
 
 "1/depth" is `gof.evaluate.published.rmse_disparity`: scale and offset are fitted over the whole picture. "off" is the
-median of |z / stereo - 1| over the same pixels of the flame, z the mean distance of the flame's Gaussians alone (of the
-still scene's for "still"): nothing is fitted, so it says how far before or behind the flame stands.
+median of |z / stereo - 1| over those of the same pixels in which what is drawn is seen, z the mean distance of the
+flame's Gaussians alone (of the still scene's for "still"): nothing is fitted, so it says how far before or behind the
+flame stands.
 """
 
 from __future__ import annotations

@@ -124,9 +124,9 @@ def comparison(
 
     Args:
         parts: which are enlarged, or how many: then those where the results' mean error is largest, for all the same.
-        shown: "picture", with the flame's PSNR; "parts" of it; "error", of the plate alone in the first column, none on
-            the sync board;
-            "velocity" where anything moves, the true one at the first result's Gaussians in the first column.
+        shown: "picture", with the flame's PSNR; "parts" of it; "error", of the plate alone in the first column, and
+            none on the sync board; "velocity" where anything moves, the true one at the first result's Gaussians in
+            the first column.
     """
     shot = Shot(moment.camera, moment.time_s)
     drawn = [np.clip(picture(one, shot), 0, 1) for one in subjects]
