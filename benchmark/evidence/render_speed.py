@@ -87,6 +87,12 @@ class Training:
         self.optimizer = Adam(lr=1e-4, params=self.raw)
         self.target = Target(np.random.default_rng(1).random((height, width, 3)))
 
+    def add(self, more: TransientGaussians) -> None:
+        """Gaussians behind those that there are, without Adam's moments, as density control adds them."""
+        born = Training(len(more), self.camera.width, self.camera.height, more).raw
+        self.optimizer.regroup(born, np.arange(self.n), born, np.arange(self.n + len(more)))
+        self.n += len(more)
+
     def splats(self):
         from gof.render import Splats
 

@@ -10,9 +10,7 @@ that of the alpha loss too, which is drawn in the same pass here; and it is aver
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from gof.cameras import Camera
@@ -68,7 +66,8 @@ class DensityControl:
         if self._seen is None:
             self._seen = _Seen.nothing(count)
         half = np.array([camera.width / 2, camera.height / 2])[:, None]
-        pull = np.linalg.norm(np.array(frame.mean2d_grad)[:, :count] * half, axis=0)
+        gradient = np.stack([g.numpy()[:count] for g in frame.mean2d_grad])  # by column: compiles nothing
+        pull = np.linalg.norm(gradient * half, axis=0)
         drawn = frame.radius.numpy()[:count] > 0
         self._seen.pull[drawn] += pull[drawn]
         self._seen.times[drawn] += 1
@@ -88,7 +87,7 @@ class DensityControl:
             return
         both = TransientGaussians.concatenate([old[kept], born])
         order = morton_order(both.position)  # neighbours in space side by side in memory: speed only
-        put(optimizer, kept, to_raw(born, *self._units) if len(born) else {}, order)
+        optimizer.regroup(RAW, kept, to_raw(born, *self._units) if len(born) else {}, order)
 
 
 def changed(
@@ -118,24 +117,3 @@ def changed(
     if not there.any() and not stays.any():
         there[np.argmax(old.opacity)] = True
     return np.flatnonzero(there), born[stays]
-
-
-def put(optimizer: Adam, kept: np.ndarray, born: dict[str, Any], order: np.ndarray) -> None:
-    """Put other Gaussians into an optimiser.
-
-    Args:
-        kept: rows of those that stay.   born: raw parameters of those that are new; {} without any.
-        order: of both together, the first of them those that stay.
-    """
-    for name in RAW:
-        value, promoted, rate, (t, *moments, extra) = optimizer.state[name]
-        kind = type(dr.detach(value))
-        values = np.array(dr.detach(value))
-        new = np.array(dr.detach(born[name])) if born else np.zeros((*values.shape[:-1], 0), np.float32)
-
-        def joined(old: np.ndarray, more: np.ndarray, kind: type = kind) -> Any:
-            return kind(np.ascontiguousarray(np.concatenate([old[..., kept], more], axis=-1)[..., order]))
-
-        optimizer[name] = joined(values, new)
-        moments = [joined(np.array(x), np.zeros_like(new)) for x in moments]
-        optimizer.state[name] = optimizer.state[name][0], promoted, rate, (t, *moments, extra)

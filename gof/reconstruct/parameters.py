@@ -16,35 +16,33 @@ from gof.cameras import Camera
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.seeds import SCALE_MAX, SCALE_MIN
 from gof.render import Splats, shutter_delay, transient_state
-from gof.render.backend import Array3f, Array4f, Float, opaque
+from gof.render.backend import Array3f, Array4f, Float, floats, opaque
+from gof.render.scene import columns
 
 OPACITY_EPS = 1e-4  # logits stay finite
 
 Raw = Mapping[str, Any]  # name -> Dr.Jit array
 
 
-def columns(x: np.ndarray) -> Array3f:
-    """(N, 3) to Dr.Jit."""
-    return Array3f(np.ascontiguousarray(x.T, np.float32))
-
-
 def rows(x: Array3f | Array4f | Float) -> np.ndarray:
-    """Dr.Jit to (N, 3), (N, 4) or (N,)."""
-    return np.array(dr.detach(x)).T if dr.depth_v(x) > 1 else np.array(dr.detach(x))
+    """Dr.Jit to (N, 3), (N, 4) or (N,), a copy: the reverse of `columns`, and like that without kernels."""
+    x = dr.detach(x)
+    dr.eval(x)
+    return np.stack([c.numpy() for c in x], -1) if dr.depth_v(x) > 1 else np.array(x.numpy())
 
 
 def to_raw(gaussians: TransientGaussians, voxel_size: float, start_s: float) -> dict[str, Any]:
     """The raw parameters of Gaussians; voxel_size in m, start_s of the clip."""
     scale = (gaussians.scale / voxel_size - SCALE_MIN) / (SCALE_MAX - SCALE_MIN)
     return {
-        "x0": columns(gaussians.position),
-        "velocity": columns(gaussians.velocity),
-        "t_mu": Float(gaussians.t_mu - np.float32(start_s)),
-        "log_t_sigma": Float(np.log(gaussians.t_sigma)),
-        "scale": columns(_logit(scale)),
-        "rotation": Array4f(np.ascontiguousarray(gaussians.rotation.T)),
-        "opacity": Float(_logit(gaussians.opacity)),
-        "color": columns(gaussians.color),
+        "x0": columns(gaussians.position, Array3f),
+        "velocity": columns(gaussians.velocity, Array3f),
+        "t_mu": floats(gaussians.t_mu - np.float32(start_s)),
+        "log_t_sigma": floats(np.log(gaussians.t_sigma)),
+        "scale": columns(_logit(scale), Array3f),
+        "rotation": columns(gaussians.rotation, Array4f),
+        "opacity": floats(_logit(gaussians.opacity)),
+        "color": columns(gaussians.color, Array3f),
     }
 
 

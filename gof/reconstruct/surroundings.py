@@ -15,11 +15,12 @@ import numpy as np
 
 from gof.cameras import Camera
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.parameters import columns, rows
+from gof.reconstruct.parameters import rows
 from gof.reconstruct.voxels import ROOM, FlameVoxels
 from gof.render import Splats, render, render_splats
 from gof.render.backend import Array3f, Float
 from gof.render.rasterizer import Frame, splats_at
+from gof.render.scene import columns
 
 
 class Drawn(NamedTuple):
@@ -72,7 +73,7 @@ class Plates:
             move: whether the optimisation may change the plates.
         """
         self._cameras, self._shape, self._blocked, self._move = cameras, plates.shape[1:], blocked, move
-        self._plates = {f"plate_{c}": columns(plate.reshape(-1, 3)) for c, plate in enumerate(plates)}
+        self._plates = {f"plate_{c}": columns(plate.reshape(-1, 3), Array3f) for c, plate in enumerate(plates)}
         self._through = [Float((~b).ravel().astype(np.float32)) if b.any() else None for b in blocked]
 
     def unknowns(self) -> dict[str, Any]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from typing import Any
+
 import drjit as dr
+import numpy as np
 from drjit import opt
 
-from gof.render.backend import Float, kernels
+from gof.render.backend import Float, floats, kernels
 from gof.render.blend import as_plane
 
 
@@ -34,6 +38,28 @@ class Adam(opt.Adam):
             value, m, v = (type(like)(*columns) for like, columns in zip((value, *moments), new, strict=True))
             dr.enable_grad(value)
             self.state[key] = value, promoted, rate, (dr.uint32_array_t(Float)(t), m, v, extra)
+
+    def regroup(self, names: Iterable[str], kept: np.ndarray, born: Mapping[str, Any], order: np.ndarray) -> None:
+        """Change which rows some parameters have: who stays keeps the moments, who is new has none.
+
+        Column by column: an array of vectors through numpy would compile two kernels for every new number of rows.
+
+        Args:
+            kept: rows of those that stay.   born: by name, values of those that are new; {} without any.
+            order: of both together, the first of them those that stay.
+        """
+        for name in names:
+            value, promoted, rate, (t, *moments, extra) = self.state[name]
+            kind, nothing = type(dr.detach(value)), [np.zeros(0, np.float32)] * len(_columns(value))
+            new = [c.numpy() for c in _columns(dr.detach(born[name]))] if born else nothing
+
+            def joined(old: Any, more: list[np.ndarray], kind: type = kind) -> Any:
+                pairs = zip(_columns(dr.detach(old)), more, strict=True)
+                return kind(*(floats(np.concatenate([c.numpy()[kept], m])[order]) for c, m in pairs))
+
+            self[name] = joined(value, new)
+            moments = [joined(m, [np.zeros_like(c) for c in new]) for m in moments]
+            self.state[name] = self.state[name][0], promoted, rate, (t, *moments, extra)
 
 
 def _columns(x) -> list[Float]:

@@ -42,3 +42,28 @@ def test_what_has_no_gradient_stays():
     optimizer.step()
     np.testing.assert_array_equal(optimizer["a"].numpy(), [1, 2])
     np.testing.assert_allclose(optimizer["b"].numpy(), [2.9], rtol=1e-6)
+
+
+def test_rows_that_come_and_go_keep_their_places_and_compile_nothing():
+    """After the first change; through numpy a vector of another length was two more kernels."""
+    r, values, late = np.random.default_rng(1), np.arange(30.0).reshape(10, 3), []
+    optimizer = Adam(lr=0.1, params={"x": columns(values, Array3f), "w": floats(values[:, 0])})
+    optimizer.set_learning_rate({"x": 0.0, "w": 0.0})
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for more in (3, 5, 8):
+            dr.backward(dr.sum(dr.sum(optimizer["x"] * optimizer["x"])) + dr.sum(optimizer["w"]))
+            optimizer.step()
+            kept, new = np.flatnonzero(r.random(len(values)) < 0.8), r.normal(size=(more, 3)).astype(np.float32)
+            order = r.permutation(len(kept) + more)
+            moment = np.stack([m.numpy() for m in optimizer.state["x"][3][1]], -1)
+            born = {"x": columns(new, Array3f), "w": floats(new[:, 0])}
+            optimizer.regroup(("x", "w"), kept, born, order)
+            values = np.concatenate([values[kept], new])[order]
+            moment = np.concatenate([moment[kept], 0 * new])[order]
+            for name, here in (("x", values), ("w", values[:, 0])):
+                found = [c.numpy() for c in (optimizer[name] if name == "x" else [optimizer[name]])]
+                np.testing.assert_allclose(np.stack(found, -1).reshape(here.shape), here, rtol=1e-6)
+            np.testing.assert_array_equal(np.stack([m.numpy() for m in optimizer.state["x"][3][1]], -1), moment)
+            met = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+            late.append(sum(k["cache_disk"] or not k["cache_hit"] for k in met))
+    assert late[1:] == [0, 0]

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("drjit")
 
-from gof_benchmark.evidence import render_agreement, render_kernels, render_speed
+from gof_benchmark.evidence import render_agreement, render_kernels, render_lasting, render_speed
 
 
 def test_training_step_and_phases_run():
@@ -23,6 +23,11 @@ def test_both_sets_of_kernels_are_timed_in_turn():
     assert figures.pop("pairs") > 0
     assert all(len(times) == 1 and times[0] > 0 for kinds in figures.values() for times in kinds.values())
     assert "native" in render_kernels.report("300 Gaussians", figures | {"pairs": 10})
+
+
+def test_a_long_training_grows_and_its_memory_is_read():
+    rows = render_lasting.long_training(101, 100, 48, 32)
+    assert [row[:2] for row in rows] == [(100, 102)] and rows[0][2] > 1
 
 
 @pytest.mark.long
