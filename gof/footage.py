@@ -6,6 +6,7 @@ why no other library is asked.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from gof.pictures import read_picture
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 DEEP_FORMATS = (b"Y1", b"Y3", b"Y4", b"G3", b"G4")  # FFmpeg's tags of deep pixels; their fourth byte is the bits
+ENDS = 1 << 20  # bytes at either end of a file by which it is told from others
 CUT_FRAMES, CUT_SHARE = 2, 0.01  # a file breaks off when more frames than both are missing at its end
 
 
@@ -34,6 +36,7 @@ class VideoInfo:
         bits: per channel as stored; None where the format is not known. Pictures are read with 8.
         stamps_s: (N,) time stamps of the N frames that can be read, s; None for folders, or when not read to the end.
         frames: N; None when not read to the end.
+        fingerprint: see `fingerprint`.
     """
 
     path: Path
@@ -45,6 +48,7 @@ class VideoInfo:
     bits: int | None = None
     stamps_s: np.ndarray | None = None
     frames: int | None = None
+    fingerprint: str | None = None
 
     @property
     def usual_step_s(self) -> float | None:
@@ -159,6 +163,41 @@ def picture_files(folder: Path) -> list[Path]:
     return files
 
 
+# ---- which footage it is ---------------------------------------------------------------------------------------------
+
+
+def fingerprint(path: Path) -> str:
+    """Sixteen hex digits that tell footage from other footage, wherever it lies and whatever it is called.
+
+    Of a video's size, its first and its last MiB (more would take minutes for long ones); of a folder, those of all
+    its pictures.
+
+    Raises:
+        DataFormatError: there is no such file, or no picture in the folder.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise DataFormatError(f"{path}: no such video or folder of pictures")
+    state = hashlib.sha256()
+    for file in picture_files(path) if path.is_dir() else [path]:
+        size = file.stat().st_size
+        with file.open("rb") as stream:
+            state.update(b"%d " % size + stream.read(ENDS))
+            stream.seek(max(size - ENDS, 0))
+            state.update(stream.read(ENDS))
+    return state.hexdigest()[:16]
+
+
+def require_different(paths: Iterable[Path]) -> None:
+    """Raises DataFormatError: one of these is not there, or the same footage is given twice, perhaps as a copy."""
+    known: dict[str, Path] = {}
+    for path in paths:
+        contents = fingerprint(path)
+        if contents in known:
+            raise DataFormatError(f"{path}: is the same footage as {known[contents]}; give each camera's own")
+        known[contents] = path
+
+
 # ---- what is said of it ----------------------------------------------------------------------------------------------
 
 
@@ -174,7 +213,7 @@ def stated_info(path: Path) -> VideoInfo:
     height, width = next(iter(stored_frames(path))).shape[:2]
     if path.is_dir():
         count = len(picture_files(path))
-        return VideoInfo(path, width, height, stated_frames=count, frames=count)
+        return VideoInfo(path, width, height, stated_frames=count, frames=count, fingerprint=fingerprint(path))
     with _opened(path) as video:
 
         def stated(name: str) -> float | None:
@@ -190,6 +229,7 @@ def stated_info(path: Path) -> VideoInfo:
             None if frames is None else round(frames),
             round((stated("ORIENTATION_META") or 0) / 90) * 90 % 360,
             _bits(stated("CODEC_PIXEL_FORMAT")),
+            fingerprint=fingerprint(path),
         )
 
 

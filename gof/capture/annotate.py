@@ -43,12 +43,16 @@ def annotate(
     Returns:
         what was added, or why not, in words, by camera.
     Raises:
-        GofError: another number of videos than cameras.
+        GofError: another number of videos than cameras, or in another order than when the dataset was made.
         DataFormatError: see `gof.lens.read_cameras`; footage of another size than the lens; a roll that is no turn.
     """
     count = len(dataset.cameras)
     if footage and len(footage) != count:
         raise GofError(f"--footage: give one video per camera of the dataset ({count}), in their order")
+    made_of = list(dataset.description.provenance.get("footage", ()))
+    names = [video.name for video in footage or ()]
+    if names != made_of and sorted(names) == sorted(made_of):
+        raise GofError(f"--footage: the dataset was made of {', '.join(made_of)}, in this order; give them in the same")
     lenses = [camera.lens for camera in read_cameras(cameras, count)] if cameras else [None] * count
     entries = {entry.name: entry for entry in dataset.description.cameras}
     notes: dict[str, str] = {}

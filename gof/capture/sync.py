@@ -31,7 +31,7 @@ from gof.capture.times import (
     VideoTimes,
 )
 from gof.errors import GofError
-from gof.footage import distinct_names, stated_fps, stated_frames
+from gof.footage import distinct_names, fingerprint, require_different, stated_fps, stated_frames
 from gof.progress import progress_bar
 
 
@@ -55,7 +55,10 @@ def synchronise(
         known: gives the row time of pictures of any size.
         estimate: estimate the clock of a camera without the board from its flame.
         points: of the board, by video, marked where the marker is partly hidden.
+    Raises:
+        DataFormatError: a video is not there, or given twice.
     """
+    require_different(videos)
     ring = isinstance(template, RingBoard)
     period_us = template.period_us if ring else options[0].period_us
     names = distinct_names(videos)
@@ -70,10 +73,11 @@ def synchronise(
     settled = _settle_counts(times, period_us)
     cameras = []
     for name, video in zip(names, videos, strict=True):
+        camera = SyncedVideo(name, str(video), error=errors.get(name), fingerprint=fingerprint(video))
         if name in errors:
-            cameras.append(SyncedVideo(name, str(video), error=errors[name]))
+            cameras.append(camera)
             continue
-        cameras.append(SyncedVideo(name, str(video), _describe(decoded[name], stated_fps(video))))
+        cameras.append(replace(camera, times=_describe(decoded[name], stated_fps(video))))
         if plots:
             slot = None if ring else template.strip_slot
             plot_camera(times[name], name, slot, period_us, plots / f"residuals_{name}.png")

@@ -94,12 +94,17 @@ class VideoTimes:
 
 @dataclass(frozen=True)
 class SyncedVideo:
-    """One video: its times, or why it has none."""
+    """One video: its times, or why it has none.
+
+    Attributes:
+        fingerprint: by which `gof ingest` knows it again (`gof.footage.fingerprint`); None in older files.
+    """
 
     name: str
     video: str
     times: VideoTimes | None = None
     error: str | None = None
+    fingerprint: str | None = None
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from gof.ingest.fire_free import PlateKind, PlateOptions
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
-from gof.ingest.pipeline import Ingested, make_dataset
+from gof.ingest.pipeline import Ingested, make_dataset, require_new
 from gof.ingest.plates import MOST_FIRE_LEFT
 from gof.ingest.published import PublishedFootage, is_published
 from gof.ingest.up import UpChoice
@@ -116,6 +116,10 @@ def ingest(config: IngestConfig) -> Ingested:
     require_number("--plate-frames", config.plate_frames, least=1)
     for start in config.start:
         require_number("--start", start, least=0)
+    require_new(config.out)
+    timing = Timing(config.times, config.fps, config.stamps, config.start, config.frames)
+    if not is_published(config.videos):
+        timing.require_one_way()  # now: reading the footage may take minutes
     footage = open_footage(config)
     pose_options = PoseOptions(
         solver=config.poses,
@@ -130,7 +134,7 @@ def ingest(config: IngestConfig) -> Ingested:
     return make_dataset(
         config.out,
         footage,
-        Timing(config.times, config.fps, config.stamps, config.start, config.frames),
+        timing,
         pose_options,
         PlateOptions(config.plate, config.plates, config.plate_frames),
         width=config.width,

@@ -11,7 +11,7 @@ import numpy as np
 
 from gof.dataset import Splits, held_out
 from gof.errors import DataFormatError, GofError
-from gof.footage import VideoInfo, chosen_frames, read_info
+from gof.footage import VideoInfo, chosen_frames, read_info, require_different
 from gof.ingest.agreement import other_notes, turn_by_tags
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
@@ -100,10 +100,12 @@ class Footage:
         Args:
             turn: "auto" turns as the files' rotation tags say.
         Raises:
-            GofError: both or neither intrinsics are given; a video or the file cannot be read; rotation tags differ.
+            GofError: both or neither intrinsics are given; a video or the file cannot be read; rotation tags differ;
+                the same footage is given twice.
         """
         if (cameras is None) == (fov_deg is None):
             raise GofError("give the intrinsics with either --cameras FILE or --fov DEGREES")
+        require_different(videos)
         known = None if cameras is None else read_cameras(cameras, len(videos))
         infos = [_read(video) for video in videos]
         notes = other_notes(infos, known is None)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
 from gof.errors import DataFormatError, GofError
-from gof.footage import VideoInfo
+from gof.footage import VideoInfo, distinct_names
 from gof.ingest.agreement import require_one_length, require_one_rate, require_whole
 from gof.ingest.pairing import Pairing, pair
 from gof.lens import Turn
@@ -76,6 +76,14 @@ class Timing:
     start: tuple[int, ...] = (0,)
     limit: int | None = None
 
+    def require_one_way(self) -> None:
+        """Raises GofError: none or several ways to time are given."""
+        if sum((self.times is not None, bool(self.fps), self.stamps)) != 1:
+            raise GofError(
+                "give the frame times with one of --times times.json (of 'gof capture sync'), --fps RATE, or --stamps "
+                "(the files' own time stamps)"
+            )
+
     @property
     def begins_are_known(self) -> bool:
         """Whether somebody said which frames were taken together, so that clips may differ in length."""
@@ -89,11 +97,7 @@ def read_frame_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
         DataFormatError, GofError: none or several ways to time are given; a file breaks off (unless `limit` says how
             many frames are wanted); see `measured_times`, `stated_times`.
     """
-    if sum((timing.times is not None, bool(timing.fps), timing.stamps)) != 1:
-        raise GofError(
-            "give the frame times with one of --times times.json (of 'gof capture sync'), --fps RATE, or --stamps (the "
-            "files' own time stamps)"
-        )
+    timing.require_one_way()
     notes = require_whole(videos, timing.limit is not None)
     times = measured_times(timing, videos) if timing.times else stated_times(timing, videos)
     return replace(times, notes=(*notes, *times.notes))
@@ -182,11 +186,12 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     Raises:
         DataFormatError: not what `gof capture sync` writes, another number of cameras or frames, a camera without times
             (says which and why); too many moments lack a frame of some camera.
-        GofError: a start beyond the end; the videos do not overlap; fewer than two frames are left.
+        GofError: the videos are in another order; a start beyond the end; the videos do not overlap; fewer than two
+            frames are left.
     """
     if len(timing.start) != 1:
         raise GofError("--start: with --times give the first camera's only; the others' follow from the times")
-    synced = _read_sync(timing.times, [video.frames for video in videos])
+    synced, notes = _read_sync(timing.times, videos)
     cameras = [video.times for video in synced]
     start = timing.start[0]
     if not 0 <= start < videos[0].frames:
@@ -203,25 +208,54 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     times = FrameTimes.of(pairing, begins, row_time_s, [camera.readout for camera in cameras], source)
     doubts = tuple(f"{video.name}: {warning}" for video in synced for warning in video.times.warnings)
     said = (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()
-    return replace(times, notes=(*said, *doubts, *times.notes))
+    return replace(times, notes=(*notes, *said, *doubts, *times.notes))
 
 
-def _read_sync(path: Path, counts: list[int]) -> list[SyncedVideo]:
-    """The videos of a times.json, which all have times, for videos of `counts` frames."""
-    videos = read_record(FrameTimesFile, path).cameras
-    if len(videos) != len(counts):
-        raise DataFormatError(f"{path}: has {len(videos)} cameras; it must be made of the same {len(counts)} videos")
-    for video, count in zip(videos, counts, strict=True):
-        if video.times is None:
+def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], tuple[str, ...]]:
+    """Each video's entry of a times.json, all of which have times, and notes."""
+    known = read_record(FrameTimesFile, path).cameras
+    if len(known) != len(videos):
+        raise DataFormatError(f"{path}: has {len(known)} cameras; it must be made of the same {len(videos)} videos")
+    found, notes = _entries(path, known, videos)
+    for entry, video in zip(found, videos, strict=True):
+        if entry.times is None:
             raise DataFormatError(
-                f"{path}: camera '{video.name}' has no times ({video.error}); film the board whole and lit, "
+                f"{path}: camera '{entry.name}' has no times ({entry.error}); film the board whole and lit, "
                 "leave this camera out, or use --fps"
             )
-        if len(video.times.frames) != count:
+        if len(entry.times.frames) != video.frames:
             raise DataFormatError(
-                f"{path}: camera '{video.name}' has {len(video.times.frames)} frames, its video {count}"
+                f"{path}: camera '{entry.name}' has {len(entry.times.frames)} frames, its video {video.frames}"
             )
-    return list(videos)
+    return found, notes
+
+
+def _entries(
+    path: Path, known: tuple[SyncedVideo, ...], videos: list[VideoInfo]
+) -> tuple[list[SyncedVideo], tuple[str, ...]]:
+    """The entry of each video: the one that was made of the same file, wherever it stands; for files that are none of
+    those (copies in another format), what is left in its order, with a note.
+
+    Raises:
+        GofError: by their names, those are in another order.
+    """
+    places = {entry.fingerprint: k for k, entry in enumerate(known) if entry.fingerprint}
+    chosen = [places.get(video.fingerprint) for video in videos]
+    left = [k for k in range(len(known)) if k not in chosen]
+    names = distinct_names([video.path for video in videos])
+    theirs = [known[k].name for k in left]
+    ours = [name for name, k in zip(names, chosen, strict=True) if k is None]
+    if ours != theirs and sorted(ours) == sorted(theirs):
+        raise GofError(f"{path}: was made of {', '.join(theirs)}, in this order; give the videos in the same")
+    others = iter(left)
+    found = [known[next(others) if k is None else k] for k in chosen]
+    notes = tuple(
+        f"{video.path.name}: not the file that {path.name} was made of ({entry.video}); its frames are taken to be the "
+        "same ones"
+        for video, entry, k in zip(videos, found, chosen, strict=True)
+        if k is None and entry.fingerprint
+    )
+    return found, notes
 
 
 def _readout_s(times: VideoTimes) -> float:

@@ -40,6 +40,12 @@ class Ingested:
     notes: tuple[str, ...] = ()
 
 
+def require_new(out: Path) -> None:
+    """Raises GofError: the folder holds a dataset already."""
+    if (out / "dataset.json").exists():
+        raise GofError(f"{out}: already holds a dataset; choose another --out or remove it")
+
+
 def make_dataset(
     out: Path,
     footage: Footage,
@@ -64,8 +70,7 @@ def make_dataset(
         GofError: `out` holds a dataset already, the width is not one of the footage; see the stages for what can be
             wrong with footage, times and poses.
     """
-    if (out / "dataset.json").exists():
-        raise GofError(f"{out}: already holds a dataset; choose another --out or remove it")
+    require_new(out)
     for lens in footage.upright_lenses:
         if width is not None and not 1 <= width <= lens.width:
             raise GofError(f"--width {width}: the footage is {lens.width} pixels wide")

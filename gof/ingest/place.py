@@ -17,6 +17,7 @@ from gof.lens import Lens
 
 MIN_CONSISTENT = 0.6  # share of a pair's raw matches that must obey the poses
 MAX_POINT_PX = 1.5  # mean reprojection error of board or hand-marked points above which poses are not believed
+LEAST_APART = 0.01  # of the largest distance between two cameras; nearer ones tell no depth
 MAX_SIDE_SPREAD = 0.08  # relative spread of the marker's distances; a wrong pose makes a square a trapezium
 
 Method = Literal["features", "points", "rig"]
@@ -49,7 +50,8 @@ def place_cameras(
     if given is not None:
         options.require_own_up("those of --cameras")
         check = adjust.check_points(points, lenses, given)
-        report = PoseReport("--cameras", f"{METRES}, from --cameras", notes, check=check)
+        near = tuple(f"{pair} stand in one place: they tell no depth" for pair in _together(given, names))
+        report = PoseReport("--cameras", f"{METRES}, from --cameras", notes + near, check=check)
         return Placed(given, np.zeros((0, 3)), report)
 
     # ---- has no camera moved between the clips? ----------------------------------------------------------------------
@@ -157,11 +159,25 @@ def _judged(
     # The cameras of a rig are known to stand where they stood, whatever this clip's own matches tell.
     lonely = [] if method == "rig" else [n for c, n in enumerate(names) if not any(c in pair for pair in told)]
     check = adjust.check_points(points, lenses, model.world_to_camera)
-    return _Attempt(method, model, consistent, check, _objection(weak, lonely, check))
+    together = _together(model.world_to_camera, names)
+    return _Attempt(method, model, consistent, check, _objection(together, weak, lonely, check))
 
 
-def _objection(weak: list[str], lonely: list[str], check: PointCheck | None) -> str | None:
+def _together(world_to_camera: np.ndarray, names: list[str]) -> list[str]:
+    """Pairs of cameras that stand in one place, as "A and B"."""
+    centres = -np.einsum("cji,cj->ci", world_to_camera[:, :3, :3], world_to_camera[:, :3, 3])
+    apart = np.linalg.norm(centres[:, None] - centres, axis=-1)
+    pairs = np.argwhere(np.triu(apart < LEAST_APART * apart.max(), 1))
+    return [f"{names[i]} and {names[j]}" for i, j in pairs]
+
+
+def _objection(together: list[str], weak: list[str], lonely: list[str], check: PointCheck | None) -> str | None:
     """Why these figures do not let the poses be believed, or None."""
+    if together:
+        return (
+            f"{', '.join(together)} stand in one place (within {LEAST_APART:.0%} of the rig's width): are these two "
+            "clips of one camera?"
+        )
     if lonely:
         return f"{', '.join(lonely)}: fewer than {MIN_JUDGED} matches with any other camera; too few to judge poses by"
     if weak:

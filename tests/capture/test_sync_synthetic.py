@@ -12,6 +12,7 @@ from gof.capture.strips import NotDecodable, robust_line
 from gof.capture.synthetic import SyntheticShot, lit_share, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.cli import main as gof
+from gof.pictures import write_picture
 from gof_benchmark.evidence.capture_accuracy import errors, measure, signals_of
 
 pytestmark = pytest.mark.long
@@ -220,7 +221,11 @@ def test_what_cannot_be_decoded_is_explained(tmp_path, capsys):
     # 250 frames per second meet a 4 ms board always at the same phase.
     with pytest.raises((NotDecodable, BoardNotFound), match=r"phases of its period|running|flicker"):
         decode(shoot(replace(SMALL, fps=250.0)), BOARD, DecodeOptions())
-    assert gof(["capture", "sync", str(tmp_path / "none.mp4"), "--out", str(tmp_path / "o")]) == 1
+    noise = tmp_path / "noise"
+    noise.mkdir()
+    for k in range(4):
+        write_picture(noise / f"{k}.png", rng.integers(0, 255, (200, 200, 3), dtype=np.uint8))
+    assert gof(["capture", "sync", str(noise), "--out", str(tmp_path / "o")]) == 1
     assert "no camera could be decoded" in capsys.readouterr().err
     assert not (tmp_path / "o/times.json").exists()
 

@@ -203,6 +203,9 @@ def test_poses_of_a_rig_are_taken_over_and_judged(tmp_path):
     with pytest.raises(DataFormatError, match="same --fov"):
         ingest(replace(again, out=tmp_path / "lens", fov=fov - 5))
     touched = footage(tmp_path / "c", [rig[0], rig[1], rig[1]], frames=3)
+    other = cv2.imread(str(touched[2] / "000.png"))
+    other[0, 0] ^= 1  # or it would be the same footage
+    cv2.imwrite(str(touched[2] / "000.png"), other)
     with pytest.raises(PoseError, match=r"cam_2: .*moved by|cam_2: only"):
         ingest(replace(again, videos=touched, out=tmp_path / "moved"))
     with pytest.raises(GofError, match="no view0 there"):

@@ -50,6 +50,8 @@ def test_what_a_file_says_is_read(tmp_path):
 def test_the_rotation_tag_makes_pictures_upright(tmp_path, degrees, corner):
     """The white corner, above on the left as stored, goes where a player puts it."""
     videos = files(tmp_path, *[lambda path: tag_rotation(path, degrees)] * 2)
+    with videos[1].open("ab") as video:
+        video.write(b"\0\0\0\x08free")  # an empty box: pictures alike, and yet another file
     assert all(read_info(video).rotation_deg == degrees for video in videos)
     assert next(iter(stored_frames(videos[0]))).shape == (64, 96, 3), "stored pictures are not turned"
     footage = Footage.open(videos, "auto", None, 50.0)
