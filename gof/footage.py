@@ -194,7 +194,9 @@ def require_different(paths: Iterable[Path]) -> None:
     for path in paths:
         contents = fingerprint(path)
         if contents in known:
-            raise DataFormatError(f"{path}: is the same footage as {known[contents]}; give each camera's own")
+            other = known[contents]
+            what = "is given twice" if path.samefile(other) else f"is the same footage as {other}"
+            raise DataFormatError(f"{path}: {what}; give each camera's own")
         known[contents] = path
 
 

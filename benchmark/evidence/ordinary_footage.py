@@ -62,7 +62,7 @@ class Variant:
         changes: ffmpeg's options per camera that is encoded again.
         after: what is done to a camera's finished file.
         options: of `gof ingest`; "TIMES" stands for the times.json of `gof capture sync`.
-        cameras: the first so many.
+        given: the cameras whose videos are given, in this order.
         all_frames: whether no --frames is given.
     """
 
@@ -70,7 +70,7 @@ class Variant:
     options: tuple[str, ...]
     changes: dict[str, list[str]] = field(default_factory=dict)
     after: dict[str, str] = field(default_factory=dict)
-    cameras: int = 3
+    given: tuple[int, ...] = (0, 1, 2)
     all_frames: bool = False
 
 
@@ -93,8 +93,10 @@ def variants(config: OrdinaryFootage) -> list[Variant]:
     return [
         Variant("as filmed", usual),
         Variant("no board in the pictures", ("--fps", rate, *fov, "--board", "none")),
-        Variant("2 cameras", usual, cameras=2),
-        Variant("1 camera", usual, cameras=1),
+        Variant("2 cameras", usual, given=(0, 1)),
+        Variant("1 camera", usual, given=(0,)),
+        Variant("cam_0's file twice", usual, given=(0, 0, 2)),
+        Variant("times.json, videos in another order", ("TIMES", *usual[2:]), given=(0, 2, 1)),
         Variant("cam_1 begins 7 frames late", usual, late, all_frames=True),
         Variant("the same, `--start 7 0 7`", (*usual, "--start", "7", "0", "7"), late),
         Variant("cam_1 has 60 of 100 frames", usual, {"cam_1": ["-frames:v", "60"]}, all_frames=True),
@@ -138,10 +140,10 @@ def ffmpeg(*words: str) -> None:
 
 
 def make_videos(variant: Variant, config: OrdinaryFootage, folder: Path) -> list[Path]:
-    """The variant's videos."""
+    """The variant's videos, each camera's once."""
     folder.mkdir(parents=True, exist_ok=True)
     videos = []
-    for name in CAMERAS[: variant.cameras]:
+    for name in (CAMERAS[c] for c in sorted(set(variant.given))):
         source, video = str(config.clip / f"{name}.mp4"), folder / f"{name}.mp4"
         after = variant.after.get(name)
         change = variant.changes.get(name)
@@ -202,11 +204,12 @@ def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], 
     frames = () if variant.all_frames else ("--frames", str(config.frames))
     made = folder / "set"
     summary = folder / "summary.json"
-    status, said = gof("ingest", *map(str, videos), "--out", str(made), *QUICK, *words, *frames, "--json", str(summary))
+    given = [str(folder / "videos" / f"{CAMERAS[c]}.mp4") for c in variant.given]
+    status, said = gof("ingest", *given, "--out", str(made), *QUICK, *words, *frames, "--json", str(summary))
     if status:
         return f"refused: {last_line(said)}", ""
     content = json.loads(summary.read_text(encoding="utf-8"))
-    apart = pairs_apart(Dataset.open(made), originals)
+    apart = pairs_apart(Dataset.open(made), [originals[c] for c in variant.given])
     notes = "; ".join([*content["notes"], *content["poses"]["notes"]]) or "nothing to say"
     poses = content["poses"]["method"]
     return f"made, poses by {poses}: {notes}", f"{apart:d}"
@@ -246,7 +249,7 @@ def main(argv: list[str] | None = None) -> None:
     for number, variant in enumerate(variants(config)):
         if config.only in variant.name:
             known = config.out / f"{number:02d}" / "row.json"
-            asked = [variant.name, *variant.options, str(config.clip), config.frames]
+            asked = [variant.name, *variant.options, list(variant.given), str(config.clip), config.frames]
             row = json.loads(known.read_text(encoding="utf-8")) if known.is_file() else {}
             if row.get("asked") != asked:
                 outcome, apart = run(variant, config, originals, number)
