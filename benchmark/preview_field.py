@@ -8,7 +8,7 @@ from gof.dataset import Dataset
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.presets import LEARNED_VOXELS, PRESETS
+from gof.reconstruct.presets import PRESETS
 from gof.reconstruct.shrink import shrink
 
 EFFORT = PRESETS["preview"]
@@ -20,5 +20,5 @@ def open_small(path: Path) -> Dataset:
 
 
 def preview_field(observation: Observation) -> FlowField:
-    """The fused flow on the voxels that the flow prior is made for, m/s."""
-    return seen_flow_field(observation, OURS, LEARNED_VOXELS)
+    """The fused flow on the preset's voxels, m/s."""
+    return seen_flow_field(observation, OURS, EFFORT.voxels)

@@ -26,6 +26,7 @@ from gof.ply import write as write_ply
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.methods import PAPER
 from gof.reconstruct.observation import Observation, observe
+from gof.reconstruct.presets import PRESETS
 from gof.reconstruct.shrink import shrink
 
 from .dnerf import is_centred
@@ -36,7 +37,7 @@ FOLDER, FORMAT = "fire_bundle", "fire-bundle-v2"
 # Their fusion, but our masks and our hull: theirs, of any two cameras, reaches far behind the flame.
 MADE_BY = replace(PAPER, flow_masks=False, vetoes=True)
 STRIDES = (1, 2)  # the same files under both: ours never come from a held-out frame, so the second is not needed
-LONGEST_SIDE, VOXELS = 640, 96  # of the pictures that masks and flow are found on, px; of the flame's box
+EFFORT = PRESETS["standard"]  # size of the pictures and voxels that masks and flow are found on
 BACKGROUND_POINTS = 60_000  # of all cameras together
 GROW_PX, GROW_TIMES = 5, 2  # the flame's mask for training is wider than the one for scores
 
@@ -119,8 +120,8 @@ def write(source: ViewSource) -> None:
         if not is_centred(camera):
             raise DataFormatError(f"{dataset.path}: camera '{camera.name}' is off centre; the bundle has only an angle")
     window = Window.of(dataset)
-    observation = observe(shrink(dataset, LONGEST_SIDE), MADE_BY)
-    field = seen_flow_field(observation, MADE_BY, VOXELS)
+    observation = observe(shrink(dataset, EFFORT.longest_side), MADE_BY)
+    field = seen_flow_field(observation, MADE_BY, EFFORT.voxels)
     numbers = tuple(number for number, trains in enumerate(source.trains) if trains)
     bundle = Bundle(source, numbers, dataset, window, observation, field, path_in(dataset.path, FOLDER))
     _write_pictures(bundle)

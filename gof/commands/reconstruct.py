@@ -42,8 +42,7 @@ class ReconstructConfig:
     iterations: int | None = None
     """Optimisation steps, one training picture each."""
     voxels: int | None = None
-    """Voxels along the longest side of the flame's box; also bounds the Gaussians' size. The flow prior has learned
-    from 72, the presets' number: with others the motion comes out worse."""
+    """Voxels along the longest side of the flame's box; also bounds the Gaussians' size."""
     longest_side: int | None = None
     """Pictures with a longer side, in pixels, are shrunk to it."""
     method: MethodName = "gof"

@@ -20,8 +20,7 @@ from gof.reconstruct.density import MOST_GROWTH
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import METHODS
 from gof.reconstruct.optical_flow import flow_method
-from gof.reconstruct.presets import LEARNED_VOXELS, step_ms
-from gof.reconstruct.seen import uses_flow_prior
+from gof.reconstruct.presets import step_ms
 from gof.reconstruct.settings import ReconstructionSettings, Until
 from gof.reconstruct.shrink import shrink
 from gof.render.backend import kernels
@@ -109,12 +108,6 @@ def _require_possible(run: stages.Run, anyway: bool) -> None:
         f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores, and {memory.in_words(needed)}",
         file=sys.stderr,
     )
-    if uses_flow_prior(settings) and settings.voxels != LEARNED_VOXELS:
-        print(
-            f"note: --voxels {settings.voxels}: the flow prior has learned from {LEARNED_VOXELS}; with others the "
-            "motion comes out worse (docs/accuracy.md)",
-            file=sys.stderr,
-        )
     found = sanity.doubts(run.dataset)
     for doubt in found:
         print(f"warning: {doubt.text}", file=sys.stderr)

@@ -36,12 +36,11 @@ class Effort:
                 raise GofError(f"--{name.replace('_', '-')} {getattr(self, name)}: must be {least} or more")
 
 
-LEARNED_VOXELS = 72  # of the flow fields that the flow prior has learned from: on others it does worse, finer or not
 PRESETS: dict[PresetName, Effort] = {
-    "preview": Effort(2500, 60_000, LEARNED_VOXELS, 320),
-    "draft": Effort(10_000, 100_000, LEARNED_VOXELS, 320),
-    "standard": Effort(15_000, 120_000, LEARNED_VOXELS, 640),
-    "paper": Effort(30_000, 300_000, LEARNED_VOXELS, 1280),  # the paper's steps and picture size; Gaussians are ours
+    "preview": Effort(2500, 60_000, 72, 320),
+    "draft": Effort(10_000, 100_000, 72, 320),
+    "standard": Effort(15_000, 120_000, 96, 640),
+    "paper": Effort(30_000, 300_000, 128, 1280),  # the paper's steps and picture size; Gaussians and voxels are ours
 }
 
 

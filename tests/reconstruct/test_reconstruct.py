@@ -108,15 +108,6 @@ def test_a_finished_run_returns_what_it_would_find(rising_flame, tmp_path):
     assert made == stages.Reconstruction.find(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "words, said",
-    [(("--voxels", "72"), False), (("--voxels", "24"), True), (("--voxels", "24", "--no-flow-prior"), False)],
-)
-def test_voxels_that_the_flow_prior_does_not_know_are_noted(rising_flame, tmp_path, capsys, words, said):
-    assert main([str(rising_flame), "--out", str(tmp_path / "o"), "--until", "motion", *words]) == 0
-    assert ("the flow prior has learned from 72" in capsys.readouterr().err) == said
-
-
 def test_stages_one_by_one(rising_flame, tmp_path, capsys):
     options = ["--gaussians", "300", "--voxels", "24", "--no-flow-prior"]
     options = [str(rising_flame), "--out", str(tmp_path / "o"), "--iterations", "5", *options]
