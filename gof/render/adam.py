@@ -60,6 +60,7 @@ class Adam(opt.Adam):
             self[name] = joined(value, new)
             moments = [joined(m, [np.zeros_like(c) for c in new]) for m in moments]
             self.state[name] = self.state[name][0], promoted, rate, (t, *moments, extra)
+        dr.flush_malloc_cache()  # memory in the sizes of before, which Dr.Jit keeps for more of these
 
 
 def _columns(x) -> list[Float]:
