@@ -115,6 +115,7 @@ TOY = {
     "real_motion": ("FLAME",),
     "reconstruct_memory": ("FLAME", "--runs", "96", "300", "16"),
     "render_kernels": ("--quick",),
+    "render_lasting": ("--steps", "200", "--gaussians", "200", "--width", "48", "--height", "32", "--native-only"),
     "render_speed": ("--quick",),
     "plate_window": ("FLAME", "--start", "2", "--frames", "5", "--windows", "5", "10"),
     "ring_accuracy": ("--frames", "20", "--only", "as it comes"),
