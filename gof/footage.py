@@ -169,21 +169,22 @@ def picture_files(folder: Path) -> list[Path]:
 def fingerprint(path: Path) -> str:
     """Sixteen hex digits that tell footage from other footage, wherever it lies and whatever it is called.
 
-    Of a video's size, its first and its last MiB (more would take minutes for long ones); of a folder, those of all
-    its pictures.
+    Of a video's size, its first and its last MiB; of a folder, the sizes of all its pictures, and this of its first and
+    its last one. All of it would take minutes for long ones.
 
     Raises:
-        DataFormatError: there is no such file, or no picture in the folder.
+        DataFormatError: no such file, a pipe or a device, no picture in the folder.
     """
     path = Path(path)
-    if not path.exists():
-        raise DataFormatError(f"{path}: no such video or folder of pictures")
-    state = hashlib.sha256()
-    for file in picture_files(path) if path.is_dir() else [path]:
-        size = file.stat().st_size
+    files = picture_files(path) if path.is_dir() else [path]
+    for file in files:
+        if not file.is_file():  # opening a pipe would wait for ever
+            raise DataFormatError(f"{file}: no such {'picture' if path.is_dir() else 'video or folder of pictures'}")
+    state = hashlib.sha256(" ".join(str(file.stat().st_size) for file in files).encode())
+    for file in {files[0]: None, files[-1]: None}:
         with file.open("rb") as stream:
-            state.update(b"%d " % size + stream.read(ENDS))
-            stream.seek(max(size - ENDS, 0))
+            state.update(stream.read(ENDS))
+            stream.seek(max(file.stat().st_size - ENDS, 0))
             state.update(stream.read(ENDS))
     return state.hexdigest()[:16]
 

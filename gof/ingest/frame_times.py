@@ -250,8 +250,8 @@ def _entries(
     others = iter(left)
     found = [known[next(others) if k is None else k] for k in chosen]
     notes = tuple(
-        f"{video.path.name}: not the file that {path.name} was made of ({entry.video}); its frames are taken to be the "
-        "same ones"
+        f"{video.path.name}: not the file that {path.name} was made of ({Path(entry.video).name}); its frames are "
+        "taken to be the same ones"
         for video, entry, k in zip(videos, found, chosen, strict=True)
         if k is None and entry.fingerprint
     )

@@ -45,8 +45,9 @@ class Adam(opt.Adam):
         Column by column: an array of vectors through numpy would compile two kernels for every new number of rows.
 
         Args:
-            kept: rows of those that stay.   born: by name, values of those that are new; {} without any.
-            order: of both together, the first of them those that stay.
+            names: of parameters of N rows each.   kept: (K,) which of these stay.
+            born: by name, values of B new rows; {} without any.
+            order: (K + B,) a permutation of both together, of which the first K are those that stay.
         """
         for name in names:
             value, promoted, rate, (t, *moments, extra) = self.state[name]

@@ -1,5 +1,6 @@
 """Footage that is mixed up: given twice, in another order than it was timed in, or two clips of one camera."""
 
+import os
 import shutil
 from dataclasses import replace
 
@@ -53,6 +54,18 @@ def test_footage_is_known_by_its_contents_not_by_its_name(tmp_path):
     assert fingerprint(first) != fingerprint(second)
     shutil.copytree(first, tmp_path / "copy")
     assert fingerprint(first) == fingerprint(tmp_path / "copy")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_or_a_lost_picture_is_named_and_never_waited_for(tmp_path):
+    one, two = folders(tmp_path, 2)
+    (two / "07.png").unlink()
+    (two / "07.png").symlink_to(tmp_path / "lost.png")
+    with pytest.raises(DataFormatError, match=r"07.png: no such picture"):
+        require_different([one, two])
+    os.mkfifo(tmp_path / "pipe.mp4")
+    with pytest.raises(DataFormatError, match=r"pipe.mp4: no such video"):
+        require_different([one, tmp_path / "pipe.mp4"])
 
 
 def test_the_same_footage_twice_is_refused_before_anything_is_read(tmp_path):
@@ -126,7 +139,8 @@ def test_copies_in_another_format_take_the_times_of_their_place_and_it_is_said(t
     cv2.imwrite(str(two / "00.png"), np.zeros((6, 8, 3), np.uint8))
     offsets, notes = offsets_us(path, [three, two, one])
     assert offsets == [200, 100, 0]
-    assert len(notes) == 1 and "cam_1: not the file that times.json was made of" in notes[0]
+    assert len(notes) == 1 and "cam_1: not the file that times.json was made of (cam_1)" in notes[0]
+    assert str(tmp_path) not in notes[0], "notes go into dataset.json, which is given away"
 
 
 @pytest.mark.parametrize("marked", [True, False])
