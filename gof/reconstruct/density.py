@@ -16,12 +16,11 @@ import numpy as np
 from gof.cameras import Camera
 from gof.gaussians import TransientGaussians
 from gof.morton import morton_order
-from gof.reconstruct.parameters import from_raw, to_raw
+from gof.reconstruct.parameters import PER_GAUSSIAN, from_raw, to_raw
 from gof.reconstruct.splatting import LARGE, PULL, SPLIT_SHRINK, within
 from gof.render.adam import Adam
 from gof.render.rasterizer import Frame
 
-RAW = ("x0", "velocity", "t_mu", "log_t_sigma", "scale", "rotation", "opacity", "color")  # `to_raw`'s, per Gaussian
 FIRST, EVERY = 500, 100  # steps
 UNTIL = 0.5  # of all steps: 15 000 of the paper's 30 000
 FAINT = 0.005  # opacity below which a Gaussian is pruned
@@ -87,7 +86,7 @@ class DensityControl:
             return
         both = TransientGaussians.concatenate([old[kept], born])
         order = morton_order(both.position)  # neighbours in space side by side in memory: speed only
-        optimizer.regroup(RAW, kept, to_raw(born, *self._units) if len(born) else {}, order)
+        optimizer.regroup(PER_GAUSSIAN, kept, to_raw(born, *self._units) if len(born) else {}, order)
 
 
 def changed(

@@ -13,13 +13,14 @@ from typing import Any, Protocol
 import drjit as dr
 import numpy as np
 
+from gof.cameras import Camera
 from gof.errors import NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.density import DensityControl
 from gof.reconstruct.methods import LAST_SHARE, Rates, cameras_extent
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.parameters import from_raw, splats, to_raw
+from gof.reconstruct.parameters import PER_GAUSSIAN, Raw, alight, from_raw, splats, to_raw
 from gof.reconstruct.surroundings import Drawn, Surroundings
 from gof.reconstruct.windows import Windows
 from gof.render import Target, l1_ssim
@@ -120,23 +121,13 @@ def optimize(
     Raises:
         NonFiniteError: the loss or a parameter became NaN or Inf; names the parameter and the step.
     """
-    flame = _Flame(seeds, observation, windows, surroundings, schedule, units)
-    pictures = _TrainingPictures(observation, windows)
+    flame = Flame(seeds, observation, windows, surroundings, schedule, units)
+    pictures = TrainingPictures(observation, windows)
     start = load_checkpoint(checkpoint, flame.optimizer, resized=schedule.density_control)
     mean_loss = None
     held_out = None
     for step in range(start, schedule.iterations):
-        f, c = pictures.drawn(schedule.seed, step)
-        flame.optimizer.set_learning_rate(schedule.raw_rates(units, step))
-        drawn = flame.drawn(f, c)
-        loss = _loss(drawn, pictures, f, c, schedule.alpha_loss)
-        loss += schedule.plate_loss * surroundings.moved(c, flame.optimizer)
-        dr.backward(loss)
-        flame.watch(step, drawn.frame, c)
-        flame.optimizer.step()
-        flame.change(step)
-        dr.eval(list(flame.optimizer.values()))
-
+        loss = take_step(step, flame, pictures, schedule, units)
         done = step + 1
         last = done == schedule.iterations
         if done in EVALUATE_AT or last:
@@ -152,7 +143,22 @@ def optimize(
     return flame.state()
 
 
-class _Flame:
+def take_step(step: int, flame: Flame, pictures: TrainingPictures, schedule: Schedule, units: Units) -> Any:
+    """Draw a picture, and move what it shows against the loss, which is returned: a Dr.Jit tensor of one number."""
+    f, c = pictures.drawn(schedule.seed, step)
+    flame.optimizer.set_learning_rate(schedule.raw_rates(units, step))
+    drawn = flame.drawn(f, c)
+    loss = _loss(drawn, pictures, f, c, schedule.alpha_loss)
+    loss += schedule.plate_loss * flame.surroundings.moved(c, flame.optimizer)
+    dr.backward(loss)
+    flame.watch(step, drawn.frame, c)
+    flame.optimizer.step()
+    flame.change(step)
+    dr.eval(list(flame.optimizer.values()))
+    return loss
+
+
+class Flame:
     """The unknowns: raw parameters of the Gaussians, and of their surroundings where they may move, in Adam's hands."""
 
     def __init__(
@@ -191,9 +197,15 @@ class _Flame:
         """Camera c's view of frame f; differentiable."""
         camera = self.cameras[c]
         time_s = float(self.read_s[c, f]) - self.start_s
-        seen = splats(self.optimizer, self.voxel_size, time_s, camera)
+        seen = splats(self.shown(time_s, camera), self.voxel_size, time_s, camera)
         # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
         return self.surroundings.draw(seen, c, self.voxel_size, self.optimizer)
+
+    def shown(self, time_s: float, camera: Camera) -> Raw:
+        """The raw parameters of those that the camera can see at a time; the others stay as they are in this step."""
+        if self._density is not None:  # it counts in how many pictures a Gaussian is, alight or not
+            return self.optimizer
+        return self.optimizer.only(PER_GAUSSIAN, alight(self.optimizer, self.voxel_size, time_s, camera))
 
     def watch(self, step: int, frame: Frame, c: int) -> None:
         """After the backward pass of a step."""
@@ -211,19 +223,23 @@ class _Flame:
         return self.surroundings.result(replace(gaussians, **self._kept), self.optimizer)
 
 
-class _TrainingPictures:
+class TrainingPictures:
     """The delivered training pictures' windows, each brought to the renderer when it is first drawn against."""
 
     def __init__(self, observation: Observation, windows: Windows):
         self._observation, self._windows = observation, windows
         self._delivered = np.argwhere(observation.delivered)
+        self._epoch: tuple[int, int] | None = None  # seed and number of the one whose order is known
+        self._order = self._delivered
         self._targets: dict[tuple[int, int], Target] = {}
         self._outside: dict[tuple[int, int], Float] = {}
 
     def drawn(self, seed: int, step: int) -> tuple[int, int]:
         """Frame and camera of a step: every picture once an epoch, in an order of its own, the same when resumed."""
         epoch, place = divmod(step, len(self._delivered))
-        f, c = np.random.default_rng((seed, epoch)).permutation(self._delivered)[place].tolist()
+        if (seed, epoch) != self._epoch:
+            self._epoch, self._order = (seed, epoch), np.random.default_rng((seed, epoch)).permutation(self._delivered)
+        f, c = self._order[place].tolist()
         return f, c
 
     def target(self, f: int, c: int) -> Target:
@@ -239,7 +255,7 @@ class _TrainingPictures:
         return self._outside[f, c]
 
 
-def _loss(drawn: Drawn, pictures: _TrainingPictures, f: int, c: int, alpha_loss: float) -> Any:
+def _loss(drawn: Drawn, pictures: TrainingPictures, f: int, c: int, alpha_loss: float) -> Any:
     """The loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable."""
     loss = l1_ssim(drawn.color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
     return loss + alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))

@@ -17,9 +17,13 @@ from gof.gaussians import TransientGaussians
 from gof.reconstruct.seeds import SCALE_MAX, SCALE_MIN
 from gof.render import Splats, shutter_delay, transient_state
 from gof.render.backend import Array3f, Array4f, Float, floats, opaque
+from gof.render.rasterizer import MIN_ALPHA
 from gof.render.scene import columns
 
 OPACITY_EPS = 1e-4  # logits stay finite
+FAINTEST = 0.99 * MIN_ALPHA  # what is fainter is not drawn, however its opacity is rounded
+GROUP = 16  # rows: a cache line of each column
+PER_GAUSSIAN = ("x0", "velocity", "t_mu", "log_t_sigma", "scale", "rotation", "opacity", "color")
 
 Raw = Mapping[str, Any]  # name -> Dr.Jit array
 
@@ -63,13 +67,34 @@ def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
 
 def splats(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> Splats:
     """What a camera sees in a frame whose first line it reads at `time_s` after the clip's start; differentiable."""
+    position, opacity = _state(raw, voxel_size, time_s, camera)
+    color = raw["color"]
+    return Splats(position, raw["rotation"], _scale(raw, voxel_size), opacity, [color.x, color.y, color.z])
+
+
+def alight(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> np.ndarray:
+    """Rows (K,) uint32, ascending, among which are all that `splats` would draw: most live at other times.
+
+    Whole groups of GROUP neighbours in memory, so that they are moved at memory's speed; at least one group.
+    """
+    _, opacity = _state({name: dr.detach(raw[name]) for name in PER_GAUSSIAN}, voxel_size, time_s, camera)
+    count = len(opacity)
+    groups = np.zeros(-(-count // GROUP) * GROUP, bool)
+    groups[:count] = (opacity > FAINTEST).numpy()
+    groups = np.flatnonzero(groups.reshape(-1, GROUP).any(1))
+    groups = groups if len(groups) else np.zeros(1, np.int64)
+    rows = (GROUP * groups[:, None] + np.arange(GROUP)).ravel()
+    return rows[rows < count].astype(np.uint32)
+
+
+def _state(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> tuple[Array3f, Float]:
+    """Position and opacity of each Gaussian when the camera reads it."""
     motion = raw["x0"], raw["velocity"], raw["t_mu"], dr.exp(raw["log_t_sigma"]), _sigmoid(raw["opacity"])
     position, opacity = transient_state(*motion, time_s)
     if camera.row_time_s > 0:
         delay = shutter_delay(position, raw["velocity"], camera, near=voxel_size)
         position, opacity = transient_state(*motion, delay + opaque(time_s))
-    color = raw["color"]
-    return Splats(position, raw["rotation"], _scale(raw, voxel_size), opacity, [color.x, color.y, color.z])
+    return position, opacity
 
 
 def _scale(raw: Raw, voxel_size: float) -> Array3f:

@@ -12,6 +12,7 @@ import numpy as np
 
 from gof.cameras import Camera
 from gof.reconstruct.voxels import ROOM, FlameVoxels
+from gof.render.bins import BLOCK
 from gof.render.ssim import REACH
 
 
@@ -48,7 +49,8 @@ class Windows:
             low.append(np.floor(corners.min(0)) - REACH)
             high.append(np.ceil(corners.max(0)) + REACH)
         low, high = np.clip(low, 0, size).astype(int), np.clip(high, 0, size).astype(int)
-        width, height = np.maximum((high - low).max(0), 1)
+        # Whole blocks, as long as the picture has them: others are drawn larger and cut, which costs more than drawing.
+        width, height = np.minimum(-(-np.maximum((high - low).max(0), 1) // BLOCK) * BLOCK, size)
         return cls(np.minimum(low, size - (width, height)), int(width), int(height))
 
     def cut(self, camera: int, picture: np.ndarray) -> np.ndarray:

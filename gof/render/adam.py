@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import numpy as np
 from drjit import opt
 
-from gof.render.backend import Float, floats, kernels
+from gof.render.backend import Float, UInt, floats, kernels
 from gof.render.blend import as_plane
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What a step moves of some parameters: `gof.render.native.adam.Rows`, and their values, whose gradients count."""
+
+    rows: Any
+    values: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Memory:
+    """A parameter and its two moments as Dr.Jit has them, and each one's columns (N,) where numpy reads and writes."""
+
+    arrays: list[Any]
+    columns: list[list[np.ndarray]]
 
 
 class Adam(opt.Adam):
@@ -19,25 +36,88 @@ class Adam(opt.Adam):
     Where the native kernels run, a step reads and writes every array once, which takes a quarter of the time.
     """
 
+    def __init__(self, *args: Any, **kwargs: Any):
+        self._part: _Part | None = None  # of which the next step moves nothing else
+        self._memory: dict[str, _Memory] = {}
+        super().__init__(*args, **kwargs)
+
+    def only(self, names: Iterable[str], rows: np.ndarray) -> dict[str, Any]:
+        """Some rows of parameters of N rows each, by name, differentiable: the others have gradient 0 in this step.
+
+        What a picture does not show costs nothing then: the next `step` reads and moves these rows only, which is what
+        `mask_updates` (that must be on) does with gradients of 0. Where the native kernels run it writes to the
+        parameters' memory; arrays that were read from here change with it.
+
+        Args:
+            rows: (K,) uint32, ascending, each once, K > 0. Runs of 16 or more are moved at memory's speed.
+        """
+        if not self.mask_updates:
+            raise ValueError("only: rows that are left out stay as they are, which needs mask_updates")
+        if kernels().name != "native":
+            index = dr.empty(UInt, len(rows))  # in Dr.Jit's own memory, see `floats`
+            index.numpy()[:] = rows
+            return {name: _gathered(self[name], index) for name in names}
+        from gof.render.native.adam import Rows, take
+
+        self._part = _Part(Rows.of(rows), {})
+        for name in names:
+            value, columns = self.state[name][0], self._in_memory(name).columns[0]
+            self._part.values[name] = type(value)(*take(columns, self._part.rows))
+        dr.enable_grad(self._part.values)
+        return dict(self._part.values)
+
     def step(self) -> None:
         """Move every parameter by its gradient; with `mask_updates` what has gradient 0 stays, with its moments."""
         if kernels().name != "native":
             super().step()
             return
-        from gof.render.native.adam import adam
-
-        gradients = {key: _columns(dr.grad(value)) for key, (value, *_) in self.state.items()}
+        part, self._part = self._part or _Part(None, {}), None
+        learned = {key: part.values.get(key, value) for key, (value, *_) in self.state.items()}
+        gradients = {key: _columns(dr.grad(value)) for key, value in learned.items()}
         dr.schedule(gradients)
-        constants = self.beta_1, self.beta_2, self.epsilon, self.mask_updates
-        for key, (value, promoted, rate, (t, *moments, extra)) in self.state.items():
-            t = int(t[0]) + 1
-            debiased = (self.lr if rate is None else rate) * (1 - self.beta_2**t) ** 0.5 / (1 - self.beta_1**t)
-            old = [_columns(dr.detach(x)) for x in (value, *moments)]
-            grads = [as_plane(g, dr.width(value)) for g in gradients[key]]
-            new = adam(old, grads, debiased, *constants)
-            value, m, v = (type(like)(*columns) for like, columns in zip((value, *moments), new, strict=True))
+        for key, gradient in gradients.items():
+            if self.mask_updates and all(_is_nothing(column) for column in gradient):
+                self._count(key)
+            else:
+                planes = [as_plane(column, dr.width(learned[key])) for column in gradient]
+                self._move(key, planes, part.rows if key in part.values else None)
+
+    def _count(self, key: str) -> int:
+        """Steps of a parameter, with this one."""
+        value, promoted, rate, (t, *moments, extra) = self.state[key]
+        steps = int(t[0]) + 1
+        self.state[key] = value, promoted, rate, (dr.uint32_array_t(Float)(steps), *moments, extra)
+        return steps
+
+    def _move(self, key: str, gradient: list[Float], rows: Any) -> None:
+        """A step of a parameter by its columns' gradients, or of these rows of it in its memory."""
+        from gof.render.native.adam import adam, adam_rows
+
+        steps = self._count(key)
+        value, promoted, rate, (t, *moments, extra) = self.state[key]
+        rate_now = (self.lr if rate is None else rate) * (1 - self.beta_2**steps) ** 0.5 / (1 - self.beta_1**steps)
+        constants = rate_now, self.beta_1, self.beta_2, self.epsilon
+        if rows is not None:
+            adam_rows(self._in_memory(key).columns, rows, gradient, *constants)
+            return
+        old = [_columns(dr.detach(x)) for x in (value, *moments)]
+        new = adam(old, gradient, *constants, self.mask_updates)
+        value, *moments = (type(like)(*columns) for like, columns in zip((value, *moments), new, strict=True))
+        dr.enable_grad(value)
+        self.state[key] = value, promoted, rate, (t, *moments, extra)
+
+    def _in_memory(self, name: str) -> _Memory:
+        """A parameter's memory, and from now on nobody else's."""
+        value, promoted, rate, (t, *moments, extra) = self.state[name]
+        kept = self._memory.get(name)
+        if kept is None or any(a is not b for a, b in zip(kept.arrays, (value, *moments), strict=True)):
+            own = [[floats(c.numpy()) for c in _columns(dr.detach(x))] for x in (value, *moments)]
+            views = [[column.numpy() for column in columns] for columns in own]
+            value, *moments = (type(like)(*columns) for like, columns in zip((value, *moments), own, strict=True))
             dr.enable_grad(value)
-            self.state[key] = value, promoted, rate, (dr.uint32_array_t(Float)(t), m, v, extra)
+            self.state[name] = value, promoted, rate, (t, *moments, extra)
+            kept = self._memory[name] = _Memory([value, *moments], views)
+        return kept
 
     def regroup(self, names: Iterable[str], kept: np.ndarray, born: Mapping[str, Any], order: np.ndarray) -> None:
         """Change which rows some parameters have: who stays keeps the moments, who is new has none.
@@ -66,3 +146,13 @@ class Adam(opt.Adam):
 
 def _columns(x) -> list[Float]:
     return list(x) if dr.depth_v(x) > 1 else [x]
+
+
+def _is_nothing(gradient: Float) -> bool:
+    """Whether nothing was differentiated with respect to a column."""
+    return gradient.state == dr.VarState.Literal and float(gradient[0]) == 0
+
+
+def _gathered(value: Any, index: UInt) -> Any:
+    columns = [dr.gather(Float, c, index, mode=dr.ReduceMode.NoConflicts) for c in _columns(value)]
+    return type(value)(*columns)

@@ -12,7 +12,7 @@ from gof.gaussians import TransientGaussians
 from gof.reconstruct import density, optimize, pipeline
 from gof.reconstruct.density import _Seen, changed
 from gof.reconstruct.methods import METHODS, PAPER
-from gof.reconstruct.parameters import from_raw, to_raw
+from gof.reconstruct.parameters import PER_GAUSSIAN, from_raw, to_raw
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.render.adam import Adam
@@ -126,10 +126,10 @@ def test_pruning_alone_and_no_change_at_all():
     control._seen = seen(*[0] * 6)
     control.change(599, optimizer)
     assert len(from_raw(optimizer, VOXEL, 0.0)) == 5
-    same = [np.array(dr.detach(optimizer[name])) for name in density.RAW]
+    same = [np.array(dr.detach(optimizer[name])) for name in PER_GAUSSIAN]
     control._seen = seen(*[0] * 5)
     control.change(699, optimizer)
-    for name, before in zip(density.RAW, same, strict=True):
+    for name, before in zip(PER_GAUSSIAN, same, strict=True):
         np.testing.assert_array_equal(np.array(dr.detach(optimizer[name])), before)
     control._seen = seen(*[9] * 5)
     control.change(650, optimizer)  # not the time

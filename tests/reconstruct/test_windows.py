@@ -11,6 +11,7 @@ from gof.reconstruct.parameters import splats, to_raw
 from gof.reconstruct.voxels import ROOM, FlameVoxels
 from gof.reconstruct.windows import Windows
 from gof.render import render_splats
+from gof.render.bins import BLOCK
 from tests.conftest import arc
 
 WIDTH, HEIGHT = 48, 96
@@ -69,6 +70,7 @@ def test_a_window_holds_the_flame_and_its_room_and_little_else():
         room = ROOM * VOXEL * camera.K[0, 0] / depth[:, None]
         assert (pixels - room >= corner).all() and (pixels + room <= corner + (windows.width, windows.height)).all()
     assert windows.width * windows.height < 0.5 * WIDTH * HEIGHT
+    assert windows.width % BLOCK == windows.height % BLOCK == 0, "nothing is drawn to be cut off"
 
 
 def test_a_flame_that_leaves_the_picture_and_one_that_a_camera_stands_in():

@@ -36,6 +36,70 @@ def test_steps_follow_the_paper(masked):
         assert dr.grad_enabled(optimizer[key])
 
 
+def test_some_rows_are_moved_as_the_paper_says_and_the_others_stay():
+    """Another choice of rows each time, in runs and alone; a parameter that is not asked for moves as ever."""
+    r, names = np.random.default_rng(3), ("position", "opacity")
+    start = {"position": r.normal(size=(100, 3)), "opacity": r.normal(size=(100, 1)), "plate": r.normal(size=(7, 1))}
+    params = {k: columns(x, Array3f) if k == "position" else floats(x) for k, x in start.items()}
+    optimizer = Adam(lr=0.02, params=params, beta_1=0.8, beta_2=0.95, epsilon=1e-15, mask_updates=True)
+    state = {k: (x, 0 * x, 0 * x) for k, x in start.items()}
+    for t in range(1, 8):
+        rows = np.flatnonzero(r.random(100) < 0.3)
+        if t % 2:
+            rows = np.unique(np.concatenate([rows, np.arange(10 * t, 10 * t + 30) % 100]))
+        part = optimizer.only(names, rows.astype(np.uint32))
+        assert set(part) == set(names) and dr.width(part["position"]) == len(rows)
+        np.testing.assert_allclose(part["opacity"].numpy(), state["opacity"][0][rows, 0], atol=2e-6)
+        loss, pulls = dr.sum(optimizer["plate"] * optimizer["plate"]), {"plate": 2 * state["plate"][0]}
+        for name in names:
+            k = start[name].shape[1]
+            pull = r.normal(size=(len(rows), k)) * (r.random((len(rows), k)) < 0.8)
+            parts = list(part[name]) if k > 1 else [part[name]]
+            loss += sum(dr.sum(floats(p) * c) for p, c in zip(pull.T, parts, strict=True))
+            pulls[name] = np.zeros_like(start[name])
+            pulls[name][rows] = pull
+        dr.backward(loss)
+        optimizer.step()
+        for name, (x, m, v) in state.items():
+            g = pulls[name]
+            first, second = 0.8 * m + 0.2 * g, 0.95 * v + 0.05 * g * g
+            root = np.sqrt(second / (1 - 0.95**t))
+            moved = x - 0.02 * np.divide(first / (1 - 0.8**t), root, out=0 * x, where=root > 0)
+            state[name] = tuple(np.where(g == 0, a, b) for a, b in ((x, moved), (m, first), (v, second)))
+    for name, expected in state.items():
+        value, _, _, (t, *moments, _) = optimizer.state[name]
+        assert int(t[0]) == 7
+        for found, here in zip((value, *moments), expected, strict=True):
+            np.testing.assert_allclose(np.array(dr.detach(found)).reshape(-1, len(here)).T, here, atol=3e-6)
+        assert dr.grad_enabled(optimizer[name])
+
+
+def test_rows_that_come_and_go_between_steps_of_some_rows():
+    """The parameters' memory is another then."""
+    optimizer = Adam(lr=0.1, params={"w": floats(np.arange(6.0))}, mask_updates=True)
+
+    def pull(*rows: int) -> None:
+        dr.backward(dr.sum(optimizer.only(["w"], np.array(rows, np.uint32))["w"]))
+        optimizer.step()
+
+    pull(1, 4)
+    np.testing.assert_allclose(optimizer["w"].numpy(), [0, 0.9, 2, 3, 3.9, 5], atol=1e-6)
+    optimizer.regroup(["w"], np.array([1, 4, 5]), {"w": floats(np.array([9.0]))}, np.array([3, 0, 1, 2]))
+    pull(0, 2)
+    np.testing.assert_allclose(
+        optimizer["w"].numpy(), [8.9256, 0.9, 3.8, 5], atol=1e-4
+    )  # who is new has moved once in two steps
+    optimizer["w"] = floats(np.array([1.0, 2.0]))  # as a checkpoint does
+    pull(1)
+    np.testing.assert_allclose(optimizer["w"].numpy(), [1, 1.9], atol=1e-4)
+
+
+def test_some_rows_need_an_optimiser_that_leaves_the_others():
+    optimizer = Adam(lr=0.1, params={"w": floats(np.arange(6.0))})
+    with pytest.raises(ValueError, match="mask_updates"):
+        optimizer.only(["w"], np.array([1], np.uint32))
+
+
 def test_what_has_no_gradient_stays():
     optimizer = Adam(lr=0.1, params={"a": Float([1.0, 2.0]), "b": Float([3.0])})
     dr.backward(dr.sum(optimizer["b"]))

@@ -1,25 +1,54 @@
-"""Adam's step in one pass over memory."""
+"""Adam's step in one pass over memory, of all rows or of some."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
 
 from gof.render.backend import Float
-from gof.render.native.compiled import kernel
+from gof.render.native.compiled import kernel, part
 from gof.render.native.threads import run
 
 
+@part
+def moved(value, m, v, g, rate, beta_1, beta_2, epsilon):
+    """Value and moments after a step by gradient g. Where the gradient always was 0, so is the step: epsilon > 0."""
+    one = np.float32(1)
+    m, v = m * beta_1 + g * (one - beta_1), v * beta_2 + g * g * (one - beta_2)
+    return value - rate * m / (np.sqrt(v) + epsilon), m, v
+
+
 @kernel
-def _step(value, m, v, gradient, new_value, new_m, new_v, rate, beta_1, beta_2, epsilon, masked):
-    one, none = np.float32(1), np.float32(0)
+def _step(value, m, v, gradient, new_value, new_m, new_v, masked, rate, beta_1, beta_2, epsilon):
     for i in range(len(value)):
         g = gradient[i]
-        stays = masked and g == none
-        first, second = m[i] * beta_1 + g * (one - beta_1), v[i] * beta_2 + g * g * (one - beta_2)
-        # Where the gradient always was 0, so is the step: epsilon > 0.
-        moved = value[i] - rate * first / (np.sqrt(second) + epsilon)
-        new_value[i], new_m[i], new_v[i] = (value[i], m[i], v[i]) if stays else (moved, first, second)
+        stays = masked and g == np.float32(0)
+        new = moved(value[i], m[i], v[i], g, rate, beta_1, beta_2, epsilon)
+        new_value[i], new_m[i], new_v[i] = (value[i], m[i], v[i]) if stays else new
+
+
+@kernel
+def _step_rows(value, m, v, gradient, rows, runs, rate, beta_1, beta_2, epsilon):
+    """In place, what has gradient 0 stays; rows[runs[r]:runs[r + 1]] are neighbours."""
+    for r in range(len(runs) - 1):
+        k = runs[r]
+        i = np.int64(rows[k])
+        for j in range(runs[r + 1] - k):
+            g = gradient[k + j]
+            old = value[i + j], m[i + j], v[i + j]
+            new = moved(*old, g, rate, beta_1, beta_2, epsilon)
+            value[i + j], m[i + j], v[i + j] = old if g == np.float32(0) else new
+
+
+@kernel
+def _take(column, rows, runs, out):
+    for r in range(len(runs) - 1):
+        k = runs[r]
+        i = np.int64(rows[k])
+        for j in range(runs[r + 1] - k):
+            out[k + j] = column[i + j]
 
 
 def adam(old, gradients, rate: float, beta_1: float, beta_2: float, epsilon: float, masked: bool):
@@ -34,6 +63,37 @@ def adam(old, gradients, rate: float, beta_1: float, beta_2: float, epsilon: flo
     new = [[dr.empty(Float, len(column)) for column in columns] for columns in old]
     # Views first: an array that something else refers to by then is copied before numpy may write to it.
     tasks = list(zip(*([c.numpy() for c in columns] for columns in (*old, gradients, *new)), strict=True))
-    constants = *(np.float32(x) for x in (rate, beta_1, beta_2, epsilon)), masked
-    run(lambda k: _step(*tasks[k], *constants), [(k,) for k in range(len(tasks))])
+    constants = [np.float32(x) for x in (rate, beta_1, beta_2, epsilon)]
+    run(lambda k: _step(*tasks[k], masked, *constants), [(k,) for k in range(len(tasks))])
     return new
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows (K,) uint32 of some columns, ascending, each once; runs (R + 1,): where neighbours begin, and the end."""
+
+    index: np.ndarray
+    runs: np.ndarray
+
+    @classmethod
+    def of(cls, index: np.ndarray) -> Rows:
+        return cls(index, np.concatenate([[0], np.flatnonzero(np.diff(index) != 1) + 1, [len(index)]]))
+
+
+def take(columns: list[np.ndarray], rows: Rows) -> list[Float]:
+    """These rows of K columns (N,)."""
+    out = [dr.empty(Float, len(rows.index)) for _ in columns]
+    tasks = list(zip(columns, [column.numpy() for column in out], strict=True))
+    run(lambda k: _take(tasks[k][0], rows.index, rows.runs, tasks[k][1]), [(k,) for k in range(len(tasks))])
+    return out
+
+
+def adam_rows(old, rows: Rows, gradients, rate: float, beta_1: float, beta_2: float, epsilon: float) -> None:
+    """One step of some rows of a parameter of K columns (N,), in place; rows with gradient 0 stay.
+
+    Args:
+        old: its value and two moments, K columns each.   gradients: of the rows, K columns.
+    """
+    tasks = list(zip(*old, [g.numpy() for g in gradients], strict=True))
+    constants = [np.float32(x) for x in (rate, beta_1, beta_2, epsilon)]
+    run(lambda k: _step_rows(*tasks[k], rows.index, rows.runs, *constants), [(k,) for k in range(len(tasks))])

@@ -19,7 +19,8 @@ from gof.render.blend import GEOMETRY, as_plane, hand_back
 from gof.render.native import blending, lists
 from gof.render.native.threads import even_parts, run, thread_count
 
-CHUNKS = 64  # parts of the picture that threads take one after another
+CHUNKS = 16  # parts of the picture for each thread; whoever is free takes the next
+REPEATABLE_CHUNKS = 64  # in deterministic mode, however many threads there are
 REPEATABLE_PARTS = 4  # sums of gradients in deterministic mode, however many threads there are
 MOST_BLOCKS = 0xFFFF  # along a side: two of these share a word
 
@@ -36,10 +37,10 @@ class _Band:
     def pairs(self) -> int:
         return int(self.start[-1])
 
-    def chunks(self) -> list[tuple[int, int]]:
+    def chunks(self, count: int) -> list[tuple[int, int]]:
         """[begin, end) of blocks, about equally much work."""
         work = self.start + 4 * np.arange(len(self.start), dtype=np.int64)  # an empty block still is written
-        ends = np.searchsorted(work, np.linspace(0, work[-1], CHUNKS + 1)).tolist()
+        ends = np.searchsorted(work, np.linspace(0, work[-1], count + 1)).tolist()
         return [(a, b) for a, b in pairwise(ends) if a < b]
 
 
@@ -131,7 +132,7 @@ class NativeBlend(dr.CustomOp):
             where = (begin, end, self.columns, band.first_row)
             blending.forward(self.records, band.gaussians, band.start, *where, self.planes, self.max_alpha)
 
-        run(draw, band.chunks())
+        run(draw, band.chunks(CHUNKS * thread_count()))
 
     def backward(self):
         upstream = [as_plane(g, len(self.planes[0])) for g in self.grad_out()]
@@ -150,7 +151,8 @@ class NativeBlend(dr.CustomOp):
         hand_back(self, columns)
 
     def _run_backward(self, band: _Band, grads: tuple, sums: np.ndarray) -> None:
-        chunks, parts = band.chunks(), len(sums)
+        chunks = band.chunks(REPEATABLE_CHUNKS if self.deterministic else CHUNKS * thread_count())
+        parts = len(sums)
         shared = iter(chunks)
 
         def work(p):
