@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gof.dataset import Dataset
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_prior import VOXELS
 from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.presets import PRESETS
@@ -20,5 +21,5 @@ def open_small(path: Path) -> Dataset:
 
 
 def preview_field(observation: Observation) -> FlowField:
-    """The fused flow on the preset's voxels, m/s."""
-    return seen_flow_field(observation, OURS, EFFORT.voxels)
+    """The fused flow on the flow prior's voxels, m/s."""
+    return seen_flow_field(observation, OURS, VOXELS)

@@ -120,6 +120,7 @@ TOY = {
     "plate_window": ("FLAME", "--start", "2", "--frames", "5", "--windows", "5", "10"),
     "ring_accuracy": ("--frames", "20", "--only", "as it comes"),
     "scene_model": ("FLAME", "RESULT"),
+    "training_step": ("FLAME", "--gaussians", "300", "--steps", "3"),
     "wrong_clocks": ("LATE", "--out", "OUT", "--errors", "0", "1", *TINY),
 }
 

@@ -42,8 +42,8 @@ class ReconstructConfig:
     iterations: int | None = None
     """Optimisation steps, one training picture each."""
     voxels: int | None = None
-    """Voxels along the longest side of the flame's box; also bounds the Gaussians' size. With 72, from which the
-    flow prior has learned, simulated fires scored best in motion; 96 drew a filmed flame better (docs/accuracy.md)."""
+    """Voxels along the longest side of the flame's box: how finely light is told apart, and a bound of the Gaussians'
+    size. The gas' velocity is always found on 72, from which the flow prior has learned."""
     longest_side: int | None = None
     """Pictures with a longer side, in pixels, are shrunk to it."""
     method: MethodName = "gof"

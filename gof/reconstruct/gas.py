@@ -47,6 +47,20 @@ def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGau
     )
 
 
+def with_gas_of(field: FlowField, other: FlowField) -> FlowField:
+    """The field with the gas of another of the same frames, which may stand on other voxels.
+
+    A voxel around which the other knows nothing moves as its light does, and nobody says how sure that is.
+    """
+    frames = []
+    for frame in field.frames:
+        velocity, sd = gas_at(other, field.voxels.center, np.full(len(field.voxels.center), frame.time_s))
+        known = np.isfinite(velocity).all(1)
+        velocity = np.where(known[:, None], velocity, frame.light_velocity)
+        frames.append(replace(frame, velocity=velocity, velocity_sd=np.where(known, sd, np.inf)))
+    return replace(field, frames=tuple(frames))
+
+
 def gas_at(field: FlowField, position: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Velocity of the gas (N, 3) m/s and its standard deviation (N,) m/s at places (N, 3) m and times (N,) s.
 

@@ -17,10 +17,12 @@ from gof.errors import GofError
 from gof.files import only_run_in
 from gof.reconstruct import memory, sanity, stages
 from gof.reconstruct.density import MOST_GROWTH
+from gof.reconstruct.flow_prior import VOXELS
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import METHODS
 from gof.reconstruct.optical_flow import flow_method
 from gof.reconstruct.presets import step_ms
+from gof.reconstruct.seen import uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings, Until
 from gof.reconstruct.shrink import shrink
 from gof.render.backend import kernels
@@ -103,7 +105,8 @@ def _require_possible(run: stages.Run, anyway: bool) -> None:
         gaussians += (MOST_GROWTH - 1) * settings.gaussians
     window = sanity.window_share(run.dataset) if run.method.windows else 1.0
     seconds = of_all_steps * step_ms(settings.gaussians, round(window * camera.width * camera.height), native) / 1e3
-    needed = memory.needed_for(run.dataset, gaussians, settings.voxels, window)
+    voxels = max(settings.voxels, VOXELS) if uses_flow_prior(settings) else settings.voxels
+    needed = memory.needed_for(run.dataset, gaussians, voxels, window)
     print(
         f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores, and {memory.in_words(needed)}",
         file=sys.stderr,

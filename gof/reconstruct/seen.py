@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from gof.dataset import Dataset
@@ -11,7 +12,8 @@ from gof.dataset.leaks import refuse_leaks
 from gof.errors import GofError
 from gof.reconstruct import ablations
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
-from gof.reconstruct.flow_prior import FlowPrior
+from gof.reconstruct.flow_prior import VOXELS, FlowPrior
+from gof.reconstruct.gas import with_gas_of
 from gof.reconstruct.methods import METHODS
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.optical_flow import Flow, flow_method
@@ -46,11 +48,23 @@ def observation_of(
 def flow_field_of(
     dataset: Dataset, settings: ReconstructionSettings, observation: Observation, progress: Progress | None = None
 ) -> FlowField:
-    """The flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
-    field = seen_flow_field(observation, METHODS[settings.method], settings.voxels, progress)
-    if uses_flow_prior(settings):
-        field = FlowPrior.load().correct(field, metres=dataset.description.in_metres)
-    return field
+    """The flame's voxels in every frame and their velocities, corrected by the flow prior where it is used.
+
+    The prior is asked on the voxels that it has learned from, whatever `settings.voxels` are: on finer ones its gas is
+    too slow, and on coarser ones it is hardly better than the mean of every height (docs/accuracy.md).
+    """
+    method, learned = METHODS[settings.method], uses_flow_prior(settings)
+    twice = learned and settings.voxels != VOXELS
+
+    def say(before: int, done: int, frames: int) -> None:
+        if progress:
+            progress(before * frames + done, (1 + twice) * frames)
+
+    if not learned:
+        return seen_flow_field(observation, method, settings.voxels, partial(say, 0))
+    asked = seen_flow_field(observation, method, VOXELS, partial(say, 0))
+    gas = FlowPrior.load().correct(asked, metres=dataset.description.in_metres)
+    return with_gas_of(seen_flow_field(observation, method, settings.voxels, partial(say, 1)), gas) if twice else gas
 
 
 def uses_flow_prior(settings: ReconstructionSettings) -> bool:

@@ -5,9 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.dataset import Dataset
 from gof.gaussians import TransientGaussians
-from gof.reconstruct.gas import gas_at, told_of_gas
+from gof.reconstruct import seen
+from gof.reconstruct.flow_prior import VOXELS
+from gof.reconstruct.gas import gas_at, told_of_gas, with_gas_of
+from gof.reconstruct.optical_flow import dis
+from gof.reconstruct.settings import ReconstructionSettings
+from gof.reconstruct.shrink import shrink
 from tests.reconstruct.plumes import box_of_voxels, changed, field_of
+from tests.reconstruct.rising_flame import write_flame
 
 VOXEL, FRAME, FRAMES = 0.05, 0.01, 4
 SLOPES = np.array([[0.3, -0.7, 1.1], [2.0, 0.4, -0.2], [-0.5, 0.9, 0.6]])  # 1/s
@@ -125,3 +132,63 @@ def test_far_from_the_origin(field, away):
     place, time_s = places(field)
     velocity, _ = gas_at(far, place + away, time_s)
     np.testing.assert_allclose(velocity, linear(place, time_s), atol=1e-6)
+
+
+# ---- on other voxels -------------------------------------------------------------------------------------------------
+
+
+def test_a_linear_field_is_the_same_on_other_voxels(field):
+    """Between the outermost centres; beyond the box, where nobody knows the gas, it goes with the light."""
+    fine = box_of_voxels((20, 20, 35), 0.02)
+    light = np.full((FRAMES, len(fine.center), 3), 5.0)
+    told = with_gas_of(field_of(fine, light, np.ones((FRAMES, len(fine.center))), FRAME), field)
+    low, high = field.voxels.center.min(0), field.voxels.center.max(0)
+    inside = ((fine.center >= low) & (fine.center <= high)).all(1)
+    outside = ((fine.center < low - VOXEL) | (fine.center > high + VOXEL)).any(1)
+    assert inside.sum() > 1000 and outside.sum() > 1000
+    for f, frame in enumerate(told.frames):
+        here = linear(fine.center[inside], np.full(inside.sum(), FRAME * f))
+        np.testing.assert_allclose(frame.velocity[inside], here, atol=1e-9)
+        np.testing.assert_allclose(frame.velocity_sd[inside], 0.5 + 10 * FRAME * f, atol=1e-10)
+        assert (frame.velocity[outside] == 5).all() and np.isinf(frame.velocity_sd[outside]).all()
+        assert (frame.light_velocity == 5).all() and frame.time_s == FRAME * f
+
+
+def test_a_clip_in_which_nothing_is_known_moves_as_its_light_does(field):
+    nothing = changed(field, known=np.zeros_like)
+    told = with_gas_of(field, nothing)
+    for frame in told.frames:
+        np.testing.assert_array_equal(frame.velocity, frame.light_velocity)
+        assert np.isinf(frame.velocity_sd).all()
+
+
+@pytest.fixture(scope="module")
+def rising_flame(tmp_path_factory):
+    return write_flame(tmp_path_factory.mktemp("rising") / "flame")
+
+
+def test_the_prior_is_asked_on_its_own_voxels_whatever_the_others_are(rising_flame, monkeypatch):
+    """Gas that the prior made (here: the grid's voxel size as a speed) reaches every other grid unchanged."""
+    asked = []
+
+    def correct(prior, field, metres):
+        asked.append(field.voxels.voxel_size)
+        size = np.full(3, field.voxels.voxel_size)
+        return changed(field, velocity=lambda v: 0 * v + size, velocity_sd=np.zeros_like)
+
+    monkeypatch.setattr(seen.FlowPrior, "correct", correct)
+    dataset = shrink(Dataset.open(rising_flame), 96)
+    heard = []
+    for voxels in (VOXELS, 24):
+        settings = ReconstructionSettings("flame", iterations=5, gaussians=300, voxels=voxels, longest_side=96)
+        observation = seen.observation_of(dataset, settings, dis)
+        made = seen.flow_field_of(dataset, settings, observation, lambda done, total: heard.append((done, total)))
+        assert made.voxels.voxel_size == pytest.approx(asked[0] * VOXELS / voxels, rel=0.1)
+        frame = made.frames[2]
+        sure = np.isfinite(frame.velocity_sd)
+        assert sure[frame.emission > 0].mean() > 0.9
+        np.testing.assert_allclose(frame.velocity[sure], asked[0], rtol=1e-9)
+        done, totals = zip(*heard, strict=True)
+        assert done == tuple(range(1, totals[0] + 1)) and len(set(totals)) == 1
+        heard.clear()
+    assert len(asked) == 2 and asked[0] == asked[1]
