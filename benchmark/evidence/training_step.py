@@ -31,6 +31,7 @@ from gof_benchmark.evidence.render_kernels import drawn_by
 WARM_UP = 5  # steps: the first compile
 WAYS = {
     "Dr.Jit's kernels, all Gaussians": ("drjit", False),
+    "Dr.Jit's kernels, those alight": ("drjit", True),
     "native kernels, all Gaussians": ("native", False),
     "native kernels, those alight": ("native", True),
 }
@@ -87,7 +88,7 @@ def measure(seeds, observation, windows, surroundings, schedule, units, steps: i
     from gof.reconstruct.optimize import Flame, TrainingPictures, take_step
 
     flames = {way: Flame(seeds, observation, windows, surroundings, schedule, units) for way in WAYS}
-    pictures = TrainingPictures(observation, windows)
+    pictures = {way: TrainingPictures(observation, windows) for way in WAYS}  # each ready for its own kernels
     drawn: list[int] = []
 
     def step(way: str, number: int) -> None:
@@ -96,7 +97,7 @@ def measure(seeds, observation, windows, surroundings, schedule, units, steps: i
             stack.enter_context(drawn_by(kernels))
             if not leaves_out:
                 stack.enter_context(patch.object(Flame, "shown", lambda flame, *_: flame.optimizer))
-            take_step(number, flames[way], pictures, schedule, units)
+            take_step(number, flames[way], pictures[way], schedule, units)
             dr.sync_thread()
 
     shown = Flame.shown
