@@ -45,16 +45,19 @@ PRESETS: dict[PresetName, Effort] = {
 
 
 STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000
-NATIVE_SHARE = 0.42  # of a step's time that is left with the native kernels: the demo, 60 000 Gaussians, 180x320
+NATIVE_SHARE = 0.6  # of a step's time that is left with the native kernels
 
 
-def step_ms(gaussians: int, pixels: int, native: bool) -> float:
+def step_ms(gaussians: int, pixels: int, native: bool, all_drawn: bool = False) -> float:
     """Expected ms of an optimisation step on two free CPU cores.
 
-    Linear fit to four runs on a demo clip of 32 training frames (15 000 and 60 000 Gaussians; 90x160 and 180x320
-    pixels), with Dr.Jit's kernels.
+    By hand through four runs on the demo, of 36 and of 50 frames: 60 000, 100 000, 120 000 and 300 000 Gaussians,
+    windows of 53 000, 48 000, 164 000 and 603 000 pixels: 9.8, 9.1, 17 and 51 ms.
 
     Args:
+        gaussians: in all frames together.   pixels: that are drawn.
         native: whether the renderer's native kernels run (`gof.render.backend.kernels`).
+        all_drawn: whether every step has all Gaussians, and not those alone that are alight.
     """
-    return (5.9 + 0.41e-3 * gaussians + 0.155e-3 * pixels) * (NATIVE_SHARE if native else 1)
+    per_gaussian = 0.085e-3 if all_drawn else 0.025e-3
+    return (8.8 + per_gaussian * gaussians + 0.113e-3 * pixels) * (NATIVE_SHARE if native else 1)
