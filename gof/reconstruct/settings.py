@@ -41,7 +41,7 @@ class ReconstructionSettings:
     """
 
     SCHEMA: ClassVar[str] = "gof-reconstruction-settings"
-    VERSION: ClassVar[int] = 5  # 5: only the flame's part of the pictures is optimised, so checkpoints are smaller
+    VERSION: ClassVar[int] = 6  # 6: the gas is found on the flow prior's own voxels, and windows are whole blocks
 
     dataset: str
     iterations: int

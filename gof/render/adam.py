@@ -24,7 +24,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class _Memory:
-    """A parameter and its two moments as Dr.Jit has them, and each one's columns (N,) where numpy reads and writes."""
+    """A parameter and its two moments as Dr.Jit has them, and the columns (N,) as numpy reads and writes them."""
 
     arrays: list[Any]
     columns: list[list[np.ndarray]]
@@ -46,10 +46,12 @@ class Adam(opt.Adam):
 
         What a picture does not show costs nothing then: the next `step` reads and moves these rows only, which is what
         `mask_updates` (that must be on) does with gradients of 0. Where the native kernels run it writes to the
-        parameters' memory; arrays that were read from here change with it.
+        parameters' memory; arrays that were read from here change with it. Once a step: of two calls the last counts.
 
         Args:
             rows: (K,) uint32, ascending, each once, K > 0. Runs of 16 or more are moved at memory's speed.
+        Raises:
+            ValueError: `mask_updates` is off.
         """
         if not self.mask_updates:
             raise ValueError("only: rows that are left out stay as they are, which needs mask_updates")

@@ -43,14 +43,12 @@ def test_whoever_can_be_seen_is_among_the_rows(row_time_s, time_s):
     flame = short_lived()
     camera = replace(arc(1, width=48, height=96, focal_px=110.0)[0], row_time_s=row_time_s)
     rows = alight(to_raw(flame, VOXEL, 0.0), VOXEL, time_s, camera)
-    # A line is read at most its delay after the first: over all delays, who ever has 1/255.
-    read_s = time_s + np.linspace(0, camera.row_time_s * 96, 25)[:, None]
-    opacity = flame.opacity * np.exp(-0.5 * ((read_s - flame.t_mu) / flame.t_sigma) ** 2)
     if row_time_s == 0:
-        assert set(np.flatnonzero(opacity[0] >= 1 / 255)) <= set(rows.tolist())
+        opacity = flame.opacity * np.exp(-0.5 * ((time_s - flame.t_mu) / flame.t_sigma) ** 2)
+        assert set(np.flatnonzero(opacity >= 1 / 255)) <= set(rows.tolist())
     assert (np.diff(rows.astype(int)) > 0).all() and rows.dtype == np.uint32 and 0 < len(rows) < 300
-    whole = np.bincount(rows // GROUP)
-    assert set(whole[whole > 0].tolist()) <= {GROUP, len(flame) % GROUP}
+    taken = np.bincount(rows // GROUP)
+    assert set(taken[taken > 0].tolist()) <= {GROUP, len(flame) % GROUP}, "whole groups"
     frames = [
         render_splats(splats(raw, VOXEL, time_s, camera), camera)
         for raw in (to_raw(flame, VOXEL, 0.0), to_raw(flame[rows], VOXEL, 0.0))
@@ -111,4 +109,6 @@ def test_a_reconstruction_is_the_same_as_with_all_in_every_step(scene, kernels, 
     every = TransientGaussians.load(reconstruct(folder, tmp_path / "every", **small))
     assert np.mean(shares) < 0.9, "otherwise hardly anything was left out"
     for name in ("position", "velocity", "t_mu", "t_sigma", "scale", "rotation", "opacity", "color"):
-        np.testing.assert_allclose(getattr(part, name), getattr(every, name), atol=1e-4, err_msg=name)
+        # Native sums go through memory in one order; Dr.Jit's scatters meet other Gaussians side by side.
+        atol = 0 if kernels == "native" else 1e-4
+        np.testing.assert_allclose(getattr(part, name), getattr(every, name), rtol=0, atol=atol, err_msg=name)
