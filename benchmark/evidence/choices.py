@@ -1,10 +1,10 @@
-"""What each choice of the method is worth today: ours, and ours with one choice after another undone.
+"""What each choice of the method is worth today: ours, and ours with one choice after another undone; and the paper's.
 
     python -m gof_benchmark.evidence.choices DATASET --out out/choices [--only "paper's fusion" ...] [--json FILE]
 
 DATASET has true velocity (`gof generate demo`). Every row is a reconstruction by `gof reconstruct`'s own code, with one
-field of `gof.reconstruct.methods.OURS` changed; its folder is OUT/NAME, and finished rows are kept. Scores are those of
-`gof evaluate`, at the size of the pictures that are reconstructed.
+field of `gof.reconstruct.methods.OURS` or of its PAPER changed; its folder is OUT/NAME, and finished rows are kept.
+Scores are those of `gof evaluate`, at the size of the pictures that are reconstructed.
 """
 
 from __future__ import annotations
@@ -61,6 +61,8 @@ ROWS: dict[str, Method] = {
     "one velocity for gas and light": _one_velocity(1),
     "one velocity, learnt ten times as fast": _one_velocity(10),
     "one velocity, learnt forty times as fast": _one_velocity(40),
+    "the paper's method": PAPER,
+    "the paper's method without density control": replace(PAPER, density_control=False),
 }
 
 
@@ -120,7 +122,7 @@ def main(argv: list[str] | None = None) -> None:
 def run_one(dataset: Dataset, name: str, config: Choices) -> Row:
     """Reconstruct by the row's method and score; kept when it is there already."""
     folder = config.out / name.replace(" ", "_").replace("'", "").replace(",", "")
-    settings = ReconstructionSettings.of(dataset, config.effort, seed=config.seed)
+    settings = ReconstructionSettings.of(dataset, config.effort, seed=config.seed, scene=ROWS[name].scene)
     known = folder / "row.json"
     with patch.dict(METHODS, gof=ROWS[name]):
         result = reconstruct(dataset, settings, folder)  # refuses a row of another dataset or effort
