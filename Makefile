@@ -5,6 +5,7 @@
 #   make quick   the part of it for a loop while you work: under a minute on two cores
 #   make lint    the rules and the format of the code
 #   make docs    the documents as a web site (build/site/index.html)
+#   make dist    wheel, source archive and add-on zip with their checksums (dist/)
 #   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python
 # JOBS: how many files of tests run side by side.
 # TORCH: which PyTorch to install; a CUDA build of your own is kept if it is in the environment already.
@@ -16,7 +17,7 @@ JOBS   ?= 2
 VENV   := .venv
 READY  := $(VENV)/.ready
 
-.PHONY: demo test quick addon docs setup lint clean
+.PHONY: demo test quick addon dist docs setup lint clean
 
 demo: setup
 	$(VENV)/bin/gof demo --out $(OUT)
@@ -29,6 +30,9 @@ quick: setup
 
 addon:
 	$(PYTHON) tools/build_addon.py
+
+dist: setup
+	$(VENV)/bin/python tools/dist.py
 
 docs: setup
 	$(VENV)/bin/python -m pip install --quiet -e ".[site]"

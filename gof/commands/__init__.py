@@ -17,6 +17,9 @@ class Command:
 
 
 COMMANDS = {
+    "sample": Command(
+        "gof.commands.sample", "a small fire, a result, a submission and three films to start from, without Blender", 5
+    ),
     "ingest": Command(
         "gof.commands.ingest", "videos of a fire -> dataset: fire-free plates, camera poses, frame times", 30
     ),

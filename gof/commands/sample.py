@@ -1,0 +1,51 @@
+"""`gof sample`: a small fire, a finished result of it, a submission and three films, to start from without Blender."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from gof.files import write_json
+from gof.sample import CONTENTS, unpack_sample
+
+NEXT = """\
+try, in this order:
+  gof evaluate {out}/result --truth {out}/fire
+  gof report {out}/result --dataset {out}/fire
+  gof share {out}/result --dataset {out}/fire
+  gof leaderboard {out}/result {out}/submission/fire --truth {out}/fire
+  gof capture sync {out}/clip/cam_0.mp4 {out}/clip/cam_1.mp4 {out}/clip/cam_2.mp4 --out {out}/sync
+  gof ingest {out}/clip/cam_0.mp4 {out}/clip/cam_1.mp4 {out}/clip/cam_2.mp4 --times {out}/sync/times.json \
+--cameras {out}/clip/cameras.json --out {out}/filmed
+  gof reconstruct {out}/filmed --out {out}/filmed_flame"""
+
+
+@dataclass
+class SampleConfig:
+    """Unpack a small fire to start from: no network, no Blender, no simulation.
+
+    OUT/fire is a dataset with ground-truth velocity: three cameras, 16 frames, two of them held out.
+    OUT/result is a finished reconstruction of it, OUT/submission another method's result with its scores.
+    OUT/clip holds three films of a fire with the LED board in the picture, and the lenses of their cameras.
+    """
+
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]] = Path("sample")
+    """Folder for them. Files that are there already and equal are kept; another file of that name is an error."""
+    json: Path | None = None
+    """Also write the names of the four parts to this file."""
+
+
+def main(argv: list[str]) -> int:
+    """The command line of `gof sample`."""
+    config = tyro.cli(SampleConfig, prog="gof sample", args=argv)
+    count, size = unpack_sample(config.out)
+    for name, text in CONTENTS.items():
+        print(f"{config.out / name}: {text}")
+    print(f"{count} files, {size / 1e6:.1f} MB")
+    print(NEXT.format(out=config.out.as_posix()))
+    if config.json is not None:
+        write_json(config.json, {name: (config.out / name).as_posix() for name in CONTENTS})
+    return 0

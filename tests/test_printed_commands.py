@@ -1,0 +1,130 @@
+"""Every command that README, `gof --help` and the help of each command print: run as printed, in order, on a small fire.
+
+What a reader has by then is `gof sample` and what the commands before made. Sizes are made small (`SMALL`); nothing else
+is changed. What is not run stands in `NOT_RUN` with the reason.
+"""
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from gof.cli import commands, main
+from gof.sample import unpack_sample
+
+ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+GROUPS = ("benchmark", "capture", "figure", "study")  # `gof GROUP PART`: each part has options of its own
+LINE = re.compile(r"^\s*(?:\S+: )?(gof [a-z]+ .*?)(?:\s{3,}.*)?$", re.MULTILINE)  # what it makes stands three blanks after
+
+SERVER, HOURS, HARDWARE = "serves pages until it is stopped", "takes hours", "needs the board, or printed targets"
+OTHERS = "needs other people's code or files"
+NOT_RUN = {  # words that the command begins with: why
+    "gof COMMAND": "stands for any command",
+    "gof capture PART": "stands for any part",
+    "gof figure PART": "stands for any part",
+    "gof benchmark PART": "stands for any part",
+    "gof study WHAT": "stands for any study",
+    "gof baseline": OTHERS,
+    "gof benchmark check mine": "mine is one run, and a random method needs three: tests/suite checks submissions",
+    "gof benchmark score": "needs another's submission: tests/suite scores several",
+    "gof capture board": HARDWARE,
+    "gof capture calibrate": HARDWARE,
+    "gof convert chkpnt30000.pth": OTHERS,
+    "gof evaluate CHECKPOINT": OTHERS,
+    "gof study generate": HOURS,
+    "gof study reconstruct": HOURS,
+    "gof study ablations": HOURS,
+    "gof view": SERVER,
+}
+SMALL = {  # command: words put behind it
+    "gof background": "--steps 5",
+    "gof generate": "--preset toy",
+    "gof reconstruct": "--iterations 20 --gaussians 300 --voxels 24",
+    "gof study dve": "--gaussians 100",
+    "gof video": "--height 64 --seconds 0.2",
+}
+BLENDER = ("gof demo", "gof generate", "gof import", "gof benchmark make", "gof benchmark add")
+
+
+def help_of(*words: str) -> str:
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
+        main([*words, "--help"])
+    return printed.getvalue()
+
+
+@cache
+def pages() -> dict[str, list[str]]:
+    """Commands by the page that prints them, in its order."""
+    found = {"README": re.findall(r"`(gof [a-z][^`]*)`", README.read_text(encoding="utf-8"))}
+    found["gof"] = LINE.findall(help_of())
+    for name in commands():
+        if name == "baseline":
+            continue  # its help is that of another process
+        text = help_of(name)
+        found[f"gof {name}"] = LINE.findall(text)
+        if name in GROUPS:
+            for part in re.findall(r"^  ([a-z]+)  ", text, re.MULTILINE):
+                found[f"gof {name} {part}"] = LINE.findall(help_of(name, part))
+    return {page: lines for page, lines in found.items() if lines}
+
+
+def reason(line: str) -> str | None:
+    return next((why for words, why in NOT_RUN.items() if line.startswith(words)), None)
+
+
+def test_what_is_not_run_is_printed_somewhere():
+    lines = [line for lines in pages().values() for line in lines]
+    for words in NOT_RUN:
+        assert any(line.startswith(words) for line in lines), f"nothing prints {words!r}"
+    assert len(pages()["README"]) >= 15 and len(pages()["gof"]) >= 5
+
+
+# ---------------------------------------------------------------- running them
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory) -> Path:
+    """A folder with the sample under the names that the pages use."""
+    folder = tmp_path_factory.mktemp("world")
+    unpack_sample(folder / "sample")
+    shutil.copytree(folder / "sample/fire", folder / "data/fire")
+    shutil.copytree(folder / "sample/result", folder / "out/fire")
+    (folder / "out/demo").mkdir()
+    (folder / "out/demo/dataset").symlink_to(folder / "data/fire")
+    (folder / "out/demo/reconstruct").symlink_to(folder / "out/fire")
+    for camera in range(3):
+        shutil.copyfile(folder / f"sample/clip/cam_{camera}.mp4", folder / f"cam_{camera}.mp4")
+    shutil.copyfile(folder / "sample/clip/cameras.json", folder / "cameras.json")
+    run("gof convert sample/submission/fire/result.npz out/other.ply", folder)
+    run("gof evaluate out/fire/result.npz --truth data/fire --no-images --out boards/ours", folder)
+    run("gof evaluate out/other.ply --truth data/fire --no-images --out boards/theirs", folder)
+    return folder
+
+
+def run(line: str, folder: Path) -> subprocess.CompletedProcess:
+    """The line as a shell runs it, made small."""
+    small = next((more for words, more in SMALL.items() if line.startswith(words)), "")
+    program = shlex.quote(str(Path(sys.executable).with_name("gof")))
+    command = re.sub(r"^gof", program, line) + f" {small}"
+    return subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True, timeout=550)
+
+
+CHEAP = [(page, [x for x in lines if not reason(x) and not x.startswith(BLENDER)]) for page, lines in pages().items()]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page, lines", [pair for pair in CHEAP if pair[1]], ids=lambda v: v if isinstance(v, str) else "")
+def test_what_a_page_prints_runs_in_its_order(page, lines, world):
+    for line in lines:
+        done = run(line, world)
+        assert done.returncode == 0, f"{page}: {line}\n{done.stdout[-1500:]}\n{done.stderr[-1500:]}"
