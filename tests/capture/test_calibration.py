@@ -234,7 +234,7 @@ def annotated(folder, pictures):
 
 def test_annotate_with_the_datasets_own_pictures(pictures, tmp_path, capsys):
     folder = annotated(tmp_path / "data", pictures)
-    assert gof(["capture", "annotate", str(folder), "--template", "gof_board"]) == 0
+    assert gof(["capture", "annotate", str(folder), "--board", "gof_board"]) == 0
     text = capsys.readouterr().out
     assert "cam_0: board mask" in text and "cam_1: no board mask: marker 0" in text
     with_board, without = Dataset.open(folder).description.cameras
@@ -256,7 +256,7 @@ def test_annotate_with_distorted_footage(pictures, tmp_path, capsys):
         cv2.imwrite(str(tmp_path / f"stored/{k:02d}.png"), cv2.rotate(p, cv2.ROTATE_90_COUNTERCLOCKWISE))
     camera = CalibratedCamera(560, 400, ((500, 0, 280), (0, 500, 200), (0, 0, 1)), (-0.2, 0.03, 0, 0))
     write_record(tmp_path / "cameras.json", CamerasFile((camera,)))
-    command = ["capture", "annotate", str(folder), "--template", "gof_board"]
+    command = ["capture", "annotate", str(folder), "--board", "gof_board"]
     command += ["--footage", str(tmp_path / "stored"), str(tmp_path / "stored"), "--cameras"]
     assert gof([*command, str(tmp_path / "cameras.json")]) == 0
     # Where a pixel of the undistorted, upright picture was before undistortion, by OpenCV's camera model.
