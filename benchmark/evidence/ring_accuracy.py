@@ -3,7 +3,7 @@
     python -m gof_benchmark.evidence.ring_accuracy [--frames 60] [--only TEXT] [--json FILE]
 
 The pictures have exact rolling shutter and exposure (gof/capture/synthetic_ring.py, which shares only the board's
-template with the reader) and are read from files, as `gof capture sync --template rocsync` reads a camera's.
+template with the reader) and are read from files, as `gof capture sync --board rocsync` reads a camera's.
 """
 
 from __future__ import annotations

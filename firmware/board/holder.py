@@ -1,9 +1,8 @@
 """Printable front and rails for the LED board, as STL: `python firmware/board/holder.py OUT [--marker-mm 55]`.
 
 front.stl takes the marker (a print on paper, glued into its recess) and 16 LEDs; rails.stl, printed twice and set end
-to end, takes the five strips in grooves. Places are those of the template gof_board, so `gof capture sync --template
-gof_board` reads the board. Plates are made of boxes on one grid of lines, some with a
-round hole: closed surfaces by construction.
+to end, takes the five strips in grooves. Places are those of the board gof_board, which `gof capture sync` recognises.
+Plates are made of boxes on one grid of lines, some with a round hole: closed surfaces by construction.
 """
 
 from __future__ import annotations

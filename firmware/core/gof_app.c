@@ -199,7 +199,7 @@ static uint8_t run_command(gof_app *app, uint8_t type, const uint8_t *body, size
     }
 }
 
-size_t gof_app_receive(gof_app *app, uint8_t byte, uint8_t reply[GOF_FRAME_MAX]) {
+size_t gof_app_receive(gof_app *app, uint8_t byte, uint8_t reply[GOF_REPLY_MAX]) {
     uint8_t request[GOF_FRAME_MAX];
     size_t length = gof_reader_push(&app->reader, byte, request);
     if (length == 0u) {
@@ -218,5 +218,6 @@ size_t gof_app_receive(gof_app *app, uint8_t byte, uint8_t reply[GOF_FRAME_MAX])
     out[3] = request[0] == GOF_PROTOCOL_VERSION
                  ? run_command(app, request[2], request + 3, length - 3u, out + 4, &out_len)
                  : (uint8_t)GOF_WRONG_VERSION;
-    return gof_frame_encode(out, out_len + 4u, reply);
+    reply[0] = 0u;
+    return 1u + gof_frame_encode(out, out_len + 4u, reply + 1);
 }

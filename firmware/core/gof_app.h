@@ -44,8 +44,11 @@ void gof_app_init(gof_app *app);
  * writes the levels prepared by the previous tick first, so their delay does not depend on the pattern. */
 void gof_app_tick(gof_app *app, int32_t late_ns);
 
-/* Feed one received byte; returns the length of a reply frame in `reply`, 0 when there is none. */
-size_t gof_app_receive(gof_app *app, uint8_t byte, uint8_t reply[GOF_FRAME_MAX]);
+/* A reply begins with a zero, as a request does: it ends whatever text the boot loader left on the line. */
+#define GOF_REPLY_MAX (1u + GOF_FRAME_MAX)
+
+/* Feed one received byte; returns the length of a reply in `reply`, 0 when there is none. */
+size_t gof_app_receive(gof_app *app, uint8_t byte, uint8_t reply[GOF_REPLY_MAX]);
 
 /* Register levels of lit outputs, polarity applied. */
 void gof_app_levels(uint32_t lit, uint32_t *low, uint32_t *high);

@@ -56,7 +56,7 @@ int main(int argc, char **argv) {
         if ((wait[1].revents & (POLLIN | POLLHUP)) && read(STDIN_FILENO, ignored, sizeof ignored) <= 0) {
             return 0;
         }
-        uint8_t bytes[256], reply[GOF_FRAME_MAX];
+        uint8_t bytes[256], reply[GOF_REPLY_MAX];
         ssize_t count = read(terminal, bytes, sizeof bytes);
         for (ssize_t i = 0; i < count; i++) {
             uint32_t was_running = fake.tick_us;

@@ -68,13 +68,15 @@ static uint8_t reply_payload[GOF_FRAME_MAX];
 
 /* Send a request byte by byte; returns the reply's status, its body in reply_payload + 4. */
 static int ask(gof_app *app, uint8_t type, const void *body, size_t length) {
-    uint8_t payload[GOF_PAYLOAD_MAX] = {GOF_PROTOCOL_VERSION, 7, type}, frame[GOF_FRAME_MAX], reply[GOF_FRAME_MAX];
+    uint8_t payload[GOF_PAYLOAD_MAX] = {GOF_PROTOCOL_VERSION, 7, type}, frame[GOF_FRAME_MAX], reply[GOF_REPLY_MAX];
     if (length) memcpy(payload + 3, body, length);
     size_t n = gof_frame_encode(payload, length + 3, frame), got = 0;
     for (size_t i = 0; i < n; i++) got = gof_app_receive(app, frame[i], reply);
     CHECK(got > 0);
+    static const char boot_text[] = "rst:0x1 (POWERON_RESET)\r\nentry 0x400805f0\r\n"; /* without a zero */
     gof_reader reader;
     gof_reader_init(&reader);
+    for (size_t i = 0; i + 1u < sizeof boot_text; i++) gof_reader_push(&reader, (uint8_t)boot_text[i], reply_payload);
     size_t out = 0;
     for (size_t i = 0; i < got; i++) out = gof_reader_push(&reader, reply[i], reply_payload);
     CHECK(out >= 4 && reply_payload[0] == GOF_PROTOCOL_VERSION && reply_payload[1] == 7 && reply_payload[2] == (type | 0x80));
@@ -131,7 +133,7 @@ static void test_bad_requests(void) {
     gof_app app;
     fake_reset();
     gof_app_init(&app);
-    uint8_t zero[4] = {0, 0, 0, 0}, big[4] = {0, 0x80, 0, 0}, reply[GOF_FRAME_MAX], frame[GOF_FRAME_MAX];
+    uint8_t zero[4] = {0, 0, 0, 0}, big[4] = {0, 0x80, 0, 0}, reply[GOF_REPLY_MAX], frame[GOF_FRAME_MAX];
     CHECK(ask(&app, 99, NULL, 0) == GOF_UNKNOWN);
     CHECK(ask(&app, GOF_SET_TICK, zero, 4) == GOF_BAD_ARGUMENT && ask(&app, GOF_SET_TICK, zero, 3) == GOF_BAD_ARGUMENT);
     CHECK(ask(&app, GOF_ARM, big, 4) == GOF_BAD_ARGUMENT);
@@ -150,7 +152,7 @@ static void test_noise_never_breaks_the_line(void) {
     gof_app app;
     fake_reset();
     gof_app_init(&app);
-    uint8_t reply[GOF_FRAME_MAX];
+    uint8_t reply[GOF_REPLY_MAX];
     uint32_t random = 12345;
     for (int round = 0; round < 2000; round++) {
         for (int i = 0; i < 300; i++) {

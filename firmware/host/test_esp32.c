@@ -16,7 +16,7 @@ static struct {
     gptimer_event_callbacks_t callbacks;
     bool running;
     uint32_t watched, watchdog_resets;
-    uint8_t input[GOF_FRAME_MAX], reply[GOF_FRAME_MAX];
+    uint8_t input[GOF_FRAME_MAX], reply[GOF_REPLY_MAX];
     size_t input_length, reply_length;
     void (*task)(void *);
     jmp_buf idle;

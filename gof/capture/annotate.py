@@ -64,8 +64,7 @@ def annotate(
             if footage:
                 mask = mask_from_footage(footage[c], lenses[c], turn, template, points.get(c))
             else:
-                frames = dataset.train_frames[:LOOK_AT]
-                mask = find_mask((np.uint8(np.rint(255 * dataset.image(c, k))) for k in frames), template)
+                mask = find_mask(_pictures(dataset, c), template)
         except BoardNotFound as e:
             notes[camera.name] = f"no board mask: {e}" + ("" if footage else " Small pictures? Give the --footage")
             continue
@@ -73,10 +72,19 @@ def annotate(
         share = _write_mask(mask, (camera.width, camera.height), path_in(dataset.path, name))
         entries[camera.name] = replace(entry, board_mask=name)
         if not footage:
-            made_from[name] = tuple(frames)
+            made_from[name] = tuple(dataset.train_frames[:LOOK_AT])
         notes[camera.name] = f"board mask, {share:.1%} of the picture"
     replace(dataset.description, cameras=tuple(entries.values()), made_from=made_from).write(dataset.path)
     return notes
+
+
+def training_frames(dataset: Dataset) -> dict[str, Iterable[np.ndarray]]:
+    """Each camera's pictures in which the board is looked for, (H, W, 3) uint8, by its name."""
+    return {camera.name: _pictures(dataset, c) for c, camera in enumerate(dataset.cameras)}
+
+
+def _pictures(dataset: Dataset, camera: int) -> Iterable[np.ndarray]:
+    return (np.uint8(np.rint(255 * dataset.image(camera, k))) for k in dataset.train_frames[:LOOK_AT])
 
 
 def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate, points: BoardPoints | None = None) -> np.ndarray:

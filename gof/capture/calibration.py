@@ -15,6 +15,10 @@ MINIMUM_VIEWS = 8
 BAD_VIEW = 3.0  # times the median reprojection error; such a view was blurred, or the target bent
 MINIMUM_TILT_DEG = 4.0  # mean, below which the focal length is OpenCV's first guess (tests: views from one direction)
 MAXIMUM_FOCAL_SPREAD = 0.02  # of the focal length
+LOOK_AT = 8  # pictures, for what a target looks like that is not the one that was said
+DOUBTFUL_RMS_PX, MAXIMUM_RMS_PX = 0.7, 3.0  # sharp footage has 0.1 to 0.3; more is said, or refused
+ODD_CENTRE = 0.1  # of the picture: where the optical axis may lie beside its middle
+ODD_ASPECT = 0.02  # by which the focal lengths may differ; real cameras' by 0.002
 GRID = (8, 6)  # cells of the picture for the coverage, across and down
 
 
@@ -27,6 +31,7 @@ class Calibration:
         views: pictures used.
         focal_sigma_px: standard error of the focal lengths, from the scatter of the corners.
         coverage: share of the picture's 8 x 6 cells in which a corner was seen. Outside, distortion is extrapolated.
+        old_layout: whether the target was one of OpenCV before 4.6, see `Charuco.has_old_layout`.
     """
 
     lens: Lens
@@ -34,6 +39,7 @@ class Calibration:
     views: int
     focal_sigma_px: float
     coverage: float
+    old_layout: bool = False
 
     def camera(self, name: str) -> CalibratedCamera:
         """The entry of cameras.json."""
@@ -57,7 +63,19 @@ class Calibration:
                 f"corners were seen in {self.coverage:.0%} of the picture only; "
                 "bring the target to its borders and corners"
             )
-        if self.rms_px > 0.7:
+        (fx, _, cx), (_, fy, cy) = self.lens.K[:2]
+        off = max(abs(cx / self.lens.width - 0.5), abs(cy / self.lens.height - 0.5))
+        if off > ODD_CENTRE:
+            out.append(
+                f"the optical axis is {off:.0%} of the picture beside its middle: is the footage cropped, or the "
+                "stabilisation on?"
+            )
+        if abs(fx / fy - 1) > ODD_ASPECT:
+            out.append(
+                f"the focal lengths differ ({fx:.0f} across, {fy:.0f} down): is the footage stretched, or are the "
+                "target's squares no squares on the print?"
+            )
+        if self.rms_px > DOUBTFUL_RMS_PX:
             out.append(
                 f"the corners miss the model by {self.rms_px:.2f} px; "
                 "is the target flat, the footage sharp, the zoom fixed?"
@@ -105,8 +123,13 @@ def calibrate(
     Raises:
         GofError: pictures of different sizes; too few show the target; they do not determine the focal length.
     """
-    views, size = _find_corners(pictures, target, progress)
+    views, size, old_layout = _find_corners(pictures, target, progress)
     fit = _fit(views, size)
+    if fit.rms_px > MAXIMUM_RMS_PX:
+        raise GofError(
+            f"the corners miss every lens by {fit.rms_px:.1f} px rms: is the target bent, was it filmed with moving "
+            "zoom, focus or stabilisation, or is the footage blurred?"
+        )
     focal, spread = fit.K[[0, 1], [0, 1]], fit.focal_sigma_px
     tilt = _mean_tilt_deg(fit.turns)
     finite = np.isfinite(fit.K).all() and np.isfinite(fit.distortion).all()
@@ -118,7 +141,7 @@ def calibrate(
             "and down"
         )
     lens = Lens(*size, fit.K, fit.distortion)
-    return Calibration(lens, fit.rms_px, len(fit.views), float(spread.max()), _coverage(fit.views, size))
+    return Calibration(lens, fit.rms_px, len(fit.views), float(spread.max()), _coverage(fit.views, size), old_layout)
 
 
 @dataclass(frozen=True)
@@ -144,9 +167,11 @@ class _Fit:
 
 def _find_corners(
     pictures: Iterable[np.ndarray], target: Charuco, progress: Callable[[int], None]
-) -> tuple[list[_View], tuple[int, int]]:
-    """The views that show enough of the target, and the pictures' (width, height)."""
-    views, size, seen = [], None, 0
+) -> tuple[list[_View], tuple[int, int], bool]:
+    """The views that show enough of the target, the pictures' (width, height), and whether it has the old layout."""
+    layouts = (False, True) if target.has_old_layout else (False,)
+    found: dict[bool, list[_View]] = {old: [] for old in layouts}
+    size, seen, few = None, 0, []
     for seen, grey in enumerate(pictures, 1):
         if size not in (None, grey.shape[::-1]):
             raise GofError(
@@ -154,16 +179,21 @@ def _find_corners(
                 "time"
             )
         size = grey.shape[::-1]
-        if corners := target.corners(grey):
-            views.append(_View(*corners))
+        for old in layouts:
+            if corners := target.corners(grey, old):
+                found[old].append(_View(*corners))
+        if len(few) < LOOK_AT:
+            few.append(grey)
         progress(seen)
+    old_layout = max(layouts, key=lambda old: len(found[old]))
+    views = found[old_layout]
     if len(views) < MINIMUM_VIEWS:
         raise GofError(
             f"{len(views)} of {seen} pictures show at least {MINIMUM_CORNERS} corners of the {target.columns} x "
             f"{target.rows} target, {MINIMUM_VIEWS} are needed. Show it whole, sharp and evenly lit, from many angles; "
-            "check --columns and --rows"
+            f"{target.looks_like(few) or 'check --columns and --rows'}"
         )
-    return views, size
+    return views, size, old_layout
 
 
 def _fit(views: list[_View], size: tuple[int, int]) -> _Fit:

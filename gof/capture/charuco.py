@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from gof.errors import GofError
 PAPERS_MM = {"A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841)}
 POINTS_PER_MM = 72 / 25.4
 MINIMUM_CORNERS = 8  # of a view; a homography needs 4
+OWN_DICTIONARY = "DICT_4X4_50"
+DICTIONARIES = (OWN_DICTIONARY, *(f"DICT_{n}X{n}_1000" for n in (5, 6, 7, 4)), "DICT_ARUCO_ORIGINAL")  # of bought ones
+FEWEST_MARKERS = 4  # different ones; a wrong dictionary finds one or two by chance
 
 
 @dataclass(frozen=True)
@@ -26,9 +29,16 @@ class Charuco:
     marker_mm: float = 30.0
     """Side of a marker."""
 
-    def pattern(self):
+    @property
+    def has_old_layout(self) -> bool:
+        """Whether OpenCV before 4.6 drew it otherwise: with an even number of rows, its upper left square was white."""
+        return self.rows % 2 == 0
+
+    def pattern(self, old_layout: bool = False):
         """OpenCV's `CharucoBoard`, in metres.
 
+        Args:
+            old_layout: as OpenCV before 4.6 drew it.
         Raises:
             GofError: sizes that make no pattern.
         """
@@ -39,14 +49,16 @@ class Charuco:
         if self.columns * self.rows // 2 > 50:
             raise GofError(f"{self.columns} x {self.rows} squares need more than the dictionary's 50 markers")
         size = (self.columns, self.rows)
-        return cv2.aruco.CharucoBoard(size, self.square_mm * 1e-3, self.marker_mm * 1e-3, _dictionary())
+        board = cv2.aruco.CharucoBoard(size, self.square_mm * 1e-3, self.marker_mm * 1e-3, _dictionary())
+        board.setLegacyPattern(old_layout)
+        return board
 
-    def corners(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    def corners(self, grey: np.ndarray, old_layout: bool = False) -> tuple[np.ndarray, np.ndarray] | None:
         """Inner corners in a grey picture: board points (N, 1, 3) in metres and continuous pixel coordinates (N, 1, 2);
         None when fewer than MINIMUM_CORNERS are seen."""
         import cv2
 
-        pattern = self.pattern()
+        pattern = self.pattern(old_layout)
         # OpenCV 4.11 gives these corners with pixel centres at integer + 0.5, unlike its other corner finders.
         found, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
         return pattern.matchImagePoints(found, ids) if ids is not None and len(ids) >= MINIMUM_CORNERS else None
@@ -65,15 +77,38 @@ class Charuco:
             out += [(x0 + c * cell, y0 + r * cell, cell, False) for r, c in white.tolist()]
         return out
 
+    def looks_like(self, pictures: list[np.ndarray]) -> str:
+        """What a target that is not found looks like, as a remedy in words; "" where nothing is recognised."""
+        turned = replace(self, columns=self.rows, rows=self.columns)
+        if any(turned.corners(p, old) for p in pictures for old in {False, turned.has_old_layout}):
+            return f"it looks like --columns {turned.columns} --rows {turned.rows}"
+        seen = {name: _markers(pictures, name) for name in DICTIONARIES}
+        name = max(seen, key=lambda name: len(seen[name]))
+        if len(seen[name]) < FEWEST_MARKERS:
+            return ""
+        if name != OWN_DICTIONARY:
+            return f"its markers are of {name}, this program reads {OWN_DICTIONARY}: print one with gof capture target"
+        count = self.columns * self.rows // 2
+        return f"markers up to number {max(seen[name])} are seen, and {self.columns} x {self.rows} squares have {count}"
+
     @property
     def size_mm(self) -> tuple[float, float]:
         return self.columns * self.square_mm, self.rows * self.square_mm
 
 
-def _dictionary():
+def _dictionary(name: str = OWN_DICTIONARY):
     import cv2
 
-    return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def _markers(pictures: list[np.ndarray], dictionary: str) -> set[int]:
+    """Numbers of the markers of a dictionary that the pictures show."""
+    import cv2
+
+    detector = cv2.aruco.ArucoDetector(_dictionary(dictionary), cv2.aruco.DetectorParameters())
+    found = [detector.detectMarkers(picture)[1] for picture in pictures]
+    return {int(number) for ids in found if ids is not None for number in ids.ravel()}
 
 
 def page(target: Charuco) -> tuple[str, float, float]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import os
 import struct
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from gof import extras
@@ -24,6 +26,12 @@ from gof.capture.protocol import (
 from gof.errors import GofError
 
 BAUD = 115200
+READY_S = 3.5  # after its port was opened: many boards reset then, and are busy with their boot loader for up to 3 s
+BOOT_TEXT = 16  # bytes that are no reply, received before the first answer: a boot loader's text
+RESET_SAID = (
+    "opening the port resets this board: a command that looks at it stops it, and its counter starts anew. Start it "
+    "last, and do not look at it while you film; a capacitor of 10 uF from EN to GND stops the reset"
+)
 # Boards with USB of their own, then the USB-serial chips of common ESP32 boards: Espressif, CP210x, CH34x, FTDI.
 KNOWN_USB_VENDORS = (0x303A, 0x10C4, 0x1A86, 0x0403)
 OUTPUT_NAMES = (*(f"strip {i}" for i in range(5)), *(f"Gray bit {i}" for i in range(15)), "disambiguation LED")
@@ -41,18 +49,28 @@ class Board:
         timeout_s: longest wait for one reply.
         attempts: how often a request is sent before giving up; every request may be repeated harmlessly but START,
             whose repetition is recognised.
+        ready_s: longest wait for the first reply, from the opening of the port on.
+
+    Attributes:
+        was_reset: whether opening the port reset the board: its boot loader wrote before it answered.
     """
 
-    def __init__(self, port: str, timeout_s: float = 0.5, attempts: int = 3):
+    def __init__(self, port: str, timeout_s: float = 0.5, attempts: int = 3, ready_s: float = READY_S):
         serial = _pyserial()
         self.port, self.timeout_s, self.attempts = port, timeout_s, attempts
         self._reader, self._sequence = FrameReader(), 0
+        self._ready_by = time.monotonic() + ready_s
         try:
-            self._line = serial.serial_for_url(port, BAUD, timeout=0.02, write_timeout=timeout_s)
+            self._line = serial.serial_for_url(port, BAUD, timeout=0.02, write_timeout=timeout_s, do_not_open=True)
+            # On many boards these two lines pull the reset and the boot pin.
+            self._line.dtr = self._line.rts = False
+            self._line.open()
+            _keep_lines_on_close(self._line)
         except (serial.SerialException, OSError, ValueError) as e:
             raise BoardError(_explain_open(port, e)) from e
         try:
             self.identity = self.identify()
+            self.was_reset = self._reader.bad_bytes >= BOOT_TEXT
         except BaseException:
             self._line.close()
             raise
@@ -112,8 +130,10 @@ class Board:
     def _ask(self, request: Request, body: bytes = b"") -> Reply:
         self._sequence = (self._sequence + 1) & 0xFF
         self._repeated = False
-        for attempt in range(self.attempts):
+        attempt = 0
+        while attempt < self.attempts or time.monotonic() < self._ready_by:
             self._repeated = attempt > 0
+            attempt += 1
             self._write(encode_request(request, self._sequence, body))
             for reply in self._replies(time.monotonic() + self.timeout_s):
                 if reply.version != VERSION or reply.status == ReplyStatus.WRONG_VERSION:
@@ -123,6 +143,7 @@ class Board:
                     )
                 if reply.sequence != self._sequence or reply.request != request:
                     continue  # the late answer to an earlier attempt
+                self._ready_by = 0.0
                 if reply.status == ReplyStatus.OK:
                     return reply
                 raise ProtocolError(f"{self.port}: the board refused {request.name}: {_explain_refusal(reply.status)}")
@@ -158,24 +179,37 @@ class Board:
         )
 
 
-def find_boards(timeout_s: float = 0.3) -> list[tuple[str, Identity]]:
-    """Ask every USB serial port of a known vendor; (port, identity) of those that answer as a board."""
-    found = []
-    for port in candidate_ports():
-        try:
-            with Board(port, timeout_s, attempts=2) as board:
-                found.append((port, board.identity))
-        except GofError:
-            continue
-    return found
+def ask_ports() -> list[Board]:
+    """Ask every USB serial port of a known vendor, all at once; those that answered as a board, closed again."""
+    ports = candidate_ports()
+    if not ports:
+        return []
+    with ThreadPoolExecutor(len(ports)) as pool:
+        return [board for board in pool.map(_ask_port, ports) if board is not None]
+
+
+def _ask_port(port: str) -> Board | None:
+    try:
+        with Board(port) as board:
+            return board
+    except GofError:
+        return None
+
+
+def find_boards() -> list[tuple[str, Identity]]:
+    """(port, identity) of every board that is plugged in."""
+    return [(board.port, board.identity) for board in ask_ports()]
 
 
 def only_board() -> str:
-    """Port of the one board that is plugged in.
+    """Port of the one board that is plugged in; where there is one port only, it is not asked twice.
 
     Raises:
         BoardError: none, or several (names them).
     """
+    ports = candidate_ports()
+    if len(ports) == 1:
+        return ports[0]
     boards = find_boards()
     if not boards:
         raise BoardError("no LED board found; plug it in, or name its port with --port")
@@ -191,6 +225,20 @@ def candidate_ports() -> list[str]:
     from serial.tools import list_ports
 
     return sorted(p.device for p in list_ports.comports() if p.vid in KNOWN_USB_VENDORS)
+
+
+def _keep_lines_on_close(line: Any) -> None:
+    """Closing a port drops its control lines on POSIX systems, which resets some boards; not this one's."""
+    if os.name != "posix" or not isinstance(getattr(line, "fd", None), int):
+        return
+    import termios
+
+    try:
+        settings = termios.tcgetattr(line.fd)
+        settings[2] &= ~termios.HUPCL
+        termios.tcsetattr(line.fd, termios.TCSANOW, settings)
+    except termios.error:
+        pass  # not a terminal: it has no such lines
 
 
 def _pyserial():

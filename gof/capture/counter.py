@@ -7,7 +7,7 @@ change of the Gray code, and so tells which change it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,10 @@ from gof.capture.strips import NotDecodable
 from gof.capture.template import BoardTemplate
 
 MOST_UNEVEN = 3.0  # periods: what a step of the count may cost, however long the gap
+MIN_AGREEMENT = 0.97  # of the LEDs with the count; sharp footage has above 0.99
+MOST_WRONG = 0.75  # LEDs' worth of readings that may contradict the count: one that is hidden makes half an LED, a
+MOST_WRONG_SHARE = 0.15  # wrong board, or two LEDs that are swapped, a whole one; and of all readings
+COUNTER_BITS = 15  # of the firmware, see firmware/core/gof_board.h; a board may have fewer LEDs
 
 
 def gray(count: np.ndarray) -> np.ndarray:
@@ -119,11 +123,22 @@ class CountVote:
         candidates: periods to add to the frames' times; all agree equally well, smallest first.
         agreement: share of clean readings that agree with them.
         readings: number of clean readings.
+        cycle: periods after which the LEDs show the same again.
+        leds: that were read.
+        dark_bit: Gray bit whose LED stays dark where it should shine, and was left out; None where there is none.
     """
 
     candidates: np.ndarray
     agreement: float
     readings: int
+    cycle: int
+    leds: int
+    dark_bit: int | None = None
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether LEDs contradict each other: then several counts explain about as much, each against one LED."""
+        return 1 - self.agreement > min(MOST_WRONG / max(self.leds, 1), MOST_WRONG_SHARE)
 
 
 def vote(
@@ -133,13 +148,14 @@ def vote(
 
     Every frame's time is known up to one common number of periods, so one integer explains all LEDs of all frames; each
     candidate's predicted bits are compared with frames whose exposure lies inside one period. Missing LEDs leave
-    candidates that cannot be told apart.
+    candidates that cannot be told apart. A board with an LED less than the counter has bits, or whose highest LED is
+    dead or not wired (a classic ESP32 has no pin for it), still tells them all: by which way the lower ones run.
 
     Args:
         led_time: (T, L) mid-exposure board time of each LED in each frame, us, up to that number of periods.
         exposure: us, with a margin.
     Raises:
-        NotDecodable: no reading lies inside one period.
+        NotDecodable: no reading lies inside one period; the LEDs contradict each other.
     """
     is_bit = (template.led_bit >= 0) & known
     time, read = led_time[:, is_bit], on[:, is_bit] > 0.5
@@ -154,20 +170,53 @@ def vote(
     base = np.floor(time / period).astype(np.int64)
     origin = int(base.min())
     base -= origin
-    wrap = 1 << template.gray_bits
+    tallies = [_tally(base[clean[:, i], i], read[clean[:, i], i]) for i in range(len(bits))]
+    counter_bits = max(COUNTER_BITS, template.gray_bits)
+    found = _best_count(tallies, bits, counter_bits, origin)
+    highest = bits == template.gray_bits - 1
+    if found.is_contradicted and highest.any() and not read[:, highest].any():
+        kept = [tally for tally, use in zip(tallies, ~highest, strict=True) if use]
+        without = _best_count(kept, bits[~highest], counter_bits, origin)
+        if not without.is_contradicted:
+            return replace(without, dark_bit=template.gray_bits - 1)
+    if found.is_contradicted:
+        raise NotDecodable(contradiction(template.name, found))
+    return found
+
+
+def contradiction(board: str, vote: CountVote) -> str:
+    """What to say of LEDs that contradict each other."""
+    return (
+        f"no count of board '{board}' explains its LEDs: the best fits {vote.agreement:.1%} of {vote.readings} clean "
+        "readings. Is it another board (--board), or is an LED dead, hidden, or wired in "
+        "another place?"
+    )
+
+
+def _best_count(tallies: list[tuple], bits: np.ndarray, counter_bits: int, origin: int) -> CountVote:
+    """The counts at the start that the fewest readings contradict."""
+    wrap = 1 << counter_bits
     wrong = np.zeros(wrap)
-    for i, b in enumerate(bits):
+    for bit, tally in zip(bits, tallies, strict=True):
         # Candidates are periodic in the bit's own cycle: compare one cycle, then repeat it.
-        cycle = min(wrap, 1 << (b + 2))
-        offsets, seen, count = _tally(base[clean[:, i], i] % cycle, read[clean[:, i], i])
-        candidate = np.arange(cycle)
-        cost = np.zeros(cycle)
-        for o, s, n in zip(offsets, seen, count, strict=True):
-            cost += n * ((gray((candidate + o) % wrap) >> b & 1) != s)
+        cycle = min(wrap, 1 << (bit + 2))
+        candidate, cost = np.arange(cycle), np.zeros(cycle)
+        for offset, seen, number in zip(*tally, strict=True):
+            cost += number * ((gray((candidate + offset) % wrap) >> bit & 1) != seen)
         wrong += np.tile(cost, wrap // cycle)
-    readings = int(clean.sum())
-    candidates = np.flatnonzero(wrong <= wrong.min() + 0.5) - origin
-    return CountVote(candidates, 1 - float(wrong.min()) / readings, readings)
+    return best_counts(wrong, sum(int(number.sum()) for _, _, number in tallies), len(bits), origin)
+
+
+def best_counts(wrong: np.ndarray, readings: int, leds: int, origin: int) -> CountVote:
+    """The counts that the fewest readings contradict.
+
+    Args:
+        wrong: (cycle,) readings that each count contradicts.   readings: of all `leds` LEDs together.
+        origin: periods to take from a count to have what is added to the frames' times.
+    """
+    least = float(wrong.min())
+    candidates = np.flatnonzero(wrong <= least + 0.5) - origin
+    return CountVote(candidates, 1 - least / max(readings, 1), readings, len(wrong), leds)
 
 
 def _tally(offset: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,7 +14,6 @@ from gof.capture.strips import NotDecodable, StripFit, StripReadings
 from gof.capture.template import BoardTemplate
 
 MIN_WEIGHT = 0.05  # in the robust line; frames below are outliers
-MIN_AGREEMENT = 0.97  # of the LEDs with the count; sharp footage has above 0.99
 MIN_BITS = 3  # of the counter, to count with: a cycle of 16 periods
 MIN_SPAN_PX = 60  # of a strip along the readout, to measure the row time from
 CLEAR_DELAY_US = 40.0  # along a strip: two bins of the learned curves, enough to tell a direction
@@ -52,6 +51,7 @@ class CameraTimes:
         row_time_us, readout, exposure_us, saturation: of the sensor.
         count_candidates: starts (in periods) that the visible counter LEDs allow; the first is taken.
         count_agreement: share of clean LED readings that agree with it; count_readings their number.
+        count_cycle: periods after which the counter shows the same again.
         systematic_us: uncertainty common to all frames, from the scatter of the strips' centres.
     """
 
@@ -70,6 +70,7 @@ class CameraTimes:
     count_candidates: np.ndarray
     count_agreement: float
     count_readings: int
+    count_cycle: int
     systematic_us: float
     curve: np.ndarray  # (S, B) learned brightness of each strip over the period
     faults: list[str] = field(default_factory=list)
@@ -159,6 +160,7 @@ def _decode_shown(signals: Signals, template: BoardTemplate, options: DecodeOpti
         count_candidates=vote.candidates,
         count_agreement=vote.agreement,
         count_readings=vote.readings,
+        count_cycle=vote.cycle,
         systematic_us=systematic,
         curve=fit.curve,
         faults=fit.faults,
@@ -215,13 +217,14 @@ def _read_counter(
 ) -> _CounterRead:
     """Read the LEDs; reads next to a change are settled by the disambiguation LED where it is in view."""
     on, known = counter.lit(signals.led, signals.board.led_visible)
-    count, bits = counter.read_count(on, known, template.led_bit)
+    # The lower LEDs alone: which way they run tells the highest bit, and a highest LED that is dead does no harm.
+    lower = known & (template.led_bit < counter.COUNTER_BITS - 1)
+    count, bits = counter.read_count(on, lower, template.led_bit)
     interval = _interval(options, count, bits, phase_us)
     if bits < MIN_BITS:
         return _CounterRead(on, known, None, bits, interval)
     phase = phase_us / options.period_us
-    if bits < template.gray_bits:
-        count = counter.unfold(count, bits, phase, interval / options.period_us)
+    count = counter.unfold(count, bits, phase, interval / options.period_us)
     at = np.flatnonzero((template.led_bit < 0) & known)
     disambiguation = on[:, at[0]] if len(at) else None
     count = counter.resolve(count, phase, disambiguation, template.disambiguation_lead)
@@ -301,9 +304,13 @@ def _warnings(
     read: _CounterRead, vote: CountVote, used: np.ndarray, repeated: np.ndarray, template: BoardTemplate
 ) -> list[str]:
     warnings = []
-    if read.bits < template.gray_bits:
-        warnings.append(f"only the lowest {read.bits} of {template.gray_bits} counter LEDs are in view")
-    if vote.agreement < MIN_AGREEMENT:
+    in_view = counter.read_count(read.on, read.known, template.led_bit)[1]
+    if in_view < template.gray_bits:
+        warnings.append(f"only the lowest {in_view} of {template.gray_bits} counter LEDs are in view")
+    if vote.dark_bit is not None:
+        dark = f"the LED of Gray bit {vote.dark_bit} stays dark where it should shine"
+        warnings.append(f"{dark}: dead, or not wired; it was left out")
+    if vote.agreement < counter.MIN_AGREEMENT:
         warnings.append(
             f"only {vote.agreement:.1%} of the clean counter LED readings fit the counter; times may be off by whole "
             "periods"

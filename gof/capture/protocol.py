@@ -2,7 +2,8 @@
 
 A frame is COBS(payload + CRC-16/CCITT-FALSE, little endian) and one zero byte. COBS leaves no zero inside, so after
 noise or a lost byte the receiver is in step again at the next zero.
-Request payload: version, sequence, type, body. Reply payload: version, sequence, type | 0x80, status, body.
+Request payload: version, sequence, type, body. Reply payload: version, sequence, type | 0x80, status, body. A zero goes
+before requests and replies: it ends what noise or a boot loader's text left (older firmware replies without one).
 """
 
 from __future__ import annotations
@@ -89,18 +90,20 @@ def decode_frame(frame: bytes) -> bytes | None:
 
 
 class FrameReader:
-    """Collects received bytes; yields the payloads of good frames and counts the others."""
+    """Collects received bytes; yields the payloads of good frames and counts the others, and bytes of no good frame."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._overflow = False
         self.bad_frames = 0
+        self.bad_bytes = 0
 
     def push(self, data: bytes) -> list[bytes]:
         """Payloads completed by `data`, in order. Memory stays bounded whatever arrives."""
         payloads = []
         for byte in data:
             if byte:
+                self.bad_bytes += 1
                 self._overflow |= len(self._buffer) >= FRAME_MAX
                 if not self._overflow:
                     self._buffer.append(byte)
@@ -110,6 +113,7 @@ class FrameReader:
                 if payload is None:
                     self.bad_frames += 1
                 else:
+                    self.bad_bytes -= len(self._buffer)
                     payloads.append(payload)
             self._buffer.clear()
             self._overflow = False

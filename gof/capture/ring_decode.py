@@ -8,13 +8,13 @@ binary, tells the round; it is read where the exposure lies within one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from gof.capture import clock
-from gof.capture.counter import CountVote
+from gof.capture.counter import MIN_AGREEMENT, CountVote, best_counts, contradiction
 from gof.capture.decode import MIN_BITS, READOUT, CameraTimes, DecodeOptions, carried_over, line_sigma
 from gof.capture.ring_board import RingBoard
 from gof.capture.ring_signals import RingSignals
@@ -150,6 +150,7 @@ def _decode_shown(signals: RingSignals, board: RingBoard, options: DecodeOptions
         count_candidates=vote.candidates,
         count_agreement=vote.agreement,
         count_readings=vote.readings,
+        count_cycle=vote.cycle,
         systematic_us=systematic,
         curve=_curve(ring, fused, arc),
         faults=[],
@@ -369,8 +370,10 @@ def _vote(
             shown = (candidate + base[frame, b] - origin) >> b & 1
             wrong += shown != read.on[frame, b]
     readings = int(inside[frames].sum())
-    best = np.flatnonzero(wrong <= wrong.min() + 0.5)
-    return CountVote(best[:MOST_CANDIDATES] - origin, 1 - float(wrong.min()) / max(readings, 1), readings)
+    found = best_counts(wrong, readings, int(inside[frames].any(0).sum()), origin)
+    if found.is_contradicted:
+        raise NotDecodable(contradiction(board.name, found))
+    return replace(found, candidates=found.candidates[:MOST_CANDIDATES])
 
 
 def _curve(ring: _Ring, time: np.ndarray, arc: _Arc) -> np.ndarray:
@@ -388,7 +391,7 @@ def _warnings(ring: _Ring, read: _CounterRead, vote: CountVote, used: np.ndarray
         warnings.append(f"{hidden} of {ring.light.shape[1]} LEDs of the ring are out of view or hidden")
     if not read.known.all():
         warnings.append(f"only {int(read.known.sum())} of {len(read.known)} counter LEDs are in view")
-    if vote.agreement < 0.97:
+    if vote.agreement < MIN_AGREEMENT:
         warnings.append(
             f"only {vote.agreement:.1%} of the clean counter LED readings fit the counter; times may be off by whole "
             "rounds"

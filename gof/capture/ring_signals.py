@@ -64,7 +64,7 @@ def read_ring_signals(video: Path, board: RingBoard, progress: Callable[[int], N
         red = np.ascontiguousarray(frame[..., 0]) if frame.ndim == 3 else frame
         size = red.shape[1::-1]
         homography = find_board(frame, red, board, homography)
-        found.append(None if homography is None else _read_frame(red, board, homography))
+        found.append(None if homography is None else read_frame(red, board, homography))
         if progress and count % 16 == 0:
             progress(count)
     if progress:
@@ -124,7 +124,7 @@ class _Frame:
     marker_px: float
 
 
-def _read_frame(red: np.ndarray, board: RingBoard, homography: np.ndarray) -> _Frame:
+def read_frame(red: np.ndarray, board: RingBoard, homography: np.ndarray) -> _Frame:
     led, counter = project(homography, board.led_xy), project(homography, board.counter_xy)
     reach = LED_REACH * np.linalg.norm(led - np.roll(led, 1, 0), axis=1).mean()
     around = reach * np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), -1).reshape(-1, 1, 2)

@@ -71,6 +71,9 @@ def synchronise(
             errors[name] = str(e)
     times = {name: found.times for name, found in decoded.items()}
     settled = _settle_counts(times, period_us)
+    apart = _apart(times)
+    errors |= apart
+    times = {name: found for name, found in times.items() if name not in apart}
     cameras = []
     for name, video in zip(names, videos, strict=True):
         camera = SyncedVideo(name, str(video), error=errors.get(name), fingerprint=fingerprint(video))
@@ -153,12 +156,16 @@ def _decode_video(
 
 
 def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:
-    """Cameras that do not see all counter LEDs take the candidate nearest to one that does: they filmed together."""
+    """Cameras that do not see all counter LEDs take the candidate nearest to one that does, and cameras that started
+    after the counter began anew are put behind those that started before: they filmed together."""
     warnings = []
     certain = [n for n, t in decoded.items() if len(t.count_candidates) == 1]
     if not decoded:
         return []
-    reference = certain[0] if certain else min(decoded, key=lambda n: len(decoded[n].count_candidates))
+    if certain:
+        reference = max(certain, key=lambda n: sum(_overlap(decoded[n], decoded[other]) for other in certain))
+    else:
+        reference = min(decoded, key=lambda n: len(decoded[n].count_candidates))
     if not certain:
         warnings.append(
             "no camera sees enough counter LEDs for a unique count; "
@@ -166,13 +173,43 @@ def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:
         )
     target = np.median(decoded[reference].time_us)
     for name, times in decoded.items():
-        if name == reference or len(times.count_candidates) == 1:
+        if name == reference:
             continue
         candidates = times.count_candidates - times.count_candidates[0]
-        shift = int(candidates[np.abs(np.median(times.time_us) + candidates * period - target).argmin()])
-        times.shift_periods(shift, period)
-        warnings.append(f"{name}: its visible LEDs allow {len(candidates)} counts; took the one nearest to {reference}")
+        middle = np.median(times.time_us)
+        shift = int(candidates[np.abs(middle + candidates * period - target).argmin()])
+        around = shift + times.count_cycle * np.array([-1, 1])  # where only the turn of the counter lies between them
+        around = around[np.abs(middle + around * period - target) < np.ptp(decoded[reference].time_us)]
+        times.shift_periods(int(around[0]) if len(around) else shift, period)
+        if len(candidates) > 1:
+            warnings.append(
+                f"{name}: its visible LEDs allow {len(candidates)} counts; took the one nearest to {reference}"
+            )
+    first = min(float(times.time_us[0]) for times in decoded.values())
+    if first < 0:  # a whole cycle later is the same count
+        for times in decoded.values():
+            times.shift_periods(max(t.count_cycle for t in decoded.values()), period)
     return warnings
+
+
+def _overlap(one: CameraTimes, other: CameraTimes) -> bool:
+    return one.time_us[0] <= other.time_us[-1] and other.time_us[0] <= one.time_us[-1]
+
+
+def _apart(decoded: dict[str, CameraTimes]) -> dict[str, str]:
+    """Cameras that filmed at no time that another one filmed, with what to say of them: a take is filmed together. All
+    of them where no two agree."""
+    if len(decoded) < 2:
+        return {}
+    together = {n: [o for o in decoded if o != n and _overlap(decoded[n], decoded[o])] for n in decoded}
+    main = max(together, key=lambda n: len(together[n]))
+    odd = [n for n in decoded if not together[main] or (n != main and n not in together[main])]
+    spans = ", ".join(f"{n} {1e-6 * t.time_us[0]:.3f} to {1e-6 * t.time_us[-1]:.3f} s" for n, t in decoded.items())
+    said = (
+        f"by the board's clock the cameras did not film at the same time ({spans}). Are the videos of one take, was "
+        "the board restarted between them, or does each film another board?"
+    )
+    return dict.fromkeys(odd, said)
 
 
 def _nearest(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:

@@ -8,9 +8,10 @@ from typing import Annotated
 
 import tyro
 
-from gof.capture.annotate import annotate
+from gof.capture.annotate import annotate, training_frames
 from gof.capture.board_points import read_board_points
-from gof.capture.template import BoardTemplate
+from gof.capture.recognise import recognise, require_strips
+from gof.commands.board_option import first_frames, renamed
 from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.files import write_json
@@ -34,23 +35,26 @@ class AnnotateConfig:
     """The file given to gof ingest --cameras, when the footage is not yet undistorted."""
     board_points: Path | None = None
     """Points of the board in those videos of --footage whose marker is partly hidden; as in gof capture sync."""
-    template: str = "paper_rig"
-    """Board: gof_board, paper_rig, or a JSON file."""
+    board: str = "auto"
+    """Board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig); or its name, or the JSON file of
+    your own."""
     json: Path | None = None
     """Also write what was added to this file."""
 
 
 def main(argv: list[str]) -> int:
     """Annotate a dataset and say what was added."""
-    config = tyro.cli(AnnotateConfig, prog="gof capture annotate", args=argv)
-    template, points = BoardTemplate.load(config.template), {}
+    config = tyro.cli(AnnotateConfig, prog="gof capture annotate", args=renamed(argv))
+    dataset, points = Dataset.open(config.dataset), {}
+    if config.board_points is not None and not config.footage:
+        raise GofError("--board-points: are pixels of the videos as stored; give these with --footage")
+    frames = first_frames(config.footage) if config.footage else training_frames(dataset)
+    template = require_strips(recognise(config.board, frames, config.board_points), "a mask")
     if config.board_points is not None:
-        if not config.footage:
-            raise GofError("--board-points: are pixels of the videos as stored; give these with --footage")
         names = distinct_names(config.footage)
         marked = read_board_points(config.board_points, template, names)
         points = {names.index(name): found for name, found in marked.items()}
-    notes = annotate(Dataset.open(config.dataset), template, config.footage, config.cameras, points)
+    notes = annotate(dataset, template, config.footage, config.cameras, points)
     for name, note in notes.items():
         print(f"{name}: {note}")
     if config.json:

@@ -9,7 +9,7 @@ from typing import Literal
 
 import tyro
 
-from gof.capture.controller import Board, BoardError, candidate_ports, find_boards, only_board
+from gof.capture.controller import RESET_SAID, Board, BoardError, ask_ports, candidate_ports, only_board
 from gof.capture.protocol import State, Status
 from gof.files import write_json
 from gof.options import require_number
@@ -51,9 +51,12 @@ def main(argv: list[str]) -> int:
 
 
 def _find() -> dict:
-    boards = find_boards()
-    for port, identity in boards:
-        print(f"{port}  {identity.name}  {len(identity.outputs)} outputs, {identity.gray_bits} Gray bits")
+    boards = ask_ports()
+    for board in boards:
+        identity = board.identity
+        print(f"{board.port}  {identity.name}  {len(identity.outputs)} outputs, {identity.gray_bits} Gray bits")
+        if board.was_reset:
+            print(f"{board.port}: {RESET_SAID}")
     if not boards:
         ports = candidate_ports()
         looked = f"asked {', '.join(ports)}: none answers as a board" if ports else "no USB serial port is present"
@@ -61,13 +64,15 @@ def _find() -> dict:
             f"no LED board found ({looked}). Use a USB cable that carries data, flash the firmware "
             "(docs/capture_board.md), or name the port with --port"
         )
-    return {"boards": [{"port": port, **asdict(identity)} for port, identity in boards]}
+    return {"boards": [{"port": b.port, **asdict(b.identity), "was_reset": b.was_reset} for b in boards]}
 
 
 def _act(config: BoardConfig) -> dict:
     port = config.port or only_board()
     with Board(port) as board:
-        outcome: dict = {"port": port, **asdict(board.identity)}
+        outcome: dict = {"port": port, **asdict(board.identity), "was_reset": board.was_reset}
+        if board.was_reset:
+            print(f"{port}: {RESET_SAID}")
         match config.action:
             case "find":
                 print(f"{port}  {board.identity.name}  {len(board.identity.outputs)} outputs")

@@ -80,7 +80,9 @@ def calibrate_footage(name: str, path: Path, target: Charuco, views: int) -> Cal
 def describe(name: str, found: Calibration) -> str:
     """One line of figures."""
     (fx, _, cx), (_, fy, cy) = found.lens.K[:2]
+    layout = ", target drawn as by OpenCV before 4.6" if found.old_layout else ""
     return (
         f"{name}: focal {fx:.1f}, {fy:.1f} +- {found.focal_sigma_px:.1f} px, centre {cx:.1f}, {cy:.1f}, "
         f"corners within {found.rms_px:.3f} px rms in {found.views} views over {found.coverage:.0%} of the picture"
+        f"{layout}"
     )

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from gof.capture.template import BoardTemplate, draw_svg
+from gof.commands.board_option import renamed
 from gof.files import atomic_path, write_json
 from gof.options import require_positive
 
@@ -19,8 +20,8 @@ class DrawConfig:
 
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """File to write (.svg)."""
-    template: str = "gof_board"
-    """Built-in name (gof_board, paper_rig) or a JSON file."""
+    board: str = "gof_board"
+    """Board to draw: gof_board, paper_rig, or the JSON file of your own."""
     marker_mm: float = 60.0
     """Side of the marker in millimetres; everything scales with it."""
     json: Path | None = None
@@ -29,9 +30,9 @@ class DrawConfig:
 
 def main(argv: list[str]) -> int:
     """Write the SVG of a template."""
-    config = tyro.cli(DrawConfig, prog="gof capture draw", args=argv)
+    config = tyro.cli(DrawConfig, prog="gof capture draw", args=renamed(argv))
     require_positive("--marker-mm", config.marker_mm)
-    template = BoardTemplate.load(config.template)
+    template = BoardTemplate.load(config.board)
     with atomic_path(config.out) as temporary:
         temporary.write_text(draw_svg(template, config.marker_mm))
     print(f"{config.out}: board '{template.name}', marker side {config.marker_mm:g} mm; print at 100 %")

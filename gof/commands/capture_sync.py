@@ -12,15 +12,26 @@ from gof.capture.aligned import Codec, Layout, write_aligned
 from gof.capture.board_points import read_board_points
 from gof.capture.decode import DecodeOptions
 from gof.capture.doubts import missing_frames
-from gof.capture.ring_board import RingBoard, load_board
+from gof.capture.recognise import AUTO, recognise
+from gof.capture.ring_board import RingBoard
 from gof.capture.sensors import sensor
 from gof.capture.sync import synchronise
 from gof.capture.sync_report import write_report
 from gof.capture.times import FILE, FrameTimesFile, Readout, SyncedVideo
+from gof.commands.board_option import first_frames, renamed
 from gof.errors import GofError
-from gof.footage import distinct_names
+from gof.footage import distinct_names, require_different
 from gof.options import require_all_positive, require_number, require_positive
 from gof.records import write_record
+
+NO_MARKER = (
+    "is it whole, lit, and at least about 20 pixels wide? A board of your own wants --board FILE; where its marker is "
+    "partly hidden all through the take, mark four points of it: --board-points"
+)
+WAYS_OUT = (
+    "Without a board, give gof ingest the cameras' rate, and a frame of each that shows one moment: "
+    "--fps 240 --start 0 7 0"
+)
 
 
 @dataclass(frozen=True)
@@ -36,8 +47,9 @@ class SyncConfig:
     """Folder for times.json and the plots."""
     overwrite: bool = False
     """Replace the times.json that is in the folder already."""
-    template: str = "paper_rig"
-    """Board: gof_board, paper_rig, rocsync (never tried on footage of a real one), or a JSON file."""
+    board: str = "auto"
+    """Board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig, rocsync); or its name, or the JSON
+    file of your own. A board that the pictures speak against is refused."""
     board_points: Path | None = None
     """JSON of points of the board marked by hand, for cameras in which its marker is partly hidden or cut off:
     {"cam_1": {"corners": {"0": [x, y]}, "leds": {"5": [x, y]}}}, four or more in all; see docs/capture.md."""
@@ -69,7 +81,7 @@ class SyncConfig:
 
 def main(argv: list[str]) -> int:
     """Decode all videos; fails, and writes nothing, only when no camera can be decoded."""
-    config = tyro.cli(SyncConfig, prog="gof capture sync", args=argv)
+    config = tyro.cli(SyncConfig, prog="gof capture sync", args=renamed(argv))
     require_positive("--tick-us", config.tick_us)
     require_all_positive("--fps", config.fps)
     require_number("--row-time-us", config.row_time_us, least=0)
@@ -79,16 +91,23 @@ def main(argv: list[str]) -> int:
     if config.sensor and config.row_time_us is not None:
         raise GofError("give either --sensor or --row-time-us")
     known = sensor(config.sensor) if config.sensor else None
-    board = load_board(config.template)
+    decoding = options(config)
+    names = distinct_names(config.videos)
+    require_different(config.videos)
+    board = recognise(config.board, first_frames(config.videos), config.board_points)
+    if board is None:
+        raise GofError(f"{', '.join(names)}: no camera shows the marker of a known LED board: {NO_MARKER}. {WAYS_OUT}")
     points = None
     if config.board_points is not None:
         if isinstance(board, RingBoard):
             raise GofError("--board-points: a ring board is found anew in every frame; its marker must be whole")
-        points = read_board_points(config.board_points, board, distinct_names(config.videos))
-    result = synchronise(config.videos, board, options(config), config.out, known, config.estimate, points)
+        points = read_board_points(config.board_points, board, names)
+    result = synchronise(config.videos, board, decoding, config.out, known, config.estimate, points)
     if not any(camera.times for camera in result.cameras):
-        raise GofError("no camera could be decoded: " + "; ".join(camera.error for camera in result.cameras))
+        raise GofError(f"no camera could be decoded with board '{board.name}': {said_once(result)} {WAYS_OUT}")
     write_record(target, result)
+    if config.board == AUTO:
+        print(f"board: {board.name}, recognised from the pictures")
     for camera in result.cameras:
         print(describe(camera))
     for warning in result.warnings:
@@ -98,6 +117,14 @@ def main(argv: list[str]) -> int:
     if config.json:
         write_record(config.json, replace(result, cameras=tuple(map(without_frames, result.cameras))))
     return 0
+
+
+def said_once(take: FrameTimesFile) -> str:
+    """Each reason with the cameras that it holds for."""
+    cameras: dict[str, list[str]] = {}
+    for camera in take.cameras:
+        cameras.setdefault(str(camera.error), []).append(camera.name)
+    return " ".join(f"{', '.join(names)}: {reason.rstrip('.?')}." for reason, names in cameras.items())
 
 
 def write_beside(config: SyncConfig, take: FrameTimesFile) -> None:

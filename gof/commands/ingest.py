@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from gof.capture.recognise import BoardUnclear, recognise, require_strips
 from gof.capture.template import BoardTemplate
+from gof.commands.board_option import first_frames
 from gof.costs import StageLog
 from gof.dataset.poses import UpReport
 from gof.errors import GofError
@@ -69,8 +72,9 @@ class IngestConfig:
     the fire hides all through the clip may be seen before or after it. Held-out frames are never used."""
     points: Path | None = None
     """JSON of correspondences by hand, see docs/ingest.md; points with xyz also give the scale."""
-    board: str = "paper_rig"
-    """Sync board to look for (gof_board, paper_rig or a JSON file); "none" does not look."""
+    board: str = "auto"
+    """Sync board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig); or its name, or the JSON
+    file of your own; "none" does not look."""
     marker_m: float | None = None
     """Side of the board's marker in metres: gives the scale."""
     baseline_m: float | None = None
@@ -124,7 +128,7 @@ def ingest(config: IngestConfig) -> Ingested:
     pose_options = PoseOptions(
         solver=config.poses,
         by_hand=tuple(read_points(config.points, footage.names)) if config.points else (),
-        board=None if config.board == "none" else BoardTemplate.load(config.board),
+        board=board_in(config.board, footage.videos),
         marker_m=config.marker_m,
         baseline_m=config.baseline_m,
         rig=Rig.read(config.rig, footage.upright_lenses) if config.rig else None,
@@ -142,6 +146,18 @@ def ingest(config: IngestConfig) -> Ingested:
         depth_weights=config.depth_weights,
         others=tuple(other_clip(footage, folder) for folder in config.with_clip),
     )
+
+
+def board_in(choice: str, videos: tuple[Path, ...]) -> BoardTemplate | None:
+    """The sync board of these videos; None where none is looked for, seen, or known. Raises as `recognise`."""
+    if choice == "none":
+        return None
+    try:
+        found = recognise(choice, first_frames(list(videos)), rings=False)
+    except BoardUnclear as e:
+        print(f"note: no board helps to find the cameras: {e}", file=sys.stderr)
+        return None
+    return None if found is None else require_strips(found, "gof ingest")
 
 
 def other_clip(footage: Footage, folder: Path) -> Footage:

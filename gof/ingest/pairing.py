@@ -44,7 +44,7 @@ def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | No
     steps = [_usual_step(clock[k]) for clock, k in zip(clocks, own, strict=True)]
     slowest = 0 if steps[0] >= (1 - SAME_RATE) * max(steps) else int(np.argmax(steps))
 
-    first = _first_frame(where, clocks, steps, start, slowest)
+    first = _first_frame(where, names, clocks, steps, start, slowest)
     moments = own[slowest][own[slowest] >= first]
     time_s = clocks[slowest][moments]
     chosen, there = [], np.ones(len(moments), bool)
@@ -97,14 +97,23 @@ def _nearest(clock: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> np.ndarr
     return own[np.where(wanted - clock[own[before]] <= clock[own[after]] - wanted, before, after)]
 
 
-def _first_frame(where: str, clocks: list[np.ndarray], steps: list[float], start: int, slowest: int) -> int:
+def _first_frame(
+    where: str, names: list[str], clocks: list[np.ndarray], steps: list[float], start: int, slowest: int
+) -> int:
     """The slowest camera's frame nearest to the first camera's frame `start`, or to its first after all have begun."""
     begun = max(clock[0] - 0.5 * step for clock, step in zip(clocks, steps, strict=True) if np.isfinite(step))
     ended = min(clock[-1] + 0.5 * step for clock, step in zip(clocks, steps, strict=True) if np.isfinite(step))
     reference = clocks[0][start:]
     together = np.flatnonzero((reference >= begun) & (reference <= ended))
     if not len(together):
-        raise GofError(f"{where}the videos do not overlap in time")
+        spans = ", ".join(
+            f"{name} {clock[0]:.3f} to {clock[-1]:.3f} s" for name, clock in zip(names, clocks, strict=True)
+        )
+        raise GofError(
+            f"{where}the videos do not overlap in time ({spans}): are they of one take, are their times of one clock? "
+            "Was the LED board restarted between them, or is it not the one that it was read as (gof capture sync "
+            "--board)?"
+        )
     return int(np.abs(clocks[slowest] - reference[together[0]]).argmin())
 
 

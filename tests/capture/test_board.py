@@ -2,6 +2,8 @@
 
 import json
 import os
+import select
+import struct
 import threading
 import time
 
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 
 from gof.capture import controller
 from gof.capture.controller import Board, BoardError
-from gof.capture.protocol import Identity, ProtocolError, State, encode_frame
+from gof.capture.protocol import FrameReader, Identity, ProtocolError, Request, State, encode_frame, encode_request
 from gof.cli import main as gof
 from gof.commands import capture_board
 
@@ -149,7 +151,7 @@ def test_wrong_firmware_is_named(peer):
     with pytest.raises(ProtocolError, match="protocol 9, this gof speaks 1"):
         Board(peer(lambda _: encode_frame(bytes([9, 1, 0x81, 4]))))
     with pytest.raises(BoardError, match="no LED board answers IDENTIFY"):
-        Board(peer(lambda _: b"ets Jul 29 2019 rst:0x1 (POWERON_RESET)\r\n"), timeout_s=0.1)
+        Board(peer(lambda _: b"ets Jul 29 2019 rst:0x1 (POWERON_RESET)\r\n"), timeout_s=0.1, ready_s=0)
     with pytest.raises(ProtocolError, match="not as a gof LED board"):
         Board(peer(lambda _: encode_frame(bytes([1, 1, 0x81, 0]) + b"something else")))
 
@@ -160,7 +162,7 @@ def test_random_answers_never_hang_or_crash_the_controller(peer, answers):
     turn = iter(range(10**6))
     start = time.monotonic()
     with pytest.raises((BoardError, ProtocolError)):
-        Board(peer(lambda _: answers[next(turn) % len(answers)] + b"\0"), timeout_s=0.04, attempts=2)
+        Board(peer(lambda _: answers[next(turn) % len(answers)] + b"\0"), timeout_s=0.04, attempts=2, ready_s=0)
     assert time.monotonic() - start < 2
 
 
@@ -188,7 +190,121 @@ def test_dropped_and_split_replies(peer, drop, cut):
 
     reached = not all(drop[i % len(drop)] for i in range(3))
     try:
-        Board(peer(answer), timeout_s=0.08).close()
+        Board(peer(answer), timeout_s=0.08, ready_s=0).close()
         assert reached
     except BoardError:
         assert not reached
+
+
+# ---------------------------------------------------------------- boards that reset when their port is opened
+
+BOOT_LOG = (
+    b"ets Jul 29 2019 12:21:46\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST_FLASH_BOOT)\r\n"
+    b"load:0x3fff0030,len:7104\r\nentry 0x400805f0\r\n" + bytes(range(1, 256))
+)
+
+
+class BootingBoard:
+    """A board that resets at each open: it writes its boot log, and hears nothing until it is ready."""
+
+    def __init__(self, ready_s, zero_first):
+        import pty
+        import tty
+
+        self.master, client = pty.openpty()
+        tty.setraw(client)
+        self.port, self.ready_s, self.zero_first = os.ttyname(client), ready_s, zero_first
+        os.close(client)
+        self.state, self._closing = State.STOPPED, False
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self):
+        opened, reader = None, FrameReader()
+        while not self._closing:
+            try:
+                ready, _, _ = select.select([self.master], [], [], 0.01)
+                data = os.read(self.master, 4096) if ready else b""
+            except OSError:  # nobody has the port open
+                opened = None
+                time.sleep(0.005)
+                continue
+            if opened is None:
+                opened, self.state = time.monotonic(), State.STOPPED
+                os.write(self.master, BOOT_LOG)
+            if time.monotonic() - opened < self.ready_s:
+                continue
+            for payload in reader.push(data):
+                body = b""
+                if payload[2] == Request.IDENTIFY:
+                    body = bytes([5, 15, 2, 10]) + struct.pack("<I", (1 << 21) - 1) + b"gof-board emulated"
+                elif payload[2] == Request.START:
+                    self.state = State.RUNNING
+                elif payload[2] == Request.STATUS:
+                    body = struct.pack("<BBIIIIiiII", self.state, 0, 7, 7, 400, 0, 0, 0, 0, 0)
+                reply = encode_frame(bytes([1, payload[1], payload[2] | 0x80, 0]) + body)
+                os.write(self.master, b"\0" * self.zero_first + reply)
+
+    def close(self):
+        self._closing = True
+        self._thread.join()
+        os.close(self.master)
+
+
+@pytest.mark.parametrize("zero_first", [True, False], ids=["this firmware", "older firmware"])
+@pytest.mark.parametrize("ready_s", [0.3, 0.8, 1.3, 2.5])
+def test_a_board_that_resets_at_each_open(ready_s, zero_first, monkeypatch, capsys):
+    board = BootingBoard(ready_s, zero_first)
+    try:
+        monkeypatch.setattr(controller, "candidate_ports", lambda: [board.port])
+        assert gof(["capture", "board", "find"]) == 0
+        said = capsys.readouterr().out
+        assert "gof-board emulated" in said and "resets this board" in said
+        assert gof(["capture", "board", "start"]) == 0
+        assert "running" in capsys.readouterr().out
+    finally:
+        board.close()
+
+
+def test_a_board_that_keeps_running_is_not_said_to_reset(start_emulator, capsys):
+    _, port = start_emulator()
+    for action in (["start"], ["monitor", "--seconds", "0.2"]):
+        assert gof(["capture", "board", *action, "--port", port]) == 0
+    said = capsys.readouterr().out
+    assert "resets" not in said and said.count("running") >= 2
+
+
+def test_control_lines_are_off_before_the_port_opens(monkeypatch):
+    import serial
+
+    seen = []
+
+    class Line(serial.Serial):
+        def open(self):
+            seen.append((self.dtr, self.rts))
+            raise serial.SerialException(2, "could not find it")
+
+    def line_for(url, *arguments, do_not_open=False, **options):
+        line = Line(None, *arguments, **options)
+        line.port = url
+        return line
+
+    monkeypatch.setattr(serial, "serial_for_url", line_for)
+    with pytest.raises(BoardError, match="no such port"):
+        Board("/dev/ttyUSB7")
+    assert seen == [(False, False)]
+
+
+def test_the_firmware_ends_other_text_before_it_replies(start_emulator):
+    import serial
+
+    _, port = start_emulator()
+    with serial.Serial(port, 115200, timeout=1) as line:
+        line.write(encode_request(Request.STATUS, 5))
+        reply = line.read(1)
+        deadline = time.monotonic() + 2
+        while not reply.endswith(b"\0", 1) and time.monotonic() < deadline:
+            reply += line.read(1)
+    assert reply[0] == 0
+    payloads = FrameReader().push(b"entry 0x400805f0\r\n" + reply)
+    assert len(payloads) == 1 and payloads[0][1] == 5

@@ -108,7 +108,7 @@ def test_marks_that_fit_no_board_are_refused_by_name(tmp_path, capsys):
     (tmp_path / "points.json").write_text("[]")
     with pytest.raises(DataFormatError, match=r"must be \{camera"):
         read_board_points(tmp_path / "points.json", BOARD, ["cam"])
-    ring = ["--template", "rocsync", "--board-points", str(tmp_path / "points.json")]
+    ring = ["--board", "rocsync", "--board-points", str(tmp_path / "points.json")]
     assert gof(["capture", "sync", str(video), "--out", str(tmp_path / "o"), *ring]) != 0
     assert "a ring board" in capsys.readouterr().err
 
@@ -124,7 +124,7 @@ def test_annotate_takes_marked_points(tmp_path, capsys):
     dark = np.zeros((4, 2, 560, 400, 3))
     folder = write_dataset(tmp_path / "data", cameras, dark, dark[0], 0.0025 * np.arange(4))
     (tmp_path / "points.json").write_text(json.dumps({"cam": marks(SHOT, (2, 3), (0, 4, 9))}))
-    command = ["capture", "annotate", str(folder), "--template", "gof_board", "--board-points"]
+    command = ["capture", "annotate", str(folder), "--board", "gof_board", "--board-points"]
     command += [str(tmp_path / "points.json")]
     assert gof([*command, "--footage", *map(str, videos)]) == 0
     assert capsys.readouterr().out.count("board mask, ") == 2

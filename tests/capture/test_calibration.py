@@ -80,6 +80,72 @@ def test_charuco_intrinsics_are_recovered(views):
     assert np.abs(a - b).max() < 0.6
 
 
+def warped_views(board, folder, count=12, pixels=60):
+    """Pictures of 640x360, focal length 560 px, of an OpenCV board with squares of 40 mm, in a folder."""
+    folder.mkdir()
+    columns, rows = board.getChessboardSize()
+    image = board.generateImage((columns * pixels, rows * pixels), marginSize=0)
+    image = cv2.copyMakeBorder(image, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255)
+    height, width = image.shape
+    K, scale, rng = np.array([[560.0, 0, 320], [0, 560, 180], [0, 0, 1]]), 0.04 / pixels, np.random.default_rng(1)
+    for k in range(count):
+        R = cv2.Rodrigues(np.array([*rng.uniform(-0.7, 0.7, 2), rng.uniform(-0.3, 0.3)]))[0]
+        t = np.array([rng.uniform(-0.06, 0.06), rng.uniform(-0.03, 0.03), rng.uniform(0.42, 0.6)])
+        to_board = np.array([[scale, 0, -scale * width / 2], [0, scale, -scale * height / 2], [0, 0, 1]])
+        H = K @ np.column_stack([R[:, :2], t]) @ to_board
+        view = cv2.warpPerspective(image, H, (640, 360), flags=cv2.INTER_AREA, borderValue=90)
+        cv2.imwrite(str(folder / f"{k:03d}.png"), view)
+    return str(folder)
+
+
+def opencv_board(columns, rows, dictionary=cv2.aruco.DICT_4X4_50, old=False):
+    board = cv2.aruco.CharucoBoard((columns, rows), 0.04, 0.03, cv2.aruco.getPredefinedDictionary(dictionary))
+    board.setLegacyPattern(old)  # OpenCV's own word for the layout before 4.6
+    return board
+
+
+@pytest.mark.parametrize("old", [False, True])
+@pytest.mark.parametrize("rows", [6, 5])
+def test_targets_of_either_layout_are_read(old, rows, tmp_path, capsys):
+    pictures = warped_views(opencv_board(7, rows, old=old), tmp_path / "views")
+    size = ["--columns", "7", "--rows", str(rows)]
+    assert gof(["capture", "calibrate", pictures, *size, "--out", str(tmp_path / "lens.json")]) == 0
+    camera = json.loads((tmp_path / "lens.json").read_text())["cameras"][0]
+    assert camera["K"][0][0] == pytest.approx(560, abs=4) and camera["rms_px"] < 0.4
+    assert ("OpenCV before 4.6" in capsys.readouterr().out) == (old and rows == 6)
+
+
+@pytest.mark.parametrize(
+    "board, remedy",
+    [
+        (opencv_board(5, 7), "it looks like --columns 5 --rows 7"),
+        (opencv_board(7, 5, cv2.aruco.DICT_5X5_1000), "its markers are of DICT_5X5_1000"),
+        (opencv_board(9, 7), "markers up to number 30 are seen, and 7 x 5 squares have 17"),
+    ],
+)
+def test_what_another_target_looks_like_is_said(board, remedy, tmp_path, capsys):
+    pictures = warped_views(board, tmp_path / "views", 8, 36)
+    assert gof(["capture", "calibrate", pictures, "--out", str(tmp_path / "lens.json")]) == 1
+    said = capsys.readouterr().err
+    assert remedy in said and not (tmp_path / "lens.json").exists()
+
+
+def test_odd_figures_of_a_lens_are_said_and_impossible_ones_refused(views):
+    """Stretched and cropped pictures have other lenses: closed form. A target that bends fits none."""
+    pictures = [picture for picture, _, _ in views]
+    stretched = calibrate((cv2.resize(p, (640, 480)) for p in pictures), TARGET)
+    assert stretched.lens.K[1, 1] / stretched.lens.K[0, 0] == pytest.approx(4 / 3, rel=0.02)
+    assert "the focal lengths differ" in " ".join(stretched.warnings())
+    cropped = calibrate((np.ascontiguousarray(p[:, :460]) for p in pictures), TARGET)
+    assert "beside its middle" in " ".join(cropped.warnings())
+    assert not any("beside" in text or "differ" in text for text in calibrate(pictures, TARGET).warnings())
+    x, y = np.meshgrid(np.arange(640, dtype=np.float32), np.arange(360, dtype=np.float32))
+    waves = [(np.sin(y / 60 + k), np.sin(x / 50 + 2 * k)) for k in range(len(pictures))]
+    bent = (cv2.remap(p, x + 6 * a, y + 6 * b, cv2.INTER_LINEAR) for p, (a, b) in zip(pictures, waves, strict=True))
+    with pytest.raises(GofError, match="miss every lens by [3-9]"):
+        calibrate(bent, TARGET)
+
+
 def test_a_wrong_view_is_left_out(views):
     pictures = [picture for picture, _, _ in views]
     bent = pictures[0].copy()
@@ -234,7 +300,7 @@ def annotated(folder, pictures):
 
 def test_annotate_with_the_datasets_own_pictures(pictures, tmp_path, capsys):
     folder = annotated(tmp_path / "data", pictures)
-    assert gof(["capture", "annotate", str(folder), "--template", "gof_board"]) == 0
+    assert gof(["capture", "annotate", str(folder), "--board", "gof_board"]) == 0
     text = capsys.readouterr().out
     assert "cam_0: board mask" in text and "cam_1: no board mask: marker 0" in text
     with_board, without = Dataset.open(folder).description.cameras
@@ -256,7 +322,7 @@ def test_annotate_with_distorted_footage(pictures, tmp_path, capsys):
         cv2.imwrite(str(tmp_path / f"stored/{k:02d}.png"), cv2.rotate(p, cv2.ROTATE_90_COUNTERCLOCKWISE))
     camera = CalibratedCamera(560, 400, ((500, 0, 280), (0, 500, 200), (0, 0, 1)), (-0.2, 0.03, 0, 0))
     write_record(tmp_path / "cameras.json", CamerasFile((camera,)))
-    command = ["capture", "annotate", str(folder), "--template", "gof_board"]
+    command = ["capture", "annotate", str(folder), "--board", "gof_board"]
     command += ["--footage", str(tmp_path / "stored"), str(tmp_path / "stored"), "--cameras"]
     assert gof([*command, str(tmp_path / "cameras.json")]) == 0
     # Where a pixel of the undistorted, upright picture was before undistortion, by OpenCV's camera model.

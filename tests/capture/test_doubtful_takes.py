@@ -230,7 +230,7 @@ def test_report_and_lossless_aligned_videos(tmp_path, capsys):
         write_video(tmp_path / f"{name}.avi", render(its, BOARD, 48), "FFV1")
     out = tmp_path / "out"
     command = ["capture", "sync", *(str(tmp_path / f"{n}.avi") for n in shots), "--out", str(out)]
-    assert gof([*command, "--template", "gof_board", "--write-videos", "freemocap"]) == 0
+    assert gof([*command, "--board", "gof_board", "--write-videos", "freemocap"]) == 0
     said = capsys.readouterr().out
     assert "frames paired whole, as in aligned videos, are up to 0.90 ms apart" in said
     page = (out / "report.html").read_text()

@@ -138,7 +138,7 @@ def test_two_cameras_through_the_command(tmp_path):
     for name, camera in cameras.items():
         write_video(tmp_path / f"{name}.mp4", render_ring(RingShot(camera), BOARD, 40))
     videos = [str(tmp_path / f"{name}.mp4") for name in cameras]
-    assert gof(["capture", "sync", *videos, "--out", str(tmp_path / "out"), "--template", "rocsync"]) == 0
+    assert gof(["capture", "sync", *videos, "--out", str(tmp_path / "out"), "--board", "rocsync"]) == 0
     take = json.loads((tmp_path / "out" / "times.json").read_text())
     assert take["template"] == "rocsync" and take["period_us"] == 100_000
     for read, camera in zip(take["cameras"], cameras.values(), strict=True):

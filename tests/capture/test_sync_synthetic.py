@@ -79,7 +79,7 @@ def test_compressed_video_through_the_command(tmp_path):
             str(tmp_path / "b.mp4"),
             "--out",
             str(tmp_path / "out"),
-            "--template",
+            "--board",
             "gof_board",
             "--json",
             str(tmp_path / "figures.json"),
@@ -112,7 +112,7 @@ def test_row_time_from_the_sensor_table(tmp_path, capsys):
         str(tmp_path / "a.mp4"),
         "--out",
         str(tmp_path / "out"),
-        "--template",
+        "--board",
         "gof_board",
         "--sensor",
         "gopro_hero13_720p400",
@@ -130,7 +130,7 @@ def test_row_time_from_the_sensor_table(tmp_path, capsys):
 def test_finished_times_are_replaced_only_when_asked(tmp_path, capsys):
     write_video(tmp_path / "a.mp4", render(SMALL, BOARD, 40))
     target = tmp_path / "out/times.json"
-    command = ["capture", "sync", str(tmp_path / "a.mp4"), "--out", str(target.parent), "--template", "gof_board"]
+    command = ["capture", "sync", str(tmp_path / "a.mp4"), "--out", str(target.parent), "--board", "gof_board"]
     assert gof(command) == 0
     # Without the table's or a given row time, it is the footage's own.
     times = json.loads(target.read_text())["cameras"][0]["times"]

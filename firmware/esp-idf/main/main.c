@@ -134,7 +134,7 @@ static void serve(void *unused) {
     console_open();
     ESP_ERROR_CHECK(esp_task_wdt_add(NULL));
     for (;;) {
-        uint8_t bytes[64], reply[GOF_FRAME_MAX];
+        uint8_t bytes[64], reply[GOF_REPLY_MAX];
         int count = console_read(bytes, sizeof bytes);
         for (int i = 0; i < count; i++) {
             size_t length = gof_app_receive(&app, bytes[i], reply);
