@@ -15,9 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.numbered import frame_of, is_hidden, number_files
 from gof.pictures import read_picture
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+UNREAD = frozenset(
+    ".heic .heif .avif .webp .gif .jp2 .jxl .jfif .tga .ppm .pgm .pnm .dpx .psd .exr .hdr .raw .dng .cr2 .cr3 .nef "
+    ".arw .raf .orf .rw2 .pef .srw".split()
+)  # pictures that are not read from a folder
 DEEP_FORMATS = (b"Y1", b"Y3", b"Y4", b"G3", b"G4")  # FFmpeg's tags of deep pixels; their fourth byte is the bits
 ENDS = 1 << 20  # bytes at either end of a file by which it is told from others
 CUT_FRAMES, CUT_SHARE = 2, 0.01  # a file breaks off when more frames than both are missing at its end
@@ -37,6 +42,7 @@ class VideoInfo:
         stamps_s: (N,) time stamps of the N frames that can be read, s; None for folders, or when not read to the end.
         frames: N; None when not read to the end.
         fingerprint: see `fingerprint`.
+        numbers: of a folder's pictures, by their names, increasing; None for videos.
     """
 
     path: Path
@@ -49,6 +55,7 @@ class VideoInfo:
     stamps_s: np.ndarray | None = None
     frames: int | None = None
     fingerprint: str | None = None
+    numbers: tuple[int, ...] | None = None
 
     @property
     def usual_step_s(self) -> float | None:
@@ -74,17 +81,19 @@ class VideoInfo:
 # ---- reading ---------------------------------------------------------------------------------------------------------
 
 
-def stored_frames(path: Path) -> Iterator[np.ndarray]:
-    """Frames as (H, W, 3) uint8 RGB, as stored, in file (video) or name (folder) order.
+def stored_frames(path: Path, in_time: bool = True) -> Iterator[np.ndarray]:
+    """Frames as (H, W, 3) uint8 RGB, as stored, in file (video) or number (folder) order.
 
+    Args:
+        in_time: a folder's pictures are one sequence; False: any pictures, in any order.
     Raises:
-        DataFormatError: not a readable video, an empty folder, a broken picture.
+        DataFormatError: not a readable video; a broken picture; see `picture_files`.
     """
     import cv2
 
     path = Path(path)
     if path.is_dir():
-        for file in picture_files(path):
+        for file in picture_files(path) if in_time else loose_pictures(path):
             yield cv2.cvtColor(read_picture(file), cv2.COLOR_BGR2RGB)
         return
     with _opened(path) as video:
@@ -152,15 +161,49 @@ def _unreadable(path: Path) -> DataFormatError:
 
 
 def picture_files(folder: Path) -> list[Path]:
-    """The pictures of a folder in name order.
+    """The pictures of a folder as one sequence, in the order of their frames' numbers.
 
     Raises:
-        DataFormatError: there is none.
+        DataFormatError: there is none; they are not one sequence (see `number_files`); a frame of it is in a format
+            that is not read.
     """
-    files = sorted(f for f in Path(folder).iterdir() if f.suffix.lower() in PICTURES)
-    if not files:
-        raise DataFormatError(f"{folder}: no pictures ({', '.join(PICTURES)}) in this folder")
-    return files
+    return [file for _, file in numbered_pictures(folder)]
+
+
+def numbered_pictures(folder: Path) -> list[tuple[int, Path]]:
+    """As `picture_files`, with the frames' numbers."""
+    found = number_files(loose_pictures(folder))
+    if len(found) > 1:
+        name, known = frame_of(found[0][1])[0], {number for number, _ in found}
+        for file in sorted(Path(folder).iterdir()):
+            other = None if is_hidden(file) or file.is_dir() else frame_of(file)
+            if other and f"{other[0]}.".startswith(f"{name}.") and other[1] not in known:
+                raise DataFormatError(
+                    f"{file}: by its name a frame between the folder's pictures, in a format that is not read; make it "
+                    f"one of {', '.join(PICTURES)}, or keep it elsewhere"
+                )
+    return found
+
+
+def loose_pictures(folder: Path) -> list[Path]:
+    """The pictures of a folder in the order of their names, which need not be a sequence.
+
+    Raises:
+        DataFormatError: there is none; a picture is in a format that is not read, and in no other one beside it.
+    """
+    files = sorted(f for f in Path(folder).iterdir() if not is_hidden(f) and not f.is_dir())
+    pictures = [f for f in files if f.suffix.lower() in PICTURES]
+    stems = {f.stem for f in pictures}
+    unread = [f for f in files if f.suffix.lower() in UNREAD and f.stem not in stems]
+    if unread:
+        raise DataFormatError(
+            f"{unread[0]}: {len(unread)} of the folder's pictures are in formats that are not read; convert them to "
+            f"one of {', '.join(PICTURES)}, all of one size, or keep them elsewhere"
+        )
+    if not pictures:
+        there = ", ".join(f.name for f in files[:3]) + (", ..." if len(files) > 3 else "") or "nothing"
+        raise DataFormatError(f"{folder}: no pictures ({', '.join(PICTURES)}) in this folder; there is {there}")
+    return pictures
 
 
 # ---- which footage it is ---------------------------------------------------------------------------------------------
@@ -215,8 +258,11 @@ def stated_info(path: Path) -> VideoInfo:
     path = Path(path)
     height, width = next(iter(stored_frames(path))).shape[:2]
     if path.is_dir():
-        count = len(picture_files(path))
-        return VideoInfo(path, width, height, stated_frames=count, frames=count, fingerprint=fingerprint(path))
+        numbers = tuple(number for number, _ in numbered_pictures(path))
+        count = len(numbers)
+        return VideoInfo(
+            path, width, height, stated_frames=count, frames=count, fingerprint=fingerprint(path), numbers=numbers
+        )
     with _opened(path) as video:
 
         def stated(name: str) -> float | None:
@@ -270,7 +316,7 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
 
 def stated_frames(path: Path) -> int | None:
     """How many frames a folder holds or a video's container states (for progress bars); None when it states none."""
-    return stated_info(path).stated_frames
+    return len(loose_pictures(path)) if Path(path).is_dir() else stated_info(path).stated_frames
 
 
 def stated_fps(path: Path) -> float | None:

@@ -9,7 +9,9 @@ import numpy as np
 from gof.errors import DataFormatError, GofError
 from gof.footage import VideoInfo
 from gof.lens import Turn
+from gof.numbered import missing_numbers, usual_step
 
+MAX_MISSING = 0.1  # share of a folder's pictures that may be missing by their numbers
 SAME_RATE = 0.02  # relative: 29.97 and 30 are one rate, 24 and 25 are not
 TURN_OF_TAG: dict[int, Turn] = {0: "none", 90: "clockwise", 180: "half", 270: "counterclockwise"}
 
@@ -82,6 +84,46 @@ def require_one_length(videos: list[VideoInfo], clocks: list[np.ndarray]) -> Non
             f"as --frames {min(video.frames for video in videos)}; if not, give a frame of each that was taken at the "
             f"same moment, as --start {zeros}, or film the board and use 'gof capture sync'"
         )
+
+
+def require_few_missing(video: VideoInfo) -> None:
+    """Raises DataFormatError: more than `MAX_MISSING` of a folder's pictures are missing by their numbers."""
+    numbers = list(video.numbers or ())
+    count, which = missing_numbers(numbers)
+    if count > MAX_MISSING * (count + len(numbers)):
+        raise DataFormatError(
+            f"{video.path}: of the pictures' numbers {numbers[0]} to {numbers[-1]}, {count} are missing ({which}): "
+            "were files lost, or did the counter begin again? If the numbers do not count frames, name the pictures "
+            "0001, 0002, ... in the order in which they were taken"
+        )
+
+
+def require_one_beginning(videos: list[VideoInfo]) -> None:
+    """Raises GofError: folders whose pictures begin at different numbers, so that one may lack its first ones."""
+    first = {str(video.path): video.numbers[0] for video in videos if video.numbers}
+    if len(set(first.values())) > 1:
+        each = ", ".join(f"{path} {number}" for path, number in first.items())
+        zeros = " ".join("0" for _ in videos)
+        raise GofError(
+            f"the pictures' numbers begin apart ({each}): are the first pictures of a folder lost? If the first ones "
+            f"of all were taken together, say so with --start {zeros}; else give the place in its folder, from 0 on, "
+            "of a picture of each that was"
+        )
+
+
+def number_notes(videos: list[VideoInfo]) -> list[str]:
+    """What the numbers of pictures say of their clock, where it is not one after the other."""
+    notes = []
+    for video in videos:
+        numbers = list(video.numbers or ())
+        step, (count, which) = usual_step(numbers), missing_numbers(numbers)
+        if count:
+            notes.append(f"{video.path.name}: {count} pictures are missing ({which}), taken as a gap in time")
+        if step > 1:
+            notes.append(
+                f"{video.path.name}: the pictures' numbers go in steps of {step}; the rate is that of its pictures"
+            )
+    return notes
 
 
 def other_notes(videos: list[VideoInfo], one_fov: bool) -> list[str]:

@@ -187,7 +187,7 @@ def _read(video: Path) -> VideoInfo:
 
 def _described(info: VideoInfo) -> dict[str, Any]:
     """For dataset.json."""
-    said = {f.name: getattr(info, f.name) for f in fields(info) if f.name not in ("path", "stamps_s")}
+    said = {f.name: getattr(info, f.name) for f in fields(info) if f.name not in ("path", "stamps_s", "numbers")}
     return {"name": info.path.name, **said}
 
 
