@@ -93,8 +93,8 @@ def make_dataset(
         others: more clips of the same rig; their features and boards help to find the poses, and they may show what
             burns all the time in this one.
     Raises:
-        GofError: `out` holds a dataset already, or files that it would mix with; another run is at work there; the width
-            is not one of the footage; see the stages for what can be wrong with footage, times and poses.
+        GofError: `out` holds a dataset already, or files that it would mix with; another run is at work there; the
+            width is not one of the footage; see the stages for what can be wrong with footage, times and poses.
     """
     require_new(out)
     for lens in footage.upright_lenses:
