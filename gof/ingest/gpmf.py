@@ -6,6 +6,7 @@ a letter for the type, the size of one value and their number, padded to four by
 
 from __future__ import annotations
 
+import itertools
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,7 @@ Stream = dict[str, "np.ndarray | str"]  # the entries of one sensor by name: (N,
 
 MOST_SAMPLE = 1 << 24  # bytes of a sample, which is one second
 MOST_SAMPLES = 100_000
+MOST_LEVELS = 8  # of entries in entries; cameras write two
 NUMBERS = {"b": "i1", "B": "u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4", "f": ">f4", "d": ">f8"}
 
 
@@ -86,9 +88,13 @@ def _places(data: bytes, start: int, end: int) -> Iterator[tuple[int, int]]:
         raise ValueError(f"a sample claims {max(sizes)} bytes")
     chunks = [offset for (offset,) in table(b"stco", ">I") or table(b"co64", ">Q")]
     runs = table(b"stsc", ">III")  # first chunk, samples in each, description
-    k = 0
+    if any(b <= a for (a, *_), (b, *_) in itertools.pairwise(runs)):
+        raise ValueError("its table 'stsc' does not grow")
+    k, run = 0, -1
     for chunk, offset in enumerate(chunks, 1):
-        for _ in range(next((count for first, count, _ in reversed(runs) if first <= chunk), 1)):
+        while run + 1 < len(runs) and runs[run + 1][0] <= chunk:
+            run += 1
+        for _ in range(runs[run][1] if run >= 0 else 1):
             if k == len(sizes):
                 return
             yield offset, sizes[k]
@@ -99,13 +105,15 @@ def _places(data: bytes, start: int, end: int) -> Iterator[tuple[int, int]]:
 # ---- GPMF: what is in a sample ---------------------------------------------------------------------------------------
 
 
-def _streams(sample: bytes) -> Iterator[Stream]:
+def _streams(sample: bytes, level: int = 1) -> Iterator[Stream]:
     """The sensors (`STRM`) of every device (`DEVC`) in a sample."""
+    if level > MOST_LEVELS:
+        raise ValueError(f"its entries lie in each other, more than {MOST_LEVELS} deep")
     for name, kind, data, _ in _entries(sample):
         if name == "STRM":
             yield {n: _value(k, d, s) for n, k, d, s in _entries(data) if k in NUMBERS or k == "c"}
         elif kind == "\0":
-            yield from _streams(data)
+            yield from _streams(data, level + 1)
 
 
 def _entries(data: bytes) -> Iterator[tuple[str, str, bytes, int]]:
