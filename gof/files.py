@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
+from gof.drafts import draft_of
 from gof.errors import DataFormatError, GofError
 
 try:
@@ -122,7 +123,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     The content is on the disk before it has its name: a power cut leaves the old file or the new one.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    temporary = draft_of(path)
     temporary.unlink(missing_ok=True)  # a link of that name would be written through
     try:
         yield temporary

@@ -7,6 +7,8 @@ why no other library is asked.
 from __future__ import annotations
 
 import hashlib
+import itertools
+import shlex
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,12 +16,20 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.combs import find_combs
+from gof.containers import codes_fields, film_track, made_at, video_tracks
 from gof.errors import DataFormatError
-from gof.pictures import read_picture
+from gof.numbered import frame_of, is_hidden, number_files
+from gof.pictures import read_picture, read_rotation
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+UNREAD = frozenset(
+    ".heic .heif .avif .webp .gif .jp2 .jxl .jfif .tga .ppm .pgm .pnm .dpx .psd .exr .hdr .raw .dng .cr2 .cr3 .nef "
+    ".arw .raf .orf .rw2 .pef .srw".split()
+)  # pictures that are not read from a folder
 DEEP_FORMATS = (b"Y1", b"Y3", b"Y4", b"G3", b"G4")  # FFmpeg's tags of deep pixels; their fourth byte is the bits
 ENDS = 1 << 20  # bytes at either end of a file by which it is told from others
+LOOKED_AT = 8  # pairs of frames that are looked at for combs
 CUT_FRAMES, CUT_SHARE = 2, 0.01  # a file breaks off when more frames than both are missing at its end
 
 
@@ -37,6 +47,11 @@ class VideoInfo:
         stamps_s: (N,) time stamps of the N frames that can be read, s; None for folders, or when not read to the end.
         frames: N; None when not read to the end.
         fingerprint: see `fingerprint`.
+        numbers: of a folder's pictures, by their names, increasing; None for videos.
+        pixel_aspect: width of a pixel over its height, as players show it.
+        start_s: time of the first frame on the file's own clock; stamps_s count from it.
+        two_fields: container or codec allow interlaced frames.
+        made_s: when the file says that it was made, s since 1970; None: it does not.
     """
 
     path: Path
@@ -49,6 +64,11 @@ class VideoInfo:
     stamps_s: np.ndarray | None = None
     frames: int | None = None
     fingerprint: str | None = None
+    numbers: tuple[int, ...] | None = None
+    pixel_aspect: float = 1.0
+    start_s: float = 0.0
+    made_s: int | None = None
+    two_fields: bool = False
 
     @property
     def usual_step_s(self) -> float | None:
@@ -74,17 +94,19 @@ class VideoInfo:
 # ---- reading ---------------------------------------------------------------------------------------------------------
 
 
-def stored_frames(path: Path) -> Iterator[np.ndarray]:
-    """Frames as (H, W, 3) uint8 RGB, as stored, in file (video) or name (folder) order.
+def stored_frames(path: Path, in_time: bool = True) -> Iterator[np.ndarray]:
+    """Frames as (H, W, 3) uint8 RGB, as stored, in file (video) or number (folder) order.
 
+    Args:
+        in_time: a folder's pictures are one sequence; False: any pictures, in any order.
     Raises:
-        DataFormatError: not a readable video, an empty folder, a broken picture.
+        DataFormatError: not a readable video; a broken picture; see `picture_files`.
     """
     import cv2
 
     path = Path(path)
     if path.is_dir():
-        for file in picture_files(path):
+        for file in picture_files(path) if in_time else loose_pictures(path):
             yield cv2.cvtColor(read_picture(file), cv2.COLOR_BGR2RGB)
         return
     with _opened(path) as video:
@@ -136,12 +158,40 @@ def _opened(path: Path):
 
     if not path.is_file():
         raise DataFormatError(f"{path}: no such video or folder of pictures")
+    _require_the_film_first(path)
     video = cv2.VideoCapture(str(path))
     try:
         video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         yield video
     finally:
         video.release()
+
+
+def _require_the_film_first(path: Path) -> None:
+    """Raises DataFormatError: OpenCV would read another track than the film."""
+    tracks = video_tracks(path)
+    film = film_track(tracks)
+    if len(tracks) > 1 and film != 0:
+        each = "; ".join(f"{k + 1}: {track}" for k, track in enumerate(tracks))
+        which = "" if film else ", or another number"
+        copy = shlex.quote(str(path.with_name(f"{path.stem}_film{path.suffix}")))
+        raise DataFormatError(
+            f"{path}: has {len(tracks)} video tracks ({each}), and the first one, which is read, need not be the "
+            f"film. Take the film out: ffmpeg -i {shlex.quote(str(path))} -map 0:v:{film or 0} -c copy {copy}{which}"
+        )
+
+
+def _interlaced(path: Path, source: str) -> DataFormatError:
+    if path.is_dir():
+        return DataFormatError(
+            f"{path}: is interlaced, {source}: every picture is two moments in turn, line by line. Take the pictures "
+            "out of the video again, with ffmpeg's -vf bwdif"
+        )
+    copy = shlex.quote(str(path.with_name(f"{path.stem}_whole.mp4")))
+    return DataFormatError(
+        f"{path}: is interlaced, {source}: every frame is two moments in turn, line by line. Make whole frames of the "
+        f"fields, twice as many: ffmpeg -i {shlex.quote(str(path))} -vf bwdif -c:v libx264 -crf 12 {copy}"
+    )
 
 
 def _unreadable(path: Path) -> DataFormatError:
@@ -152,15 +202,49 @@ def _unreadable(path: Path) -> DataFormatError:
 
 
 def picture_files(folder: Path) -> list[Path]:
-    """The pictures of a folder in name order.
+    """The pictures of a folder as one sequence, in the order of their frames' numbers.
 
     Raises:
-        DataFormatError: there is none.
+        DataFormatError: there is none; they are not one sequence (see `number_files`); a frame of it is in a format
+            that is not read.
     """
-    files = sorted(f for f in Path(folder).iterdir() if f.suffix.lower() in PICTURES)
-    if not files:
-        raise DataFormatError(f"{folder}: no pictures ({', '.join(PICTURES)}) in this folder")
-    return files
+    return [file for _, file in numbered_pictures(folder)]
+
+
+def numbered_pictures(folder: Path) -> list[tuple[int, Path]]:
+    """As `picture_files`, with the frames' numbers."""
+    found = number_files(loose_pictures(folder))
+    if len(found) > 1:
+        name, known = frame_of(found[0][1])[0], {number for number, _ in found}
+        for file in sorted(Path(folder).iterdir()):
+            other = None if is_hidden(file) or file.is_dir() else frame_of(file)
+            if other and f"{other[0]}.".startswith(f"{name}.") and other[1] not in known:
+                raise DataFormatError(
+                    f"{file}: by its name a frame between the folder's pictures, in a format that is not read; make it "
+                    f"one of {', '.join(PICTURES)}, or keep it elsewhere"
+                )
+    return found
+
+
+def loose_pictures(folder: Path) -> list[Path]:
+    """The pictures of a folder in the order of their names, which need not be a sequence.
+
+    Raises:
+        DataFormatError: there is none; a picture is in a format that is not read, and in no other one beside it.
+    """
+    files = sorted(f for f in Path(folder).iterdir() if not is_hidden(f) and not f.is_dir())
+    pictures = [f for f in files if f.suffix.lower() in PICTURES]
+    stems = {f.stem for f in pictures}
+    unread = [f for f in files if f.suffix.lower() in UNREAD and f.stem not in stems]
+    if unread:
+        raise DataFormatError(
+            f"{unread[0]}: {len(unread)} of the folder's pictures are in formats that are not read; convert them to "
+            f"one of {', '.join(PICTURES)}, all of one size, or keep them elsewhere"
+        )
+    if not pictures:
+        there = ", ".join(f.name for f in files[:3]) + (", ..." if len(files) > 3 else "") or "nothing"
+        raise DataFormatError(f"{folder}: no pictures ({', '.join(PICTURES)}) in this folder; there is {there}")
+    return pictures
 
 
 # ---- which footage it is ---------------------------------------------------------------------------------------------
@@ -190,9 +274,12 @@ def fingerprint(path: Path) -> str:
 
 
 def require_different(paths: Iterable[Path]) -> None:
-    """Raises DataFormatError: one of these is not there, or the same footage is given twice, perhaps as a copy."""
+    """Raises DataFormatError: one of these is not there or is a single picture; or the same footage is given twice,
+    perhaps as a copy."""
     known: dict[str, Path] = {}
     for path in paths:
+        if Path(path).suffix.lower() in {*PICTURES, *UNREAD} and not Path(path).is_dir():
+            raise DataFormatError(f"{path}: is a single picture; give a video, or the folder of a camera's pictures")
         contents = fingerprint(path)
         if contents in known:
             other = known[contents]
@@ -215,8 +302,17 @@ def stated_info(path: Path) -> VideoInfo:
     path = Path(path)
     height, width = next(iter(stored_frames(path))).shape[:2]
     if path.is_dir():
-        count = len(picture_files(path))
-        return VideoInfo(path, width, height, stated_frames=count, frames=count, fingerprint=fingerprint(path))
+        numbers = tuple(number for number, _ in numbered_pictures(path))
+        return VideoInfo(
+            path,
+            width,
+            height,
+            stated_frames=len(numbers),
+            rotation_deg=_rotation(picture_files(path)),
+            frames=len(numbers),
+            fingerprint=fingerprint(path),
+            numbers=numbers,
+        )
     with _opened(path) as video:
 
         def stated(name: str) -> float | None:
@@ -233,7 +329,37 @@ def stated_info(path: Path) -> VideoInfo:
             round((stated("ORIENTATION_META") or 0) / 90) * 90 % 360,
             _bits(stated("CODEC_PIXEL_FORMAT")),
             fingerprint=fingerprint(path),
+            pixel_aspect=(stated("SAR_NUM") or 1.0) / (stated("SAR_DEN") or 1.0),
+            made_s=made_at(path),
+            two_fields=any(track.interlaced for track in video_tracks(path)[:1])
+            or codes_fields(int(stated("FOURCC") or 0).to_bytes(4, "little"), _description(path)),
         )
+
+
+def _rotation(files: list[Path]) -> int:
+    """Of a folder's pictures, by their orientation tags. Raises DataFormatError: they differ; see `read_rotation`."""
+    first = read_rotation(files[0])
+    for file in files[1:]:
+        if (other := read_rotation(file)) != first:
+            raise DataFormatError(
+                f"{file}: by its orientation tag it is turned by {other} degrees, {files[0].name} by {first}: did the "
+                "camera move, or were some saved again without the tag? Make all alike"
+            )
+    return first
+
+
+def _description(path: Path) -> bytes:
+    """What the container hands to the video's decoder; empty where OpenCV does not tell."""
+    import cv2
+
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    try:
+        told, data = video.retrieve(None, int(video.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
+        return np.ravel(data).tobytes() if told and data is not None else b""
+    except cv2.error:
+        return b""
+    finally:
+        video.release()
 
 
 def _bits(pixel_format: float | None) -> int | None:
@@ -252,25 +378,42 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
     Args:
         progress: called with frames read and stated.
     Raises:
-        DataFormatError: as `stated_info`.
+        DataFormatError: as `stated_info`; it is interlaced.
     """
     import cv2
 
     info = stated_info(path)
+    pairs = np.unique(np.linspace(0, max((info.stated_frames or LOOKED_AT) - 2, 0), LOOKED_AT).astype(int))
+    wanted = sorted({number + more for number in pairs.tolist() for more in (0, 1)})
+    seen: dict[int, np.ndarray] = {}
     if info.path.is_dir():
-        return info
-    stamps = []
-    with _opened(info.path) as video:
-        while video.grab():
-            stamps.append(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
-            if progress:
-                progress(len(stamps), max(len(stamps), info.stated_frames or 0))
-    return replace(info, stamps_s=np.array(stamps), frames=len(stamps))
+        wanted = [number for number in wanted if number < info.frames]
+        seen = dict(zip(wanted, chosen_frames(info.path, wanted), strict=True))
+    else:
+        stamps, start = [], 0.0
+        with _opened(info.path) as video:
+            while video.grab():
+                if not stamps and info.stated_fps:
+                    start = max(video.get(cv2.CAP_PROP_PTS), 0.0) / info.stated_fps
+                if len(stamps) in wanted:
+                    seen[len(stamps)] = video.retrieve()[1]
+                stamps.append(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
+                if progress:
+                    progress(len(stamps), max(len(stamps), info.stated_frames or 0))
+        info = replace(info, stamps_s=np.array(stamps), frames=len(stamps), start_s=start)
+        tracks = video_tracks(info.path)
+        if info.stated_frames and not (tracks and tracks[0].frames):  # an estimate: the duration begins at zero
+            info = replace(info, stated_frames=info.stated_frames - round(start * info.stated_fps))
+    alike = [(a, b) for a, b in itertools.pairwise(sorted(seen)) if b == a + 1 and seen[a].shape == seen[b].shape]
+    combs = find_combs((seen[a], seen[b]) for a, b in alike)
+    if combs.shown or (info.two_fields and not combs.ruled_out):
+        raise _interlaced(info.path, "as its pictures show" if combs.shown else "its file says")
+    return info
 
 
 def stated_frames(path: Path) -> int | None:
     """How many frames a folder holds or a video's container states (for progress bars); None when it states none."""
-    return stated_info(path).stated_frames
+    return len(loose_pictures(path)) if Path(path).is_dir() else stated_info(path).stated_frames
 
 
 def stated_fps(path: Path) -> float | None:

@@ -11,13 +11,18 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.files import atomic_path
 
+ORIENTATION = 0x0112  # tag of EXIF and TIFF
+TURNS = {3: 180, 6: 90, 8: 270}  # its values, degrees clockwise
+MIRRORED = (2, 4, 5, 7)
 MOST_PIXELS = 2**28  # 16384 x 16384, where nothing else is known
 
 
 def read_picture(
     path: Path, size: tuple[int, int] | None = None, most: int = MOST_PIXELS, unchanged: bool = False, remedy: str = ""
 ) -> np.ndarray:
-    """A picture as OpenCV decodes it: (H, W, 3) uint8 BGR; `unchanged`: its own channels and depth.
+    """A picture as it is stored, whatever its orientation tag says (but for TIFF files, which OpenCV turns).
+
+    (H, W, 3) uint8 BGR; `unchanged`: its own channels and depth.
 
     Args:
         size: (width, height) that it must have.   most: pixels that it may have.
@@ -33,8 +38,9 @@ def read_picture(
     width, height = _size(data, path)
     if width * height > (size[0] * size[1] if size else most):
         raise DataFormatError(f"{path}: is {width}x{height}, {_expected(size, most)}{remedy and f'; {remedy}'}")
+    colors = cv2.IMREAD_UNCHANGED if unchanged else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED if unchanged else cv2.IMREAD_COLOR)
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), colors)
     except cv2.error:
         picture = None
     if picture is None:
@@ -61,6 +67,29 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
         raise DataFormatError(f"{path}: OpenCV cannot encode {picture.dtype} of shape {picture.shape}")
     with atomic_path(path) as temporary:
         temporary.write_bytes(data.tobytes())
+
+
+def read_rotation(path: Path) -> int:
+    """0, 90, 180 or 270: how far a viewer turns a picture clockwise, by its orientation tag; 0 without one.
+
+    Raises:
+        DataFormatError: it cannot be decoded; it is tagged as mirrored, or is a TIFF that is tagged as turned.
+    """
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as opened:
+                tag, kind = opened.getexif().get(ORIENTATION, 1), opened.format
+    except Exception as e:  # each of its formats has errors of its own for damage
+        raise DataFormatError(f"{path}: cannot be decoded; remove it, and make it again") from e
+    if tag in MIRRORED or (kind == "TIFF" and tag in TURNS):
+        raise DataFormatError(
+            f"{path}: its orientation tag says {'mirrored' if tag in MIRRORED else 'turned'}; save the pictures as "
+            "they should be seen, without the tag"
+        )
+    return TURNS.get(tag, 0)
 
 
 def _size(data: bytes, path: Path) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from gof.capture import annotate as annotate_module
 from gof.capture.template import BoardTemplate
 from gof.dataset import Dataset
 from gof.dataset.plates import background, save_plates
+from gof.drafts import draft_of
 from gof.errors import DataFormatError, GofError
 from gof.evaluate.depth import read_depth
 from gof.files import is_name, path_in
@@ -340,7 +341,7 @@ def test_a_draft_is_never_written_through_a_link(writer, tmp_path):
     target = tmp_path / "d" / "dataset.json"
     target.parent.mkdir()
     drafts = {
-        "gof": target.with_name(f".dataset.{os.getpid()}.partial.json"),
+        "gof": draft_of(target),
         "add-on": target.with_name(".tmp-dataset.json"),
     }
     drafts[writer].symlink_to(victim)

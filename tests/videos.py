@@ -88,6 +88,68 @@ def tag_rotation(path: Path, degrees: int) -> Path:
     return path
 
 
+def tag_pixels(path: Path, width: int, height: int) -> Path:
+    """Write the shape of a pixel (`pasp`) into the description of the film."""
+    return _described(path, b"pasp", struct.pack(">II", width, height))
+
+
+def tag_fields(path: Path) -> Path:
+    """Write that a frame is two fields (`fiel`, of QuickTime's file format) into the description of the film."""
+    return _described(path, b"fiel", b"\2\1")
+
+
+def _described(path: Path, kind: bytes, box: bytes) -> Path:
+    """Put a box into the description (of one film, which fills its `stsd`)."""
+
+    def change(content: bytes) -> bytes:
+        entry = content[12:] + _joined([(kind, box)])
+        return content[:8] + struct.pack(">I", 4 + len(entry)) + entry
+
+    path.write_bytes(_changed(path.read_bytes(), b"stsd", change))
+    return path
+
+
+def set_date(path: Path, since_1904_s: int) -> Path:
+    """When the file was made."""
+
+    def change(content: bytes) -> bytes:
+        return content[:4] + struct.pack(">I", since_1904_s) + content[8:]
+
+    path.write_bytes(_changed(path.read_bytes(), b"mvhd", change))
+    return path
+
+
+def join_tracks(path: Path, first: Path, second: Path, shown: tuple[bool, bool]) -> Path:
+    """A file with the films of two as its video tracks; players show those that are `shown`."""
+    one, two = (dict(_boxes(p.read_bytes())) for p in (first, second))
+    head = _joined([(b"ftyp", one[b"ftyp"])])
+    where = {id(one): len(head) + 8, id(two): len(head) + 8 + len(one[b"mdat"])}
+    traks = []
+    for number, (source, boxes, usual) in enumerate(zip((first, second), (one, two), shown, strict=True), 1):
+        data = source.read_bytes()
+        shift = where[id(boxes)] - (data.index(b"mdat") + 4)
+
+        def offsets(content: bytes, shift: int = shift) -> bytes:
+            values = struct.unpack(f">{(len(content) - 8) // 4}I", content[8:])
+            return content[:8] + struct.pack(f">{len(values)}I", *(value + shift for value in values))
+
+        def header(content: bytes, number: int = number, usual: bool = usual) -> bytes:
+            return (
+                content[:3]
+                + bytes([content[3] & 0xFE | usual])
+                + content[4:12]
+                + struct.pack(">I", number)
+                + content[16:]
+            )
+
+        trak = _joined([(k, c) for k, c in _boxes(boxes[b"moov"]) if k == b"trak"])
+        traks.append(_changed(_changed(trak, b"stco", offsets), b"tkhd", header))
+    mvhd = _joined([(k, c) for k, c in _boxes(one[b"moov"]) if k == b"mvhd"])
+    moov = mvhd + b"".join(traks)
+    path.write_bytes(head + _joined([(b"mdat", one[b"mdat"] + two[b"mdat"]), (b"moov", moov)]))
+    return path
+
+
 def set_steps(path: Path, steps: list[float]) -> Path:
     """Give every frame its own duration, in multiples of what it was."""
 

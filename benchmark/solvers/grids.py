@@ -16,7 +16,6 @@ flame). Chunks are packed with gzip: Blender's Python has no zstd.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from gof.drafts import whole_folder
 from gof.errors import DataFormatError, require_finite
 from gof.fields import CHUNK, VelocitySequence, open_array
 from gof.files import is_name
@@ -254,27 +254,24 @@ def write_fire(
     """
     if path.exists():
         raise DataFormatError(f"{path}: exists already; remove it first or choose another name")
-    partial = path.with_name(f".{path.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    stores: dict[str, Any] = {}
-    for k in range(len(description.time_s)):
-        grids = {name: value for name, value in vars(frame(k)).items() if value is not None}
-        if k == 0:
-            shapes = {name: np.shape(value) for name, value in grids.items()}
-            stores = {
-                name: _create(partial, name, shape, description.time_s, index_to_world)
-                for name, shape in shapes.items()
-            }
-        if {name: np.shape(value) for name, value in grids.items()} != shapes:
-            raise DataFormatError(f"{path}: frame {k} has other quantities or another shape than frame 0")
-        for name, value in grids.items():
-            require_finite(name, value, f"frame {k} of fire '{description.name}'")
-            stores[name].write(k, np.asarray(value, np.float32))
-    if history:
-        write_record(partial / "history.json", history)
-    write_record(partial / "fire.json", description)
-    partial.rename(path)
+    with whole_folder(path) as partial:
+        stores: dict[str, Any] = {}
+        for k in range(len(description.time_s)):
+            grids = {name: value for name, value in vars(frame(k)).items() if value is not None}
+            if k == 0:
+                shapes = {name: np.shape(value) for name, value in grids.items()}
+                stores = {
+                    name: _create(partial, name, shape, description.time_s, index_to_world)
+                    for name, shape in shapes.items()
+                }
+            if {name: np.shape(value) for name, value in grids.items()} != shapes:
+                raise DataFormatError(f"{path}: frame {k} has other quantities or another shape than frame 0")
+            for name, value in grids.items():
+                require_finite(name, value, f"frame {k} of fire '{description.name}'")
+                stores[name].write(k, np.asarray(value, np.float32))
+        if history:
+            write_record(partial / "history.json", history)
+        write_record(partial / "fire.json", description)
     return FireGrids.open(path)
 
 

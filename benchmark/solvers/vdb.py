@@ -9,7 +9,6 @@ of black bodies of the flame's temperature, in proportion to the flame.
 
 from __future__ import annotations
 
-import re
 import sys
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +20,7 @@ import tyro
 
 from gof import extras
 from gof.errors import DataFormatError, GofError
+from gof.numbered import missing_numbers, number_files
 from gof.terminal import console
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, write_fire
 from gof_blender.pure.soot import black_body
@@ -31,11 +31,11 @@ class FromVdb:
     """Bring a sequence of OpenVDB files into a folder of grids that a scene can burn."""
 
     files: tyro.conf.Positional[tuple[Path, ...]]
-    """One for each frame, in the order of the last number in their names."""
+    """One for each frame; the last number in a name, sizes such as 512x512 aside, says which."""
     out: Path
     """Folder to write; its name is the fire's."""
     rate_hz: float
-    """Frames per second of the fire's clock; the first is at 0 s."""
+    """Frames per second of the fire's clock: the first file is at 0 s, others by their numbers."""
     velocity: str = "velocity"
     """Name of the grid of vectors that moves the gas, or of three grids of numbers: vel for vel.x, vel.y and vel.z."""
     velocity_m_s: float = 1.0
@@ -47,7 +47,7 @@ class FromVdb:
     emission: str | None = None
     """Grid of linear RGB light per unit of length; without it the light is that of `flame` and `temperature`."""
     flame: str = "flame"
-    """Grid of how much glows."""
+    """Grid of how much glows. Frames without this grid are dark."""
     temperature: str | None = None
     """Grid of temperature; without it all that glows has the temperature `kelvin_at_0`."""
     kelvin: float = 1.0
@@ -84,27 +84,49 @@ class Box:
 
 
 class Sequence:
-    """The files, in order.
+    """The files by the numbers in their names, which are the fire's clock.
+
+    Attributes:
+        time_s: (T,) from the first file on.
+        dark: files without the grid that glows: nothing burns there yet, or any more.
+        notes: what a user should know, in words.
 
     Raises:
-        DataFormatError: a file is none, lacks a grid, or its cells are no upright cubes that fit the first file's.
+        DataFormatError: the files are not one sequence; one is no OpenVDB file, lacks a grid, or its cells are no
+            upright cubes that fit the first file's.
     """
 
     def __init__(self, config: FromVdb):
         self.config, self._vdb = config, _openvdb()
-        self.files = sorted(config.files, key=lambda path: (_number(path), path.name))
-        if not self.files:
+        found = number_files(config.files)
+        if not found:
             raise DataFormatError("no OpenVDB files were named")
-        glowing = [config.emission] if config.emission else [config.flame, config.temperature]
-        self.velocity = self._parts_of_velocity()
-        self.names = [*self.velocity, *filter(None, glowing)]
+        numbers, self.files = [number for number, _ in found], [path for _, path in found]
+        self.time_s = tuple((number - numbers[0]) / config.rate_hz for number in numbers)
+        count, which = missing_numbers(numbers)
+        self.notes = [f"{count} files are missing ({which}): a gap in the fire's clock"] if count else []
+        there = {path: self._names_in(path) for path in self.files}
+        self.velocity = self._parts_of_velocity(there[self.files[0]])
+        self.glow = config.emission or config.flame
+        heat = None if config.emission else config.temperature
+        self.names = [*self.velocity, self.glow, *([heat] if heat else [])]
+        self.dark = {path for path, names in there.items() if self.glow not in names}
+        for path, names in there.items():
+            needed = self.velocity if path in self.dark else self.names
+            for name in needed:
+                self._require(path, name, names)
+        if len(self.dark) == len(self.files):
+            self._require(self.files[0], self.glow, there[self.files[0]])
+        if self.dark:
+            dark = ", ".join(path.name for path in self.files if path in self.dark)
+            self.notes.append(f"{dark}: without the grid '{self.glow}', taken as dark")
 
     @cached_property
     def box(self) -> Box:
         """Around what is stored of any of the grids in any frame."""
         lows, highs, first = [], [], None
         for path in self.files:
-            for name in self.names:
+            for name in self._names_of(path):
                 grid = self._grid(path, name)
                 place = _place(path, grid)
                 first = first or place
@@ -120,10 +142,13 @@ class Sequence:
         return Box(tuple(low.tolist()), tuple((high - low + 1).tolist()), first[0], first[1:])
 
     def frame(self, index: int) -> FireFrame:
-        config, values = self.config, {name: self._values(self.files[index], name) for name in self.names}
+        config, path = self.config, self.files[index]
+        values = {name: self._values(path, name) for name in self._names_of(path)}
         parts = [values[name] for name in self.velocity]
         velocity = (np.stack(parts, axis=-1) if len(parts) == 3 else parts[0]) * config.velocity_m_s
-        if config.emission:
+        if path in self.dark:
+            emission = np.zeros((*self.box.shape, 3))
+        elif config.emission:
             emission = values[config.emission] / config.metres
         else:
             heat = values[config.temperature] if config.temperature else 0.0
@@ -149,13 +174,26 @@ class Sequence:
             values /= 2
         return values
 
-    def _parts_of_velocity(self) -> list[str]:
-        """Names of the one or three grids of velocity in the first file."""
-        name, path = self.config.velocity, self.files[0]
+    def _names_of(self, path: Path) -> list[str]:
+        """Grids that are read of a file."""
+        return self.velocity if path in self.dark else self.names
+
+    def _names_in(self, path: Path) -> set[str]:
+        """Names of the grids in a file."""
         try:
-            there = {grid.name for grid in self._vdb.readAllGridMetadata(str(path))}
+            return {grid.name for grid in self._vdb.readAllGridMetadata(str(path))}
         except Exception as error:  # its own types are not exported
             raise DataFormatError(f"{path}: is no OpenVDB file: {error}") from error
+
+    def _require(self, path: Path, name: str, there: set[str]) -> None:
+        if name not in there:
+            raise DataFormatError(
+                f"{path}: no grid '{name}' can be read there; it has {', '.join(sorted(there)) or 'none'}"
+            )
+
+    def _parts_of_velocity(self, there: set[str]) -> list[str]:
+        """Names of the one or three grids of velocity, by those in the first file."""
+        name = self.config.velocity
         ways = [[f"{name}{link}{axis}" for axis in "xyz"] for link in (".", "_", "")]
         return next((parts for parts in ways if name not in there and there.issuperset(parts)), [name])
 
@@ -180,11 +218,6 @@ def _upright(values: np.ndarray) -> np.ndarray:
     return np.swapaxes(values, 1, 2)[:, ::-1]
 
 
-def _number(path: Path) -> int:
-    numbers = re.findall(r"\d+", path.stem)
-    return int(numbers[-1]) if numbers else 0
-
-
 def _openvdb() -> Any:
     """Blender's library, which its Python packages bring."""
     extras.require("bpy", "blender", "reading OpenVDB files")
@@ -204,13 +237,15 @@ def main(argv: list[str] | None = None) -> int:
         description = FireDescription(
             name=config.out.name,
             solver="OpenVDB files",
-            time_s=tuple(index / config.rate_hz for index in range(len(sequence.files))),
+            time_s=sequence.time_s,
             emission_law=light,
         )
         write_fire(config.out, description, sequence.box.index_to_world(config), sequence.frame)
     except GofError as error:
         console().print("error:", error, style="red")
         return 1
+    for note in sequence.notes:
+        print(f"note: {note}")
     print(f"{config.out}: {len(sequence.files)} frames, {' x '.join(map(str, sequence.box.shape))} cells of the files")
     return 0
 

@@ -68,7 +68,7 @@ def calibrate_footage(name: str, path: Path, target: Charuco, views: int) -> Cal
     """Calibrate one camera under progress bars. Raises GofError that names the footage."""
     stated = stated_frames(path) or 0
     with progress_bar(f"read {name}") as update:
-        frames = (update(k, max(k, stated)) or frame for k, frame in enumerate(stored_frames(path), 1))
+        frames = (update(k, max(k, stated)) or frame for k, frame in enumerate(stored_frames(path, in_time=False), 1))
         pictures = sharpest(frames, stated if path.is_dir() else views)
     with progress_bar(f"find the target in {name}") as update:
         try:

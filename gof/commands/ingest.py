@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ from gof.costs import StageLog
 from gof.dataset.poses import UpReport
 from gof.errors import GofError
 from gof.files import write_json
+from gof.footage import require_different, stated_fps
 from gof.ingest.accelerometer import read_tilt
 from gof.ingest.evidence import PoseOptions, Rig, Solver
 from gof.ingest.fire_free import PlateKind, PlateOptions
@@ -160,6 +162,34 @@ def board_in(choice: str, videos: tuple[Path, ...]) -> BoardTemplate | None:
     return None if found is None else require_strips(found, "gof ingest")
 
 
+def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
+    """Raises GofError: times or lenses are not given. Names all that is missing, and a whole command that has it."""
+    if is_published(config.videos):
+        return
+    missing, more = [], []
+    if config.times is None and not config.fps and not config.stamps:
+        missing.append(
+            "when the frames were taken: --fps with the true capture rate, --times times.json of 'gof capture sync', "
+            "or --stamps (the files' own time stamps, as phones write them)"
+        )
+        more += ["--fps", f"{_stated_rate(config.videos[0]):.6g}"]
+    if config.cameras is None and config.fov is None:
+        missing.append(
+            "through which lenses: --fov with the horizontal field of view in degrees, or --cameras cameras.json of "
+            "'gof capture calibrate'"
+        )
+        more += ["--fov", "70"]
+    if missing:
+        command = shlex.join(["gof", "ingest", *argv, *more])
+        raise GofError(f"no file says {'; nor '.join(missing)}. With your own numbers: {command}")
+
+
+def _stated_rate(video: Path) -> float:
+    """Frames per second by the file, which may be those of playback; 30 where it says none."""
+    require_different([video])
+    return stated_fps(video) or 30.0
+
+
 def other_clip(footage: Footage, folder: Path) -> Footage:
     """Another clip by the same cameras. Raises GofError: a video is missing."""
     videos = tuple(folder / video.name for video in footage.videos)
@@ -217,6 +247,7 @@ def fire_left_in_words(left: dict[str, float], by_clip: dict[str, float] | None 
 def main(argv: list[str]) -> int:
     """`gof ingest VIDEO... --out DATASET`; see --help."""
     config = tyro.cli(IngestConfig, prog="gof ingest", args=argv)
+    require_what_no_file_says(config, argv)
     result = ingest(config)
     report = result.poses.report
     stages = StageLog(result.folder / "costs.json").stages()

@@ -20,6 +20,7 @@ from typing import IO
 
 from gof.dataset.card import card
 from gof.dataset.dataset import Dataset
+from gof.drafts import whole_folder
 from gof.errors import DataFormatError, GofError
 from gof.files import atomic_path, is_name, is_relative_path, path_in
 
@@ -111,16 +112,10 @@ def unpack(archive: Path, out: Path, progress: Progress | None = None) -> Path:
             target = path_in(out, name)
             if target.exists():
                 raise GofError(f"{target}: exists; move it away, or choose another --out")
-            draft = out / f".{name}.{os.getpid()}.partial"
-            shutil.rmtree(draft, ignore_errors=True)
-            draft.mkdir(parents=True)
-            try:
+            with whole_folder(target) as draft:
                 found = _extract(archive, tar, name, draft, progress)
                 _compare(archive, draft, found)
                 Dataset.open(draft)
-                os.replace(draft, target)
-            finally:
-                shutil.rmtree(draft, ignore_errors=True)
     except FileNotFoundError as e:
         raise DataFormatError(f"{archive}: no such file") from e
     except (tarfile.TarError, EOFError, ValueError, OverflowError) as e:  # headers that lie bring the last two

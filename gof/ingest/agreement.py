@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -9,8 +12,12 @@ import numpy as np
 from gof.errors import DataFormatError, GofError
 from gof.footage import VideoInfo
 from gof.lens import Turn
+from gof.numbered import missing_numbers, usual_step
 
+MAX_MISSING = 0.1  # share of a folder's pictures that may be missing by their numbers
+CLOCKS_DIFFER_S = 60  # cameras' clocks are set by hand
 SAME_RATE = 0.02  # relative: 29.97 and 30 are one rate, 24 and 25 are not
+SQUARE = 1e-3  # by which a pixel's width and height may differ
 TURN_OF_TAG: dict[int, Turn] = {0: "none", 90: "clockwise", 180: "half", 270: "counterclockwise"}
 
 
@@ -31,6 +38,83 @@ def turn_by_tags(videos: list[VideoInfo], asked: Turn | Literal["auto"]) -> Turn
             "or half"
         )
     return TURN_OF_TAG[tags.pop()]
+
+
+def require_square_pixels(videos: list[VideoInfo]) -> None:
+    """Raises DataFormatError: a file's pixels are not square, so that one field of view does not say the lens."""
+    for video in videos:
+        if abs(video.pixel_aspect - 1) > SQUARE:
+            path = video.path
+            copy = shlex.quote(str(path.with_name(f"{path.stem}_square.mp4")))
+            raise DataFormatError(
+                f"{path}: its pixels are not square ({video.pixel_aspect:.4g} times as wide as high), so --fov does "
+                f"not say the lens. Make them square: ffmpeg -i {shlex.quote(str(path))} -vf scale=iw*sar:ih,setsar=1 "
+                f"-c:v libx264 -crf 12 {copy}; or give --cameras with the K of the pictures as stored"
+            )
+
+
+PART = re.compile(r"(?:G[HXLS]([0-9]{2})|(GOPR)|GP([0-9]{2}))([0-9]{4})", re.I)  # GX020001, GOPR0001, GP010001
+
+
+def part_of(path: Path) -> tuple[str, int] | None:
+    """Which film a GoPro's file belongs to, and which part of it it is, from 1 on; None for other names."""
+    found = PART.fullmatch(path.stem)
+    if found is None:
+        return None
+    new, _, old, film = found.groups()
+    return (f"{path.stem[:2].upper()}{film}" if new else film, int(new or int(old or 0) + 1))
+
+
+def require_one_film_each(paths: list[Path]) -> None:
+    """Raises DataFormatError: two files of a folder are parts of one film by one camera."""
+    known: dict[tuple[Path, str], Path] = {}
+    for path in paths:
+        if part := part_of(path):
+            other = known.setdefault((path.parent.resolve(), part[0]), path)
+            if other != path:
+                raise DataFormatError(
+                    f"{path}: is part {part[1]} of the film of which {other.name} is part {part_of(other)[1]}: one "
+                    "camera wrote both. Give each camera's own film; ffmpeg's concat joins parts"
+                )
+
+
+def _part_notes(videos: list[VideoInfo]) -> list[str]:
+    """What the names of GoPros' files say: a part that is not the first, or that goes on in another file."""
+    notes = []
+    for video in videos:
+        part = part_of(video.path)
+        if part is None:
+            continue
+        if part[1] > 1:
+            notes.append(f"{video.path.name}: is part {part[1]} of a longer film, by its name")
+        folder = video.path.parent
+        more = [
+            p.name for p in folder.iterdir() if part_of(p) == (part[0], part[1] + 1) and p.suffix == video.path.suffix
+        ]
+        if more:
+            notes.append(f"{video.path.name}: the film goes on in {more[0]}, which is not read")
+    return notes
+
+
+def _clock_notes(videos: list[VideoInfo]) -> list[str]:
+    """What the files say of when they began, where they differ."""
+    notes = []
+    starts = [video.start_s for video in videos]
+    steps = [video.usual_step_s for video in videos if video.usual_step_s]
+    if steps and max(starts) - min(starts) > 0.5 * min(steps):
+        each = ", ".join(f"{video.path.name} {video.start_s:.3f} s" for video in videos)
+        notes.append(
+            f"the first pictures are at different times of the files' own clocks ({each}); unless --times or --start "
+            "says otherwise, they are taken as of one moment"
+        )
+    made = [video.made_s for video in videos]
+    if None not in made:
+        longest = max((video.frames or 0) * (video.usual_step_s or 0) for video in videos)
+        if max(made) - min(made) > longest + CLOCKS_DIFFER_S:
+            notes.append(
+                f"by their own clocks the files were made {max(made) - min(made)} s apart: are they of one take?"
+            )
+    return notes
 
 
 def require_whole(videos: list[VideoInfo], enough: bool) -> list[str]:
@@ -84,8 +168,48 @@ def require_one_length(videos: list[VideoInfo], clocks: list[np.ndarray]) -> Non
         )
 
 
+def require_few_missing(video: VideoInfo) -> None:
+    """Raises DataFormatError: more than `MAX_MISSING` of a folder's pictures are missing by their numbers."""
+    numbers = list(video.numbers or ())
+    count, which = missing_numbers(numbers)
+    if count > MAX_MISSING * (count + len(numbers)):
+        raise DataFormatError(
+            f"{video.path}: of the pictures' numbers {numbers[0]} to {numbers[-1]}, {count} are missing ({which}): "
+            "were files lost, or did the counter begin again? If the numbers do not count frames, name the pictures "
+            "0001, 0002, ... in the order in which they were taken"
+        )
+
+
+def require_one_beginning(videos: list[VideoInfo]) -> None:
+    """Raises GofError: folders whose pictures begin at different numbers, so that one may lack its first ones."""
+    first = {str(video.path): video.numbers[0] for video in videos if video.numbers}
+    if len(set(first.values())) > 1:
+        each = ", ".join(f"{path} {number}" for path, number in first.items())
+        zeros = " ".join("0" for _ in videos)
+        raise GofError(
+            f"the pictures' numbers begin apart ({each}): are the first pictures of a folder lost? If the first ones "
+            f"of all were taken together, say so with --start {zeros}; else give the place in its folder, from 0 on, "
+            "of a picture of each that was"
+        )
+
+
+def number_notes(videos: list[VideoInfo]) -> list[str]:
+    """What the numbers of pictures say of their clock, where it is not one after the other."""
+    notes = []
+    for video in videos:
+        numbers = list(video.numbers or ())
+        step, (count, which) = usual_step(numbers), missing_numbers(numbers)
+        if count:
+            notes.append(f"{video.path.name}: {count} pictures are missing ({which}), taken as a gap in time")
+        if step > 1:
+            notes.append(
+                f"{video.path.name}: the pictures' numbers go in steps of {step}; the rate is that of its pictures"
+            )
+    return notes
+
+
 def other_notes(videos: list[VideoInfo], one_fov: bool) -> list[str]:
-    """What is no error and yet worth saying: more than 8 bits, other sizes."""
+    """What is no error and yet worth saying: more than 8 bits, other sizes, pixels, parts or clocks."""
     notes = [
         f"{video.path.name}: {video.bits} bits per channel are read as 8; if it is HDR (HLG or PQ), convert it to SDR "
         "first, or colours are not what was seen"
@@ -95,4 +219,9 @@ def other_notes(videos: list[VideoInfo], one_fov: bool) -> list[str]:
     sizes = [f"{v.width}x{v.height}" for v in videos]
     if len(set(sizes)) > 1 and one_fov:
         notes.append(f"the videos differ in size ({', '.join(sizes)}) and --fov is taken for each of them")
-    return notes
+    stretched = [video for video in videos if abs(video.pixel_aspect - 1) > SQUARE]
+    notes += [
+        f"{v.path.name}: its pixels are {v.pixel_aspect:.4g} times as wide as high; --cameras must say so in K"
+        for v in stretched
+    ]
+    return [*notes, *_part_notes(videos), *_clock_notes(videos)]

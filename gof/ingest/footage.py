@@ -12,7 +12,7 @@ import numpy as np
 from gof.dataset import Splits, held_out
 from gof.errors import DataFormatError, GofError
 from gof.footage import VideoInfo, chosen_frames, read_info, require_different
-from gof.ingest.agreement import other_notes, turn_by_tags
+from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turn_by_tags
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
 from gof.ingest.place import Placed, place_cameras
@@ -106,8 +106,11 @@ class Footage:
         if (cameras is None) == (fov_deg is None):
             raise GofError("give the intrinsics with either --cameras FILE or --fov DEGREES")
         require_different(videos)
+        require_one_film_each(videos)
         known = None if cameras is None else read_cameras(cameras, len(videos))
         infos = [_read(video) for video in videos]
+        if known is None:
+            require_square_pixels(infos)
         notes = other_notes(infos, known is None)
         turn = turn_by_tags(infos, turn)
         if known is None:
@@ -187,7 +190,7 @@ def _read(video: Path) -> VideoInfo:
 
 def _described(info: VideoInfo) -> dict[str, Any]:
     """For dataset.json."""
-    said = {f.name: getattr(info, f.name) for f in fields(info) if f.name not in ("path", "stamps_s")}
+    said = {f.name: getattr(info, f.name) for f in fields(info) if f.name not in ("path", "stamps_s", "numbers")}
     return {"name": info.path.name, **said}
 
 

@@ -13,9 +13,17 @@ import numpy as np
 from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
 from gof.errors import DataFormatError, GofError
 from gof.footage import VideoInfo, distinct_names
-from gof.ingest.agreement import require_one_length, require_one_rate, require_whole
+from gof.ingest.agreement import (
+    number_notes,
+    require_few_missing,
+    require_one_beginning,
+    require_one_length,
+    require_one_rate,
+    require_whole,
+)
 from gof.ingest.pairing import Pairing, pair
 from gof.lens import Turn
+from gof.numbered import usual_step
 from gof.records import read_record
 
 CLOCKWISE = ("down", "left", "up", "right")  # readout directions, each a clockwise quarter after the one before
@@ -109,7 +117,8 @@ def read_frame_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
 def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     """By the rate given, or by the files' own time stamps; the frames `timing.start` were taken together.
 
-    A rate gives equal steps, and a gap in the time stamps of a whole number of steps is a gap in time.
+    A rate gives equal steps, and a gap in the time stamps of a whole number of steps is a gap in time; so is one in the
+    numbers of a folder's pictures.
 
     Raises:
         GofError: a rate that is not positive; another number of rates or starts than of videos; one rate for files that
@@ -130,13 +139,16 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
             raise GofError(f"--fps {min(rates):g}: must be positive")
         ticks = [_steps(video) / rate for video, rate in zip(videos, rates, strict=True)]
         source = f"{', '.join(f'{rate:g}' for rate in timing.fps)} frames per second"
+    if len(timing.start) == 1:
+        require_one_beginning(videos)
     clocks = [tick - tick[start] for tick, start in zip(ticks, starts, strict=True)]
     if not timing.begins_are_known:
         require_one_length(videos, clocks)
     together = "all cameras starting together" if len(set(starts)) == 1 else f"frames {starts} taken together"
     pairing = pair([video.path.name for video in videos], clocks, starts[0], timing.limit)
     count = len(videos)
-    return FrameTimes.of(pairing, clocks, [0.0] * count, ["down"] * count, f"{source}, {together}")
+    times = FrameTimes.of(pairing, clocks, [0.0] * count, ["down"] * count, f"{source}, {together}")
+    return replace(times, notes=(*number_notes(videos), *times.notes))
 
 
 def _one_each(flag: str, values: tuple, videos: list[VideoInfo]) -> list:
@@ -156,11 +168,16 @@ def _stamps(video: VideoInfo) -> np.ndarray:
 
 
 def _steps(video: VideoInfo) -> np.ndarray:
-    """(N,) whole steps since the first frame: 0, 1, 2, ... where no frame is missing by the time stamps.
+    """(N,) whole steps since the first frame: 0, 1, 2, ... where none is missing by the time stamps or file names.
 
     Raises:
+        DataFormatError: by their names, too many of a folder's pictures are missing.
         GofError: no line through the stamps leaves all of them within `ON_GRID` steps.
     """
+    if video.numbers is not None:
+        require_few_missing(video)
+        step = usual_step(list(video.numbers))
+        return np.array([(number - video.numbers[0]) // step for number in video.numbers], np.float64)
     usual = video.usual_step_s
     if usual is None:
         return np.arange(video.frames, dtype=np.float64)

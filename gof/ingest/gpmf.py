@@ -6,6 +6,7 @@ a letter for the type, the size of one value and their number, padded to four by
 
 from __future__ import annotations
 
+import itertools
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,13 +15,13 @@ from typing import BinaryIO
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.mp4 import boxes, inside, read_header
 
 Stream = dict[str, "np.ndarray | str"]  # the entries of one sensor by name: (N, size) numbers, or text
-Box = tuple[bytes, int, int]  # type, first byte and end of what an MP4 box holds
 
-MOST_HEADER = 1 << 28  # bytes of an MP4 file's table of contents; hours of footage have some 10 MB
 MOST_SAMPLE = 1 << 24  # bytes of a sample, which is one second
 MOST_SAMPLES = 100_000
+MOST_LEVELS = 8  # of entries in entries; cameras write two
 NUMBERS = {"b": "i1", "B": "u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4", "f": ">f4", "d": ">f8"}
 
 
@@ -45,10 +46,10 @@ def streams(path: Path) -> Iterator[Stream]:
 
 def _samples(file: BinaryIO) -> Iterator[bytes]:
     """Each sample of the first `gpmd` track."""
-    header = _header(file)
-    for _, start, end in _boxes(header, 0, len(header), b"trak"):
-        table = _inside(header, start, end, b"mdia", b"minf", b"stbl")
-        described = table and _inside(header, *table, b"stsd")
+    header = read_header(file)
+    for start, end in boxes(header, 0, len(header), b"trak"):
+        table = inside(header, start, end, b"mdia", b"minf", b"stbl")
+        described = table and inside(header, *table, b"stsd")
         if described and header[described[0] + 12 : described[0] + 16] == b"gpmd":
             places = list(_places(header, *table))
             if sum(size for _, size in places) > file.seek(0, 2):
@@ -62,49 +63,11 @@ def _samples(file: BinaryIO) -> Iterator[bytes]:
             return
 
 
-def _header(file: BinaryIO) -> bytes:
-    """What the file's `moov` box holds; empty where there is none, as in a file that is no MP4."""
-    while len(start := file.read(16)) >= 8:
-        size, kind = struct.unpack(">I4s", start[:8])
-        head = 8
-        if size == 1 and len(start) == 16:
-            size, head = struct.unpack(">Q", start[8:])[0], 16
-        if kind == b"moov":
-            if not head <= size <= MOST_HEADER:
-                raise ValueError(f"its table of contents claims {size} bytes")
-            file.seek(head - len(start), 1)
-            return file.read(size - head)
-        if size < head:
-            return b""
-        file.seek(size - len(start), 1)
-    return b""
-
-
-def _boxes(data: bytes, start: int, end: int, wanted: bytes) -> Iterator[Box]:
-    while start + 8 <= end:
-        size, kind = struct.unpack_from(">I4s", data, start)
-        if not 8 <= size <= end - start:
-            return
-        if kind == wanted:
-            yield kind, start + 8, start + size
-        start += size
-
-
-def _inside(data: bytes, start: int, end: int, *path: bytes) -> tuple[int, int] | None:
-    """First byte and end of the first box at this path; None where there is none."""
-    for kind in path:
-        box = next(_boxes(data, start, end, kind), None)
-        if box is None:
-            return None
-        _, start, end = box
-    return start, end
-
-
 def _places(data: bytes, start: int, end: int) -> Iterator[tuple[int, int]]:
     """Offset in the file and size of each sample, from a track's tables: samples lie one after the other in chunks."""
 
     def table(kind: bytes, entry: str, skipped: int = 4) -> list[tuple]:
-        found = _inside(data, start, end, kind)
+        found = inside(data, start, end, kind)
         if found is None:
             return []
         count = struct.unpack_from(">I", data, found[0] + skipped)[0]
@@ -113,7 +76,7 @@ def _places(data: bytes, start: int, end: int) -> Iterator[tuple[int, int]]:
             raise ValueError(f"its table '{kind.decode()}' claims {count} entries")
         return list(struct.iter_unpack(entry, data[first : first + count * size]))
 
-    found = _inside(data, start, end, b"stsz")
+    found = inside(data, start, end, b"stsz")
     if found is None:
         return
     same = struct.unpack_from(">I", data, found[0] + 4)[0]
@@ -125,9 +88,13 @@ def _places(data: bytes, start: int, end: int) -> Iterator[tuple[int, int]]:
         raise ValueError(f"a sample claims {max(sizes)} bytes")
     chunks = [offset for (offset,) in table(b"stco", ">I") or table(b"co64", ">Q")]
     runs = table(b"stsc", ">III")  # first chunk, samples in each, description
-    k = 0
+    if any(b <= a for (a, *_), (b, *_) in itertools.pairwise(runs)):
+        raise ValueError("its table 'stsc' does not grow")
+    k, run = 0, -1
     for chunk, offset in enumerate(chunks, 1):
-        for _ in range(next((count for first, count, _ in reversed(runs) if first <= chunk), 1)):
+        while run + 1 < len(runs) and runs[run + 1][0] <= chunk:
+            run += 1
+        for _ in range(runs[run][1] if run >= 0 else 1):
             if k == len(sizes):
                 return
             yield offset, sizes[k]
@@ -138,13 +105,15 @@ def _places(data: bytes, start: int, end: int) -> Iterator[tuple[int, int]]:
 # ---- GPMF: what is in a sample ---------------------------------------------------------------------------------------
 
 
-def _streams(sample: bytes) -> Iterator[Stream]:
+def _streams(sample: bytes, level: int = 1) -> Iterator[Stream]:
     """The sensors (`STRM`) of every device (`DEVC`) in a sample."""
+    if level > MOST_LEVELS:
+        raise ValueError(f"its entries lie in each other, more than {MOST_LEVELS} deep")
     for name, kind, data, _ in _entries(sample):
         if name == "STRM":
             yield {n: _value(k, d, s) for n, k, d, s in _entries(data) if k in NUMBERS or k == "c"}
         elif kind == "\0":
-            yield from _streams(data)
+            yield from _streams(data, level + 1)
 
 
 def _entries(data: bytes) -> Iterator[tuple[str, str, bytes, int]]:

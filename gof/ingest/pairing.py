@@ -37,9 +37,12 @@ def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | No
         source: what to name in errors, where the clocks are from.
     Raises:
         DataFormatError: more than `MAX_LEFT_OUT` of the moments lack a frame of some camera.
-        GofError: the videos do not overlap; fewer than two moments are left.
+        GofError: a camera has a single frame; the videos do not overlap; fewer than two moments are left.
     """
     where = f"{source}: " if source else ""
+    for name, clock in zip(names, clocks, strict=True):
+        if len(clock) < 2:
+            raise GofError(f"{where}{name}: has {len(clock)} frame; a fire's motion needs at least 2 of every camera")
     own = [_growing(clock) for clock in clocks]  # frame numbers without those shown twice
     steps = [_usual_step(clock[k]) for clock, k in zip(clocks, own, strict=True)]
     slowest = 0 if steps[0] >= (1 - SAME_RATE) * max(steps) else int(np.argmax(steps))

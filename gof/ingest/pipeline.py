@@ -12,16 +12,22 @@ from gof.costs import StageLog
 from gof.dataset import DatasetDescription
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
+from gof.drafts import remove
 from gof.errors import GofError
+from gof.files import only_run_in
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
 from gof.ingest.footage import Clip, Footage
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import darkest
 from gof.ingest.place import Placed
+from gof.ingest.published import CAMERAS_FILE
 from gof.ingest.scene_depth import scene_depth, write_depth
 from gof.ingest.stored import StoredView, camera_entries, resized, stored_view, write_picture, write_pictures
 from gof.progress import progress_bar
+
+WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records
+UNFINISHED = ".unfinished-ingest"
 
 
 @dataclass(frozen=True)
@@ -41,9 +47,29 @@ class Ingested:
 
 
 def require_new(out: Path) -> None:
-    """Raises GofError: the folder holds a dataset already."""
+    """Raises GofError: the folder holds a dataset, or files of a dataset's names that no unfinished run left."""
     if (out / "dataset.json").exists():
         raise GofError(f"{out}: already holds a dataset; choose another --out or remove it")
+    there = _written_in(out)
+    if there and not (out / UNFINISHED).is_file():
+        raise GofError(
+            f"{out}: holds {', '.join(there)}, with which a dataset would mix, and no unfinished run left them; choose "
+            "another --out, or move them away"
+        )
+
+
+def _written_in(out: Path) -> list[str]:
+    return [name for name in WRITTEN if (out / name).exists() or (out / name).is_symlink()]
+
+
+def start_afresh(out: Path) -> None:
+    """Remove what a run that was cut off left in the folder, and mark the folder as unfinished.
+
+    Its pictures may be of other frames, or of another size; none of them may get into this dataset.
+    """
+    for name in _written_in(out):
+        remove(out / name)
+    (out / UNFINISHED).touch()
 
 
 def make_dataset(
@@ -67,14 +93,34 @@ def make_dataset(
         others: more clips of the same rig; their features and boards help to find the poses, and they may show what
             burns all the time in this one.
     Raises:
-        GofError: `out` holds a dataset already, the width is not one of the footage; see the stages for what can be
-            wrong with footage, times and poses.
+        GofError: `out` holds a dataset already, or files that it would mix with; another run is at work there; the
+            width is not one of the footage; see the stages for what can be wrong with footage, times and poses.
     """
     require_new(out)
     for lens in footage.upright_lenses:
         if width is not None and not 1 <= width <= lens.width:
             raise GofError(f"--width {width}: the footage is {lens.width} pixels wide")
 
+    with only_run_in(out):
+        require_new(out)
+        start_afresh(out)
+        made = _make(out, footage, timing, pose_options, plate, width, depth, depth_weights, others)
+        (out / UNFINISHED).unlink(missing_ok=True)
+        return made
+
+
+def _make(
+    out: Path,
+    footage: Footage,
+    timing: Timing,
+    pose_options: PoseOptions,
+    plate: PlateOptions,
+    width: int | None,
+    depth: bool,
+    depth_weights: Path | None,
+    others: tuple[Footage, ...],
+) -> Ingested:
+    """As `make_dataset`, in a folder that is empty and this run's alone."""
     log = StageLog(out / "costs.json")
 
     # ---- frame times, footage ----------------------------------------------------------------------------------------

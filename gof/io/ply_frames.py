@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
+from gof.drafts import whole_folder
 from gof.errors import DataFormatError
 from gof.gaussians import TransientGaussians
 from gof.ply import splat_columns, write
@@ -37,10 +36,7 @@ def save(gaussians: TransientGaussians, folder: Path, start_s: float, end_s: flo
     if not seen.any():
         raise DataFormatError(f"{folder}: no Gaussian can be seen between {start_s} s and {end_s} s; is that the clip?")
     g = gaussians[seen]
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".ply-") as temporary:
-        whole = Path(temporary) / "whole"
-        whole.mkdir()
+    with whole_folder(folder) as whole:
         for number, time_s in enumerate(times):
             position, opacity = g.at(time_s)
             columns = splat_columns(g.arrays() | {"position": position, "opacity": opacity})
@@ -49,5 +45,4 @@ def save(gaussians: TransientGaussians, folder: Path, start_s: float, end_s: flo
                 columns,
                 [f"state at {time_s:.6f} s", "units: metres; world frame, Z up"],
             )
-        os.replace(whole, folder)
     return [f"{count} files of {len(g):,} Gaussians, {1e3 * step_s:g} ms apart from {start_s:g} s on"]

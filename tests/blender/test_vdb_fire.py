@@ -106,6 +106,76 @@ def test_what_does_not_fit_is_refused_by_file_and_grid(tmp_path, capsys):
     assert not out.exists()
 
 
+CACHE = """
+    import numpy as np
+    from gof_blender.scene import images
+    import openvdb
+    folder, *names = sys.argv[1:]
+    for k, name in enumerate(names):
+        name, _, missing = name.partition("-")
+        grids = []
+        for grid, value in ((openvdb.Vec3SGrid(), (0.0, 0.0, 1.0 + k)), (openvdb.FloatGrid(), 1.0)):
+            grid.name = "flame" if isinstance(value, float) else "velocity"
+            grid.transform = openvdb.createLinearTransform(0.05)
+            grid.copyFromArray(np.full((4, 4, 4, *np.shape(value)), value, np.float32))
+            grids += [] if grid.name == missing else [grid]
+        openvdb.write(f"{folder}/{name}.vdb", grids)
+"""
+
+
+def cached(folder, *names):
+    """A file for each name; NAME-flame lacks that grid. The gas of the n-th one rises with n m/s."""
+    pytest.importorskip("bpy", reason="OpenVDB files are read by the bpy wheel")
+    in_blender(CACHE, folder, *names)
+    (folder / f"._{names[0].partition('-')[0]}.vdb").write_bytes(b"AppleDouble")
+    files = sorted(str(path) for path in [*folder.glob("*.vdb"), *folder.glob("._*")])
+    return [*files, "--out", str(folder / "fire"), "--rate-hz", "24", "--kelvin-at-0", "1700"]
+
+
+def rise(fire):
+    """(T,) m/s."""
+    return [fire.velocity.frame(k).velocity[1, 1, 1, 2] for k in range(len(fire.times_s))]
+
+
+@pytest.mark.blender
+def test_the_clock_is_that_of_the_numbers(tmp_path, capsys):
+    """1003 was lost; a size stands behind the number; 999 comes before 1000."""
+    names = [f"fire.{k}_64x64" for k in (999, 1000, 1001, 1002, 1004)]
+    assert vdb.main(cached(tmp_path, *names)) == 0
+    assert "1 files are missing (1003)" in " ".join(capsys.readouterr().out.split())
+    fire = FireGrids.open(tmp_path / "fire")
+    assert fire.times_s == pytest.approx([0, 1 / 24, 2 / 24, 3 / 24, 5 / 24])
+    assert rise(fire) == pytest.approx([1, 2, 3, 4, 5])
+
+
+@pytest.mark.blender
+def test_frames_before_the_fire_burns_are_dark(tmp_path, capsys):
+    names = ["fire.0000-flame", "fire.0001-flame", "fire.0002", "fire.0003"]
+    assert vdb.main(cached(tmp_path, *names)) == 0
+    assert "fire.0000.vdb, fire.0001.vdb: without the grid 'flame'" in " ".join(capsys.readouterr().out.split())
+    fire = FireGrids.open(tmp_path / "fire")
+    light = [float(np.max(fire.grids["emission"].frame(k))) for k in range(4)]
+    assert light[:2] == [0, 0] and min(light[2:]) > 0
+    assert rise(fire) == pytest.approx([1, 2, 3, 4])
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["fire_v1.0000", "fire_v1.0001", "fire_v2.0000"], "has the number 0, and so has fire_v1.0000.vdb"),
+        (["fire_v1.0000", "fire_v2.0001"], "differ in more than the frame's number"),
+        (["fire.0000", "fire"], "fire.vdb: its name has no number"),
+        (["fire.0000", "fire.0001-velocity"], "fire.0001.vdb: no grid 'velocity' can be read there; it has flame"),
+        (["fire.0000-flame", "fire.0001-flame"], "no grid 'flame' can be read there; it has velocity"),
+    ],
+)
+def test_files_that_are_no_one_sequence_are_refused_by_name(tmp_path, capsys, names, said):
+    assert vdb.main(cached(tmp_path, *names)) == 1
+    assert said.replace(" ", "") in "".join(capsys.readouterr().out.split())
+    assert not (tmp_path / "fire").exists()
+
+
 def test_light_needs_a_temperature(tmp_path, capsys):
     assert vdb.main(["x.vdb", "--out", str(tmp_path / "fire"), "--rate-hz", "24"]) == 1
     assert "--temperature" in capsys.readouterr().out

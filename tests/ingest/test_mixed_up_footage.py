@@ -1,6 +1,7 @@
 """Footage that is mixed up: given twice, in another order than it was timed in, or two clips of one camera."""
 
 import os
+import shlex
 import shutil
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gof import cli
 from gof.capture.annotate import annotate
 from gof.capture.decode import DecodeOptions
 from gof.capture.sync import synchronise
@@ -21,6 +23,7 @@ from gof.ingest.frame_times import Timing, read_frame_times
 from gof.ingest.place import _together
 from gof.records import read_record, write_record
 from tests.ingest.test_frame_times import FrameTimesFile, clock, times_file
+from tests.videos import numbered, write_video
 
 
 def folders(root, count=3, frames=20):
@@ -99,6 +102,26 @@ def test_what_needs_no_footage_is_said_before_it_is_read(tmp_path):
     (tmp_path / "set" / "dataset.json").write_text("{}")
     with pytest.raises(GofError, match="already holds a dataset"):
         ingest(replace(config, fps=(100.0,)))
+
+
+def test_all_that_no_file_says_is_asked_for_at_once_with_a_whole_command(tmp_path, capsys):
+    """The command that it prints gets past both questions, as it stands."""
+    videos = [str(write_video(tmp_path / f"my {c}.mp4", list(numbered(8))[c:], 25.0)) for c in range(2)]
+    given = ["ingest", *videos, "--out", str(tmp_path / "set"), "--board", "none"]
+    said = []
+    for more in ([], ["--stamps"], ["--fov", "50"]):
+        assert cli.main([*given, *more]) == 1
+        said.append(" ".join(capsys.readouterr().err.split()))
+    assert "when the frames were taken" in said[0] and "through which lenses" in said[0]
+    assert "when the frames" not in said[1] and "through which lenses" not in said[2]
+    for text, wanted in zip(
+        said, (["--fps", "25", "--fov", "70"], ["--stamps", "--fov", "70"], ["--fps", "25"]), strict=True
+    ):
+        command = shlex.split(text.split("With your own numbers: ")[1])
+        assert command[:2] == ["gof", "ingest"] and command[-len(wanted) :] == wanted
+        assert cli.main([*command[1:], "--frames", "6"]) == 1  # grey pictures: no camera can be placed
+        asked = " ".join(capsys.readouterr().err.split())
+        assert "no file says" not in asked and "points by hand with --points" in asked
 
 
 # ---- times of other footage ------------------------------------------------------------------------------------------

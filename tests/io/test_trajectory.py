@@ -117,10 +117,30 @@ def test_a_sequence_of_the_wrong_clock_or_kind_is_asked_about(tmp_path):
     write("cameras", [f"time_{k:05d}.ply" for k in range(9)], np.repeat([0, 1, 2], 3))
     with pytest.raises(DataFormatError, match="same positions"):
         read_result(tmp_path / "cameras", ImportOptions(time_unit_s=0.01))
-    for name, files in {"point": ["a_0.25.ply", "a_0.5.ply"], "two": ["a0.ply", "a1.ply", "b0.ply"]}.items():
+    for name, files, said in (
+        ("point", ["a_0.25.ply", "a_0.5.ply"], "or decimals"),
+        ("two", ["a0.ply", "a1.ply", "b0.ply"], r"a0\.ply.*b0\.ply|b0\.ply.*a0\.ply"),
+        ("more", ["a0.ply", "a1.ply", "still.ply"], r"still\.ply: its name has no number"),
+        ("sizes", ["a0_64x64.ply", "a1_64x64.ply", "a1_32x32.ply"], "a1_64x64.ply"),
+    ):
         write(name, files, range(len(files)))
-        with pytest.raises(DataFormatError, match="no format"):
+        with pytest.raises(DataFormatError, match=said):
             read_result(tmp_path / name, ImportOptions(time_unit_s=0.01))
+
+
+def test_a_sequence_of_plys_has_the_clock_of_its_numbers(tmp_path):
+    """Not padded, one lost, hidden copies beside them, a size behind the number: 0.1 s to 1.2 s without 0.3 s."""
+    raw = {k: v.detach().numpy() for k, v in lookalikes.capture(np.random.default_rng(1), 5).items()}
+    numbers = [k for k in range(1, 13) if k != 3]
+    for k in numbers:
+        path = tmp_path / f"v2_{k}_64x64.PLY"
+        lookalikes.splat_ply(path, raw | {"xyz": raw["xyz"] + np.float32(k)})
+        (tmp_path / f"._{path.name}").write_bytes(bytes.fromhex("0005160700020000") + bytes(60))
+    (tmp_path / ".DS_Store").write_bytes(b"\0\0\0\1Bud1")
+    got = read_result(tmp_path, ImportOptions(time_unit_s=0.1)).gaussians
+    assert got.time_s == pytest.approx([0.1 * k for k in numbers])
+    moved = np.asarray(got.position)[:, 0] - raw["xyz"][0]
+    assert moved == pytest.approx(np.array(numbers)[:, None] * np.ones(3), abs=1e-5)
 
 
 def test_ranges_of_a_trajectory(tmp_path):

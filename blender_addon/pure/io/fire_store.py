@@ -18,6 +18,7 @@ import numpy as np
 
 from . import FileFormatError
 from .grid_reader import SAME_TIME_S, StoredGrid
+from .numbered import is_hidden
 from .records import read_record
 
 FILE = "fire.json"
@@ -102,7 +103,7 @@ class FireStore:
 
 
 def _remedy(path: Path) -> str:
-    if any(path.glob("*.vdb")):
+    if any(not is_hidden(file) for file in path.glob("*.vdb")):
         folder = shlex.quote(str(path))
         fire = shlex.quote(f"{path}_fire")
         return (

@@ -85,7 +85,7 @@ def files_of(source: str | Path | Sequence[Path]) -> list[Path]:
         return ply_sequence.numbered([Path(path) for path in source]) if len(source) > 1 else files_of(source[0])
     path = Path(source)
     if path.is_dir():
-        found = ply_sequence.numbered(sorted(path.glob("*.ply")))
+        found = ply_sequence.numbered([file for file in path.iterdir() if file.suffix.lower() == ".ply"])
         if not found:
             raise FileFormatError(f"{path}: no numbered .ply files in this folder; choose result.npz or result.ply")
         return found

@@ -6,13 +6,13 @@ one to the other. Otherwise it rests until the next file replaces it.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 
 from . import FileFormatError
 from .cloud import GaussianCloud, checked, splats
+from .numbered import frame_of, is_hidden, number_files
 from .ply_file import PlyVertices
 
 
@@ -22,7 +22,7 @@ def read(paths: list[Path], fps: float, step: int = 1) -> GaussianCloud:
     Raises:
         FileFormatError: see `gaussians_file.load`; names the file that is wrong.
     """
-    time_s = np.array([frame_number(path) for path in paths]) / fps
+    time_s = np.array([frame_of(path)[1] for path in paths], float) / fps
     states = []
     for path in paths:
         rows = PlyVertices(path).rows(step)
@@ -54,16 +54,8 @@ def read(paths: list[Path], fps: float, step: int = 1) -> GaussianCloud:
 
 
 def numbered(paths: list[Path]) -> list[Path]:
-    """PLYs in the order of the last number in their names. Raises: FileFormatError: one has none, or another's."""
-    numbers = [frame_number(path) for path in paths]
-    if len(set(numbers)) < len(numbers):
-        raise FileFormatError(f"{paths[0].parent}: several files have the same number; keep one sequence per folder")
-    return [path for _, path in sorted(zip(numbers, paths, strict=True))]
-
-
-def frame_number(path: Path) -> int:
-    """The last number in a file's name. Raises: FileFormatError."""
-    found = re.findall(r"\d+", path.stem)
-    if path.suffix.lower() != ".ply" or not found:
-        raise FileFormatError(f"{path}: not a numbered .ply (such as frame_012.ply); remove it from the sequence")
-    return int(found[-1])
+    """PLYs in the order of their frames; hidden files are left out. Raises: FileFormatError: as `number_files`."""
+    for path in paths:
+        if path.suffix.lower() != ".ply" and not is_hidden(path):
+            raise FileFormatError(f"{path}: not a numbered .ply (such as frame_012.ply); remove it from the sequence")
+    return [path for _, path in number_files(paths)]

@@ -10,6 +10,7 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.io.importers.source import Imported, ImportOptions, Source, require_unit
+from gof.numbered import frame_of, is_hidden, number_files
 from gof.ply import Ply
 from gof.trajectory import Trajectory
 
@@ -18,12 +19,12 @@ TRAININGS = re.compile(r"(point_cloud|iteration|iter|step|chkpnt|ckpt)[_-]?", re
 
 
 def matches(source: Source) -> bool:
-    return source.path.is_dir() and len(_numbered(source.path)) >= 2
+    return source.path.is_dir() and sum(frame_of(path) is not None for path in _plys(source.path)) >= 2
 
 
 def read(source: Source, options: ImportOptions) -> Imported:
     """File number k is at time_zero_s + k * time_unit_s; without time_unit_s, one number per frame of the dataset."""
-    files = _numbered(source.path)
+    files = number_files(_plys(source.path))
     unit = options.time_unit_s or options.frame_time_s
     if not unit:
         raise DataFormatError(f"{source.path}: give --time-unit, the seconds between two numbers of this PLY sequence")
@@ -80,20 +81,14 @@ def clock_notes(trajectory: Trajectory, options: ImportOptions) -> list[str]:
     return [f"its times last {last - first:.3g} s, the clip {clip:.3g} s: are they seconds, not shares of the clip?"]
 
 
-def _numbered(folder: Path) -> list[tuple[int, Path]]:
-    """The PLYs NAME<number>.ply of a folder by number; none where they have several names."""
-    found = [(m, p) for p in folder.iterdir() if (m := re.fullmatch(r"(.*?)(\d{1,12})\.ply", p.name))]
-    names = {m[1] for m, _ in found}
-    if len(names) != 1 or re.search(r"\d\.$", *names):  # 0.5 and 0.25 are not the numbers 5 and 25
-        return []
-    files = sorted((int(m[2]), p) for m, p in found)
-    return [] if len({number for number, _ in files}) < len(files) else files
+def _plys(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if path.suffix.lower() == ".ply" and not is_hidden(path)]
 
 
 def _require_times(files: list[tuple[int, Path]], states: list[dict[str, np.ndarray]]) -> None:
     """Raises DataFormatError: the numbers are a training's steps, or of several pictures of one time."""
     path = files[0][1]
-    if TRAININGS.fullmatch(re.sub(r"\d+\.ply$", "", path.name)):
+    if TRAININGS.fullmatch(frame_of(path)[0].replace("#", "")):
         raise DataFormatError(
             f"{path.parent}: PLYs named as '{path.name}' are of several steps of a training, not of several times; if "
             "they are of times, name them time_00000.ply, time_00001.ply, ..."

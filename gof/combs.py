@@ -1,0 +1,63 @@
+"""Interlaced pictures: what moves is shown at two times, in lines in turn, that stand out like a comb's teeth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+TEETH = 6  # lines that stand out in turn, up and down
+STANDS_OUT = 8  # levels of 255 by which a line stands out from its neighbours, or a pixel changes when it moves
+MOST_COMBED = 0.05  # share of the moving pixels in combs; interlaced fire has 0.22 and more, films of it below 0.0001
+ENOUGH, HARDLY = 2000, 0.001  # pixels that moved, and the share of them in combs, by which pictures are whole
+SIDEWAYS = 4  # combs of noise and fine patterns are as many along columns; those of fields only along rows
+MOST_LINES = 480  # rows or columns that are looked at
+
+
+@dataclass(frozen=True)
+class Combs:
+    """How many pixels moved, and how many of them lie in combs of rows, and of columns."""
+
+    moved: int
+    along_rows: int
+    along_columns: int
+
+    @property
+    def shown(self) -> bool:
+        """Whether the pictures are interlaced."""
+        return self.along_rows > MOST_COMBED * self.moved and self.along_rows > SIDEWAYS * self.along_columns
+
+    @property
+    def ruled_out(self) -> bool:
+        """Whether they are not, although much moved."""
+        return self.moved >= ENOUGH and self.along_rows < HARDLY * self.moved
+
+
+def find_combs(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> Combs:
+    """In pictures that follow each other, (H, W, 3) uint8, where something moved between them."""
+    found = np.zeros(3, int)
+    for before, after in pairs:
+        moved, combs = _combs(before, after)
+        found += (moved, combs, _combs(before.swapaxes(0, 1), after.swapaxes(0, 1))[1])
+    return Combs(*found.tolist())
+
+
+def _combs(before: np.ndarray, after: np.ndarray) -> tuple[int, int]:
+    """How many pixels moved, and how many of them lie in combs of lines (axis 0)."""
+    every = -(-after.shape[1] // MOST_LINES)
+    first, then = (picture[:, ::every, 1].astype(np.int16) for picture in (before, after))
+    moved = np.abs(then - first) > STANDS_OUT
+    teeth = 2 * then[1:-1] - then[:-2] - then[2:]
+    teeth[1::2] *= -1
+    in_combs = 0
+    for sign in (1, -1):
+        out = (sign * teeth > 2 * STANDS_OUT) & moved[1:-1]
+        if len(out) < TEETH:
+            continue
+        runs = np.logical_and.reduce([out[k : len(out) - TEETH + 1 + k] for k in range(TEETH)])
+        combed = np.zeros_like(out)
+        for k in range(TEETH):
+            combed[k : k + len(runs)] |= runs
+        in_combs += int(combed.sum())
+    return int(moved.sum()), in_combs
