@@ -8,7 +8,6 @@ door, and by name.
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from keyword import iskeyword
 from pathlib import Path
@@ -52,24 +51,14 @@ def convert_json(kind: type[T], data: Any, source: str | Path) -> T:
     """Build a dataclass from the JSON of a file that people write by hand, without schema and version.
 
     Raises:
-        DataFormatError: not an object, NaN or Inf in it, a missing field, or one of the wrong type (names it).
+        DataFormatError: not an object, a missing field, or one of the wrong type (names it).
     """
     if not isinstance(data, dict):
         raise DataFormatError(f"{source}: not a JSON object")
     try:
-        record = msgspec.convert({f"{key}_" if iskeyword(key) else key: value for key, value in data.items()}, kind)
+        return msgspec.convert({f"{key}_" if iskeyword(key) else key: value for key, value in data.items()}, kind)
     except (msgspec.ValidationError, GofError) as e:  # of a field; of the record's own checks
         raise DataFormatError(f"{source}: {e}") from e
-    if not _all_finite(data):
-        raise DataFormatError(f"{source}: holds NaN or Inf; null stands for what is not known")
-    return record
-
-
-def _all_finite(data: Any) -> bool:
-    if isinstance(data, float):
-        return math.isfinite(data)
-    parts = data.values() if isinstance(data, dict) else data if isinstance(data, list) else ()
-    return all(map(_all_finite, parts))
 
 
 def read_record(kind: type[R], path: Path) -> R:

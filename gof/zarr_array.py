@@ -26,6 +26,7 @@ from gof.files import path_in, read_json, write_json
 TYPES = ("float16", "float32", "float64")
 PACKINGS = ("gzip", "zstd")
 REMEDY = "write it with zarr.create_array(..., compressors=zarr.codecs.GzipCodec())"
+MOST_CHUNKS = 2**15  # of an index of the first axis; each is asked for, stored or not
 GZIP_LEVEL = 5  # as the add-on's writer
 DAMAGE = (OSError, ValueError, EOFError, zlib.error)
 
@@ -112,11 +113,10 @@ class ZarrArray:
             out[...] = self.fill_value
 
         def put(number: tuple[int, ...]) -> None:
-            if self.is_stored(number):
-                here, there = self._overlap(number, low, high)
-                out[there] = self._chunk(number)[here]
+            here, there = self._overlap(number, low, high)
+            out[there] = self._chunk(number)[here]
 
-        numbers = list(self._numbers(low, high))
+        numbers = [number for number in self._numbers(low, high) if self.is_stored(number)]
         if len(numbers) == 1:
             put(numbers[0])
         elif numbers:
@@ -193,6 +193,10 @@ def _described(description: dict) -> tuple:
     sizes = all(type(n) is int and n >= 0 for n in shape) and all(type(n) is int and n > 0 for n in chunks)
     if not sizes or len(shape) != len(chunks) or not 0 < len(shape) <= 32:
         raise ValueError(f"shape {shape} in chunks of {chunks}")
+    if math.prod(-(-n // c) for n, c in zip(shape[1:], chunks[1:], strict=True)) > MOST_CHUNKS:
+        raise ValueError(
+            f"shape {shape} in chunks of {chunks}: more than {MOST_CHUNKS} chunks a frame; write larger ones"
+        )
     if description["data_type"] not in TYPES:
         raise ValueError(f"data type {description['data_type']!r}; expected one of {TYPES}")
     first, *packings = description["codecs"]

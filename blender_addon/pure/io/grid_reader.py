@@ -6,7 +6,7 @@ nobody says otherwise.
 
 from __future__ import annotations
 
-import json
+import math
 import zlib
 from itertools import product
 from pathlib import Path
@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from . import FileFormatError
-from .files import path_in
+from .files import path_in, read_json
 
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side that are believed
+MOST_CHUNKS = 2**15  # of a frame; each is asked for, stored or not
 CODECS = ({"bytes"}, {"bytes", "gzip"})
 SAME_TIME_S = 1e-6  # a stored frame this near to a time is the frame of that time
 REMEDY = "make it again"
@@ -43,8 +44,11 @@ class StoredGrid:
 
     def __init__(self, path: Path, quantity: str, units: str | None = None, components: tuple[int, ...] = (3,)):
         self.path, self._components = path, components
+        file = path_in(path, "zarr.json")
+        if not file.is_file():
+            raise FileFormatError(f"{path}: no zarr.json inside, so no {quantity} store; {REMEDY}")
         try:
-            description = json.loads(path_in(path, "zarr.json").read_bytes())
+            description = read_json(file)
             attributes, shape = description["attributes"], tuple(description["shape"])
             codecs = {codec["name"] for codec in description["codecs"]}
             chunks = tuple(description["chunk_grid"]["configuration"]["chunk_shape"])
@@ -56,19 +60,13 @@ class StoredGrid:
             self._chunk = chunks[1:4]
             plain = all(type(n) is int and 0 < n <= LARGEST for n in (*shape, *self._chunk))
             plain &= self.dtype.kind == "f" and len(self._chunk) == 3 and max(self._chunk) <= LARGEST_CHUNK
+            plain = plain and math.prod(-(-n // c) for n, c in zip(shape[1:4], self._chunk, strict=True)) <= MOST_CHUNKS
             if not plain or not np.isfinite(self.time_s).all() or not np.isfinite(self.world_to_index).all():
-                raise ValueError(f"{self.dtype}, shape {shape} in chunks of {chunks}, or times that are not finite")
-        except FileNotFoundError:
-            raise FileFormatError(f"{path}: no zarr.json inside, so no {quantity} store; {REMEDY}") from None
-        except (
-            OSError,
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            RecursionError,
-            np.linalg.LinAlgError,
-        ) as error:
+                raise ValueError(
+                    f"{self.dtype}, shape {shape} in chunks of {chunks}: no floats, too many cells, more than "
+                    f"{MOST_CHUNKS} chunks a frame, or times that are not finite"
+                )
+        except (ValueError, KeyError, TypeError, AttributeError, np.linalg.LinAlgError) as error:
             message = f"{path}/zarr.json: not a {quantity} store ({type(error).__name__}: {error})"
             raise FileFormatError(message) from None
         self._check_content(attributes, quantity, units)

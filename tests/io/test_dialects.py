@@ -1,0 +1,270 @@
+"""Foreign files as exporters and editors leave them: both doors, the library's and the add-on's, decide alike."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gof.errors import DataFormatError
+from gof.files import read_json
+from gof.io.colmap import read_colmap
+from gof.io.importers.alignment import read_cameras
+from gof_blender.pure.io import FileFormatError, camera_files
+from gof_blender.pure.io import files as addon_files
+
+HEAD = "# Image list with two lines of data per image:\n"
+ROWS = [f"{i} 1 0 0 0 {i} 0 0 1 cam_{i}.png" for i in (1, 2, 3)]
+PAIRS = "".join(f"{row}\n\n" for row in ROWS)
+THREE = {"cam_1": 1, "cam_2": 2, "cam_3": 3}
+# What images.txt says, and the cameras in it by x of their translation, or what the refusal says.
+IMAGES = {
+    "as COLMAP writes it": (HEAD + PAIRS, THREE),
+    "byte-order mark": ("\ufeff" + HEAD + PAIRS, THREE),
+    "byte-order mark, no comment": ("\ufeff" + PAIRS, THREE),
+    "CRLF": ((HEAD + PAIRS).replace("\n", "\r\n"), THREE),
+    "CR": ((HEAD + PAIRS).replace("\n", "\r"), THREE),
+    "Latin-1 comment": (b"# Gr\xf6\xdfe\n" + PAIRS.encode(), THREE),
+    "indented comments, trailing blanks": ("  # a\n" + PAIRS.replace(".png", ".png \t"), THREE),
+    "comment between": (PAIRS.replace("\n\n", "\n# seen: nothing\n\n"), THREE),
+    "tabs": (PAIRS.replace(" ", "\t"), THREE),
+    "an empty line after the comments": (HEAD + "\n" + PAIRS, THREE),
+    "an empty line more at the end": (HEAD + PAIRS + "\n", THREE),
+    "an empty line more everywhere": (PAIRS.replace("\n\n", "\n\n\n"), THREE),
+    "no empty line at the end": ("\n\n".join(ROWS), THREE),
+    "empty lines stripped": (HEAD + "\n".join(ROWS) + "\n", THREE),
+    "an empty line stripped": (f"{ROWS[0]}\n{ROWS[1]}\n\n{ROWS[2]}\n\n", THREE),
+    "observations": ("".join(f"{row}\n10.5 20.5 7 30.5 40.5 -1\n" for row in ROWS), THREE),
+    "whole observations": ("".join(f"{row}\n100 200 7 300 400 -1 50 60 7 1 2 3\n" for row in ROWS), THREE),
+    "some observations stripped": (f"{ROWS[0]}\n{ROWS[1]}\n1.5 2.5 -1\n{ROWS[2]}\n", THREE),
+    "blank in the name": (PAIRS.replace("cam_", "left cam "), {f"left cam {i}": i for i in (1, 2, 3)}),
+    "blanks in the name": (PAIRS.replace("cam_", "a  b "), {f"a  b {i}": i for i in (1, 2, 3)}),
+    "blank in the folder": (PAIRS.replace("cam_", "fire take 2/cam_"), THREE),
+    "a folder for every camera": (PAIRS.replace(".png", "/000001.png"), THREE),
+    "backslashes": (PAIRS.replace("cam_", "shots\\cam_"), THREE),
+    "backslashes, a folder for every camera": (PAIRS.replace(".png", "\\000001.png"), THREE),
+    "names without a suffix": (PAIRS.replace("cam_", "cam.").replace(".png", ""), {f"cam.{i}": i for i in (1, 2, 3)}),
+    "names of numbers": (PAIRS.replace("cam_", "").replace(".png", ""), {"1": 1, "2": 2, "3": 3}),
+    "names of numbers, stripped": ("\n".join(ROWS).replace("cam_", "").replace(".png", ""), {"1": 1, "2": 2, "3": 3}),
+    "names that may be observations": ("\n".join(ROWS).replace("cam_", "1 2 ").replace(".png", ""), "line 2 may be"),
+    "one name twice": (PAIRS.replace("cam_2", "cam_1"), "cam_1"),
+    "no number": (PAIRS.replace("2 1 0 0 0", "2 1 0 x 0"), "line 3"),
+    "cut off": (PAIRS[: PAIRS.index("cam_3") - 3], "line 5"),
+    "NaN": (PAIRS.replace("2 1 0 0 0", "2 1 0 nan 0"), "line 3"),
+    "observations twice": (f"{ROWS[0]}\n1 2 -1\n3 4 -1\n", "line 3"),
+    "name in Latin-1": (PAIRS.replace("cam_2", "gr\xfcn").encode("latin-1"), "line 3"),
+    "UTF-16": (PAIRS.encode("utf-16"), "UTF-16"),
+    "UTF-16 without a mark": (PAIRS.encode("utf-16-le"), "UTF-16"),
+}
+
+
+def _colmap(folder: Path, images: str | bytes) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "images.txt").write_bytes(images if isinstance(images, bytes) else images.encode())
+    (folder / "points3D.txt").write_text("")
+    (folder / "cameras.txt").write_text("1 PINHOLE 100 80 90 90 50 40\n")
+    return folder
+
+
+def _by_gof(folder: Path) -> dict[str, float]:
+    return {name: pose[0, 3] for name, pose in read_cameras(folder).items()}
+
+
+def _by_the_addon(folder: Path) -> dict[str, float]:
+    return {entry.name: entry.world_to_camera[0][3] for entry in camera_files.read(folder / "images.txt")}
+
+
+DOORS = pytest.mark.parametrize("door", [_by_gof, _by_the_addon])
+
+
+@DOORS
+@pytest.mark.parametrize("name", IMAGES)
+def test_pictures_of_a_text_model(tmp_path, door, name):
+    text, expected = IMAGES[name]
+    _colmap(tmp_path, text)
+    if isinstance(expected, dict):
+        assert door(tmp_path) == pytest.approx(expected)
+        return
+    with pytest.raises((DataFormatError, FileFormatError), match=expected) as refusal:
+        door(tmp_path)
+    assert "images.txt" in str(refusal.value) or name == "one name twice"
+
+
+@DOORS
+@pytest.mark.parametrize("names", [["left cam 1.png", "left cam 2.png"], ["take 2/a.png", "take 2/b (1).png"]])
+def test_a_text_model_of_pycolmap_with_blanks(tmp_path, door, names):
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction(str(_colmap(tmp_path / "plain", "\n\n".join(ROWS[:2]) + "\n\n")))
+    for number, name in enumerate(names, 1):
+        model.images[number].name = name
+    (tmp_path / "blanks").mkdir()
+    model.write_text(str(tmp_path / "blanks"))
+    assert door(tmp_path / "blanks") == {Path(name).stem: number for number, name in enumerate(names, 1)}
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("\ufeff# points\r\n\r\n7 1 2 3 0 0 0 0.5 1 0 2 4\r\n", [[1, 2, 3]]),
+        ("1 1 2 3 0 0 0 0.5\n\n\n2 4 5 6 0 0 0 -1\n", [[1, 2, 3], [4, 5, 6]]),
+        ("1 1 2 3\n", "line 1"),
+        ("# a\n1 1 2 inf 0 0 0 0.5\n", "line 2"),
+        ("1 1,5 2 3 0 0 0 0.5\n", "line 1"),
+    ],
+)
+def test_points_of_a_text_model(tmp_path, text, expected):
+    _colmap(tmp_path, PAIRS)
+    (tmp_path / "points3D.txt").write_bytes(text.encode())
+    if isinstance(expected, list):
+        assert read_colmap(tmp_path)[1].tolist() == expected
+    else:
+        with pytest.raises(DataFormatError, match=rf"points3D\.txt.*{expected}"):
+            read_colmap(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("\ufeff# lenses\r\n\r\n1 PINHOLE 100 80 90 90 50 40\r\n", None),
+        ("1 PINHOLE 100 80 90 90 50 40\n1 PINHOLE 100 80 70 70 50 40\n", "line 2"),
+        ("1 PINHOLE 100 80 90 90 50 40 0.1\n", "4 parameters"),
+        ("1 SIMPLE_PINHOLE 100 80 90 90 50 40\n", "3 parameters"),
+        ("1 OPENCV 100 80 90 90 50 40 0 0 0 0\n", "undistorter"),
+        ("2 PINHOLE 100 80 90 90 50 40\n", "no camera 1"),
+    ],
+)
+def test_lenses_of_a_text_model(tmp_path, text, words):
+    _colmap(tmp_path, PAIRS)
+    (tmp_path / "cameras.txt").write_bytes(text.encode())
+    if words is None:
+        assert _by_the_addon(tmp_path) == THREE
+    else:
+        with pytest.raises(FileFormatError, match=words):
+            _by_the_addon(tmp_path)
+
+
+def test_pictures_of_one_name_that_stand_apart(tmp_path):
+    """Two cameras never become one: the library refuses, the add-on tells them apart."""
+    _colmap(tmp_path, "".join(f"{i} 1 0 0 0 {i} 0 0 1 rig_{i}/left/1.png\n\n" for i in (1, 2)))
+    with pytest.raises(DataFormatError, match="stand apart"):
+        _by_gof(tmp_path)
+    assert _by_the_addon(tmp_path) == {"left": 1, "left_2": 2}
+
+
+def test_a_binary_model_in_the_add_on(tmp_path):
+    _colmap(tmp_path, PAIRS)
+    (tmp_path / "images.txt").rename(tmp_path / "images.bin")
+    with pytest.raises(FileFormatError, match="model_converter"):
+        _by_the_addon(tmp_path)
+
+
+def test_the_model_with_most_pictures_is_read(tmp_path):
+    """COLMAP writes a model for every part of the pictures that it could not join, in no order of size."""
+    from gof.io.colmap import name_model
+
+    _colmap(tmp_path / "sparse/0", "\n\n".join(ROWS[:2]))
+    _colmap(tmp_path / "sparse/1", PAIRS)
+    _colmap(tmp_path / "sparse/10", "\n\n".join(ROWS[:1]))
+    assert _by_gof(tmp_path) == THREE
+    assert all(word in name_model(tmp_path) for word in ("sparse/1 (", "sparse/0 has 2", "sparse/10 has 1"))
+    assert name_model(tmp_path / "sparse/0") == str(tmp_path / "sparse/0")
+
+
+# ---------------------------------------------------------------- JSON
+
+JSON_DOORS = pytest.mark.parametrize("door", [read_json, addon_files.read_json])
+
+
+@JSON_DOORS
+@pytest.mark.parametrize(
+    "data, words",
+    [
+        ("\ufeff{}".encode(), None),
+        (b'\xef\xbb\xbf{\r\n"a": 1}\r\n', None),
+        ("{}".encode("utf-16"), "UTF-16"),
+        ("{}".encode("utf-16-le"), "UTF-16"),
+        ("{}".encode("utf-32"), "UTF-16 or UTF-32"),
+        ('{"a": "\xfc"}'.encode("latin-1"), "not UTF-8"),
+        (b"", "empty"),
+        (b"\xef\xbb\xbf", "empty"),
+        (b'{"a": [{"b": NaN}]}', r"'a\[0\]\.b'"),
+        (b'{"a": {"b": [0, -Infinity]}}', r"'a\.b\[1\]'"),
+        (b'{"a": 1e999}', "'a'"),
+        (b'{"a": 1' + b"0" * 400 + b"}", "'a'"),
+        (b'{"a": [-1' + b"0" * 5000 + b"]}", r"'a\[0\]'"),
+        (b'{"cam": 1, "cam": 2}', "'cam' stands twice"),
+        (b'{"a": 1', "cut off"),
+    ],
+)
+def test_json_of_editors_and_programs(tmp_path, door, data, words):
+    path = tmp_path / "x.json"
+    path.write_bytes(data)
+    if words is None:
+        assert door(path) in ({}, {"a": 1})
+        return
+    with pytest.raises((DataFormatError, FileFormatError), match=words) as refusal:
+        door(path)
+    assert str(path) in str(refusal.value)
+
+
+@JSON_DOORS
+def test_whole_numbers_keep_their_digits(tmp_path, door):
+    (tmp_path / "x.json").write_text(json.dumps({"a": [2**64 + 1, -(10**300), 0]}))
+    assert door(tmp_path / "x.json") == {"a": [2**64 + 1, -(10**300), 0]}
+
+
+# ---------------------------------------------------------------- transforms.json
+
+
+def _transforms(path: Path, **changes) -> Path:
+    """Cameras in OpenGL's axes: at (0, -3, k), looking along +y, with z up."""
+    turn = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    frames = [
+        {
+            "file_path": f"images/cam_{k}.png",
+            "transform_matrix": [[*r, p] for r, p in zip(turn, (0, -3, k), strict=True)],
+        }
+        for k in range(3)
+    ]
+    for frame in frames:
+        frame["transform_matrix"].append([0, 0, 0, 1])
+    path.write_text(json.dumps({"w": 640, "h": 480, "fl_x": 500, "frames": frames} | changes))
+    return path
+
+
+def test_transforms_json_tells_where_cameras_are(tmp_path):
+    """The point one metre before each camera, by hand: it looks along +y, so in OpenCV's axes it is at z = 1."""
+    path = _transforms(tmp_path / "transforms.json")
+    ours, theirs = read_cameras(path), {e.name: np.array(e.world_to_camera) for e in camera_files.read(path)}
+    assert list(ours) == list(theirs) == ["cam_0", "cam_1", "cam_2"]
+    for k, name in enumerate(ours):
+        np.testing.assert_allclose(ours[name] @ [0.25, -2, k, 1], [0.25, 0, 1, 1], atol=1e-12)
+        np.testing.assert_allclose(theirs[name], ours[name], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"camera_model": "OPENCV_FISHEYE"},
+        {"camera_model": "EQUIRECTANGULAR"},
+        {"is_fisheye": True},
+        {"k5": 0.1},
+        {"distortion_params": [0, 0, 0.1]},
+        {"ftheta_p0": 0.1},
+        {"rolling_shutter": [0, 0, 0.01]},
+    ],
+)
+def test_lenses_that_blender_has_not(tmp_path, changes):
+    path = _transforms(tmp_path / "transforms.json", **changes)
+    with pytest.raises(FileFormatError, match=next(iter(changes))):
+        camera_files.read(path)
+
+
+def test_both_angles_of_view_count(tmp_path):
+    path = _transforms(tmp_path / "transforms.json", camera_angle_x=math.pi / 2, camera_angle_y=2 * math.atan(0.5))
+    whole = json.loads(path.read_text())
+    del whole["fl_x"]
+    path.write_text(json.dumps(whole))
+    camera = camera_files.read(path)[0]
+    assert (camera.K[0][0], camera.K[1][1]) == pytest.approx((320, 480))
