@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError
+from gof.errors import DataFormatError, require_finite
 from gof.harmonics import C0
 from gof.ply_file import read_vertices, write_vertices
 
+UNBOUNDED = ("t_sigma", "v_sd")  # where inf says "always" and "nobody knows"
 LOGIT_EPS = 2.0**-24  # opacities 0 and 1 have no finite logit; this is half a float32 step below 1
 
 
@@ -102,10 +103,17 @@ def splat_columns(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def write(path: Path, columns: dict[str, np.ndarray], comments: list[str]) -> None:
-    """Write a binary little-endian PLY: float properties, and uchar ones for columns of bool or uint8."""
+    """Write a binary little-endian PLY: float properties, and uchar ones for columns of bool or uint8.
+
+    Raises:
+        NonFiniteError: a value is NaN, or beyond what a float32 can hold (names property and rows).
+    """
     vertex = np.empty(
         len(columns["x"]), [(name, "u1" if np.asarray(v).itemsize == 1 else "<f4") for name, v in columns.items()]
     )
     for name, values in columns.items():
-        vertex[name] = values
+        with np.errstate(over="ignore"):
+            vertex[name] = values
+        endless = np.isposinf(values) if name in UNBOUNDED else False
+        require_finite(name, np.where(endless, 0, vertex[name]), "a PLY of float32")
     write_vertices(path, vertex, comments)

@@ -125,14 +125,24 @@ class ZarrArray:
         return out[tuple(0 if isinstance(w, (int, np.integer)) else slice(None) for w in where)]
 
     def write(self, frame: int, values: np.ndarray) -> None:
-        """Write `array[frame]`; chunks of zeros are not stored. A chunk may hold one frame only."""
+        """Write `array[frame]`; chunks of zeros are not stored. A chunk may hold one frame only.
+
+        Raises:
+            DataFormatError: a value is NaN, or beyond what the array's type can hold.
+        """
         low, high = self._box((frame,))
         values = np.asarray(values)[None]
         if self.chunks[0] != 1 or values.shape != tuple(h - l for l, h in zip(low, high, strict=True)):
             raise ValueError(f"{values.shape[1:]} is not a frame of {self.shape} in chunks of {self.chunks}")
         for number in self._numbers(low, high):
             here, there = self._overlap(number, low, high)
-            part = values[there].astype(self.dtype)
+            with np.errstate(over="ignore"):
+                part = values[there].astype(self.dtype)
+            if not np.isfinite(part).all():
+                raise DataFormatError(
+                    f"{self.path}: frame {frame}: {np.abs(values).max():.3g} is beyond what {self.dtype.name} holds; "
+                    "store float32"
+                )
             if part.any():
                 whole = np.zeros(self.chunks, self.dtype)  # those at the upper border are of full size too
                 whole[here] = part
