@@ -18,6 +18,7 @@ from gof.zarr_array import ZarrArray
 SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side; a file that claims more is refused: twice what a scene may ask for
 LARGEST_CHUNK_BYTES = 2**29
+LARGEST_M = 1e30  # of a grid's place or cell; squares of it stay finite
 
 
 @dataclass(frozen=True)
@@ -144,11 +145,7 @@ class VelocitySequence:
             )
         if len(self.times_s) == 0 or not np.isfinite(self.times_s).all() or not (np.diff(self.times_s) > 0).all():
             raise DataFormatError(f"{path}: time_s must be finite, strictly increasing and not empty")
-        if (
-            self.index_to_world.shape != (4, 4)
-            or not np.isfinite(self.index_to_world).all()
-            or not np.linalg.det(self.index_to_world)
-        ):
+        if not is_affine(self.index_to_world):
             raise DataFormatError(f"{path}: index_to_world must be a finite, invertible 4x4 matrix")
 
     @classmethod
@@ -267,6 +264,14 @@ class VelocitySequence:
             return self.frame(parts[0][0])
         velocity = sum(np.float32(weight) * self.frame(index).velocity.astype(np.float32) for index, weight in parts)
         return VelocityField(velocity, self.index_to_world, float(time_s))
+
+
+def is_affine(matrix: np.ndarray) -> bool:
+    """Whether a matrix (4, 4) maps indices of a grid to places: below 1e30 m, with a last row 0 0 0 1, invertible."""
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST_M).all() or (matrix[3] != [0, 0, 0, 1]).any():
+        return False
+    with np.errstate(under="ignore"):
+        return bool(np.isfinite(np.linalg.det(matrix)) and np.linalg.det(matrix))
 
 
 def open_array(path: str | Path) -> ZarrArray:

@@ -128,7 +128,7 @@ class ZarrArray:
         """Write `array[frame]`; chunks of zeros are not stored. A chunk may hold one frame only.
 
         Raises:
-            DataFormatError: a value is NaN, or beyond what the array's type can hold.
+            DataFormatError: a finite value is beyond what the array's type can hold.
         """
         low, high = self._box((frame,))
         values = np.asarray(values)[None]
@@ -138,7 +138,7 @@ class ZarrArray:
             here, there = self._overlap(number, low, high)
             with np.errstate(over="ignore"):
                 part = values[there].astype(self.dtype)
-            if not np.isfinite(part).all():
+            if (np.isfinite(values[there]) & ~np.isfinite(part)).any():
                 raise DataFormatError(
                     f"{self.path}: frame {frame}: {np.abs(values).max():.3g} is beyond what {self.dtype.name} holds; "
                     "store float32"

@@ -426,7 +426,7 @@ def test_records_hold_finite_numbers(tmp_path, number):
     assert "1.5" in good and "3.0" in good
     for before in ("1.5", "3.0"):
         (tmp_path / "costs.json").write_text(good.replace(before, number))
-        with pytest.raises(DataFormatError, match=r"costs\.json: holds NaN or Inf"):
+        with pytest.raises(DataFormatError, match=r"costs\.json: .*is NaN, Inf"):
             log.costs()
 
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -268,3 +269,176 @@ def test_both_angles_of_view_count(tmp_path):
     path.write_text(json.dumps(whole))
     camera = camera_files.read(path)[0]
     assert (camera.K[0][0], camera.K[1][1]) == pytest.approx((320, 480))
+
+
+# ---------------------------------------------------------------- PLYs of Gaussians
+
+NAMES = [
+    *"xyz",
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
+    "opacity",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+    *(f"rot_{i}" for i in range(4)),
+]
+ROW = (0, 0, 1, 0.5, 0.5, 0.5, 0.3, -3, -3, -3, 1, 0, 0, 0)
+TYPES = "".join(f"property float {name}\n" for name in NAMES)
+
+
+def _rows(count: int = 5, **cells: dict[int, float]) -> np.ndarray:
+    """Good rows, but for cells: by property, the value by row."""
+    rows = np.tile(np.array(ROW, "<f4"), (count, 1))
+    rows[:, 0] = np.arange(count)
+    for name, values in cells.items():
+        for row, value in values.items():
+            rows[row, NAMES.index(name)] = value
+    return rows
+
+
+def _binary(
+    rows: np.ndarray, comment: bytes = b"", end: bytes = b"\n", before: bytes = b"", skipped: bytes = b""
+) -> bytes:
+    head = b"ply\nformat binary_little_endian 1.0\n" + comment + before
+    head += f"element vertex {len(rows)}\n{TYPES}end_header\n".encode()
+    return head.replace(b"\n", end) + skipped + rows.astype("<f4").tobytes()
+
+
+def _text(rows: np.ndarray, end: str = "\n", blank: str = "") -> bytes:
+    lines = [" ".join(map(str, row)) for row in rows.tolist()]
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n{TYPES}end_header\n"
+    return (head + f"\n{blank}".join(lines) + "\n").replace("\n", end).encode()
+
+
+def _doubles(rows: np.ndarray) -> bytes:
+    head = f"ply\nformat binary_big_endian 1.0\nelement vertex {len(rows)}\n{TYPES}end_header\n"
+    return head.replace("float", "double").encode() + rows.astype(">f8").tobytes()
+
+
+CHUNK = b"element chunk 2\nproperty float min_x\nproperty uchar flag\n"
+# The bytes of a PLY, and its x and the least and largest size and opacity of row 2, or what the refusal says.
+GOOD = (math.exp(-3), math.exp(-3), 1 / (1 + math.exp(-0.3)))
+PLYS = {
+    "as trainers write it": (_binary(_rows()), GOOD),
+    "CRLF header": (_binary(_rows(), end=b"\r\n"), GOOD),
+    "CR header": (_binary(_rows(), end=b"\r"), GOOD),
+    "Latin-1 comment": (_binary(_rows(), comment=b"comment Gr\xf6\xdfe\nobj_info \xb5\n"), GOOD),
+    "UTF-8 comment": (_binary(_rows(), comment="comment Größe\n".encode()), GOOD),
+    "text": (_text(_rows()), GOOD),
+    "text, CRLF": (_text(_rows(), end="\r\n"), GOOD),
+    "text, empty lines": (_text(_rows(), blank=" \n"), GOOD),
+    "doubles, big-endian": (_doubles(_rows()), GOOD),
+    "another element first": (_binary(_rows(), before=CHUNK, skipped=bytes(10)), GOOD),
+    "flat": (_binary(_rows(scale_2={2: -np.inf})), (math.exp(-80), *GOOD[1:])),
+    "flat, text": (_text(_rows(scale_2={2: -np.inf})), (math.exp(-80), *GOOD[1:])),
+    "opaque": (_binary(_rows(opacity={2: np.inf})), (*GOOD[:2], 1)),
+    "dead": (_binary(_rows(opacity={2: -np.inf})), (*GOOD[:2], 0)),
+    "the largest": (_binary(_rows(scale_1={2: 29})), (GOOD[0], math.exp(29), GOOD[2])),
+    "too large": (_binary(_rows(scale_1={2: 30})), r"'scale'.*rows \[2\]"),
+    "huge": (_binary(_rows(scale_1={2: 100})), r"'scale'.*rows \[2\]"),
+    "endless": (_binary(_rows(scale_1={2: np.inf})), r"'scale'.*rows \[2\]"),
+    "size NaN": (_binary(_rows(scale_1={2: np.nan, 4: np.nan})), r"'scale'.*rows \[2, 4\]"),
+    "place NaN": (_binary(_rows(x={3: np.nan})), r"'position'.*rows \[3\]"),
+    "place infinite": (_text(_rows(y={1: -np.inf})), r"'position'.*rows \[1\]"),
+    "colour infinite": (_binary(_rows(f_dc_1={1: np.inf})), r"'color'.*rows \[1\]"),
+    "opacity NaN": (_binary(_rows(opacity={0: np.nan})), r"'opacity'.*rows \[0\]"),
+    "turn NaN": (_binary(_rows(rot_2={4: np.nan})), r"'rotation'.*rows \[4\]"),
+    "no turn": (_binary(_rows(rot_0={1: 0})), r"rows \[1\]"),
+    "activated": (_binary(_rows(**{f"scale_{i}": dict.fromkeys(range(5), 0.05) for i in range(3)})), "activated"),
+    "opacities activated": (_binary(_rows(200, opacity={k: k / 199 for k in range(200)})), "activated"),
+    "decimal commas": (_text(_rows()).replace(b"-3.0", b"-3,0"), "line "),
+    "cut off": (_binary(_rows())[:-3], "truncated"),
+    "text cut off": (_text(_rows())[:-60], "truncated|line "),
+}
+
+
+def _splats_by_gof(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    from gof.ply import Ply
+
+    values = Ply.read(path).splats()
+    return values["position"], values["scale"], values["opacity"]
+
+
+def _splats_by_the_addon(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    from gof_blender.pure.io.gaussians_file import load
+
+    cloud = load(path)
+    return cloud.position, cloud.scale, cloud.opacity
+
+
+SPLAT_DOORS = pytest.mark.parametrize("door", [_splats_by_gof, _splats_by_the_addon])
+
+
+@SPLAT_DOORS
+@pytest.mark.parametrize("name", PLYS)
+def test_plys_of_gaussians(tmp_path, door, name):
+    data, expected = PLYS[name]
+    (tmp_path / "a.ply").write_bytes(data)
+    if isinstance(expected, tuple):
+        position, scale, opacity = door(tmp_path / "a.ply")
+        assert position[:, 0].tolist() == [0, 1, 2, 3, 4]
+        assert (scale[2].min(), scale[2].max(), opacity[2]) == pytest.approx(expected, rel=1e-6)
+        return
+    with pytest.raises((DataFormatError, FileFormatError), match=expected) as refusal:
+        door(tmp_path / "a.ply")
+    assert "a.ply" in str(refusal.value)
+
+
+def test_rows_of_the_file_are_named_also_of_every_third(tmp_path):
+    from gof_blender.pure.io.gaussians_file import load
+
+    (tmp_path / "a.ply").write_bytes(_binary(_rows(9, x={6: np.nan})))
+    with pytest.raises(FileFormatError, match=r"rows \[6\]"):
+        load(tmp_path / "a.ply", step=3)
+
+
+def _properties(names: list[str], kind: str = "float") -> str:
+    return "".join(f"property {kind} {name}\n" for name in names)
+
+
+def _ply_of(properties: str, row: bytes) -> bytes:
+    return f"ply\nformat binary_little_endian 1.0\nelement vertex 2\n{properties}end_header\n".encode() + 2 * row
+
+
+PACKED = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+RGB = _properties([n for n in NAMES if "f_dc" not in n]) + _properties(["red", "green", "blue"], "uchar")
+SURFELS = _properties([n for n in NAMES if n != "scale_2"])
+STRANGERS = {
+    "editor.compressed.ply": (_ply_of(_properties(PACKED, "uint"), bytes(16)), "SuperSplat's compressed PLY"),
+    "points.ply": (_ply_of(_properties(list("xyz")) + _properties(["red"], "uchar"), bytes(13)), "points or a mesh"),
+    "rgb.ply": (_ply_of(RGB, np.array(ROW[:3] + ROW[6:], "<f4").tobytes() + bytes(3)), "plain colours"),
+    "surfels.ply": (_ply_of(SURFELS, np.array(ROW[:9] + ROW[10:], "<f4").tobytes()), "surfels"),
+    "web.splat": (bytes(64), "antimatter15"),
+    "phone.spz": (b"\x1f\x8b" + bytes(40), "SPZ"),
+    "scene.ksplat": (bytes(4096), "mkkellogg"),
+    "scene.SOG": (b"PK" + bytes(40), "SOG"),
+}
+
+
+@pytest.mark.parametrize("name", STRANGERS)
+def test_files_of_other_splat_programs_are_named(tmp_path, capsys, name):
+    from gof.cli import main
+    from gof_blender.pure.io.gaussians_file import load
+
+    data, words = STRANGERS[name]
+    (tmp_path / name).write_bytes(data)
+    assert main(["convert", str(tmp_path / name), str(tmp_path / "x.npz")]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert name in said and words in said and re.search("export|give", said)
+    with pytest.raises(FileFormatError, match=words):
+        load(tmp_path / name)
+
+
+def test_a_folder_of_activated_plys_is_refused(tmp_path, capsys):
+    from gof.cli import main
+
+    (tmp_path / "frames").mkdir()
+    for k in range(3):
+        data, _ = PLYS["activated"]
+        (tmp_path / f"frames/time_{k:05d}.ply").write_bytes(data)
+    assert main(["convert", str(tmp_path / "frames"), str(tmp_path / "x.npz"), "--time-unit", "1"]) == 1
+    assert "time_00000.ply: all 'opacity' lie in 0..1 and all 'scale' are above 0" in " ".join(
+        capsys.readouterr().err.split()
+    )

@@ -56,7 +56,7 @@ def read(ply: PlyVertices, clip_s: float | None, fps: float, step: int) -> dict[
         ) from None
     with np.errstate(over="ignore"):  # an endless duration is "always on"
         t_sigma = np.maximum(np.exp(log_duration), shortest) * seconds
-    return splats(rows, ply.path) | {
+    return splats(rows, ply, step) | {
         "velocity": velocity * moving,
         "t_mu": first + time * seconds,
         "t_sigma": t_sigma,

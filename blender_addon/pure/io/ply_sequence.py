@@ -25,10 +25,11 @@ def read(paths: list[Path], fps: float, step: int = 1) -> GaussianCloud:
     time_s = np.array([frame_number(path) for path in paths]) / fps
     states = []
     for path in paths:
-        rows = PlyVertices(path).rows(step)
+        ply = PlyVertices(path)
+        rows = ply.rows(step)
         if not len(rows):
             raise FileFormatError(f"{path}: holds 0 points; remove it from the sequence")
-        states.append(splats(rows, path))
+        states.append(splats(rows, ply, step))
     ends = np.append(time_s[1:], 2 * time_s[-1] - time_s[-2])
     parts = []
     for k, (state, path) in enumerate(zip(states, paths, strict=True)):

@@ -15,7 +15,7 @@ from gof.files import atomic_path
 from gof.gaussians import TransientGaussians
 from gof.io.importers.normalisation import world_from_training
 from gof.io.importers.source import Imported, ImportOptions, Source, array
-from gof.ply import exp, quaternions, sigmoid, splat_columns, write
+from gof.ply import activate_scale, exp, quaternions, sigmoid, splat_columns, write
 
 OPTIONS = ("time_unit_s", "time_zero_s", "world", "world_by")
 SPLATS = {"means", "scales", "quats", "opacities", "sh0", "shN", "times", "durations", "velocities"}
@@ -99,7 +99,7 @@ def _from_splats(source: Source) -> tuple[dict, dict]:
         "velocity": get("velocities", n, 3),
         "time": get("times", n, 1)[:, 0],
         "log_duration": get("durations", n, 1)[:, 0],
-        "scale": exp(get("scales", n, 3)),
+        "scale": activate_scale(get("scales", n, 3), source.path),
         "rotation": quaternions(get("quats", n, 4), source.path),
         "opacity": sigmoid(get("opacities", n)),
         "color": np.concatenate([get("sh0", n, 1, 3), get("shN", n, None, 3)], 1),
