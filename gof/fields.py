@@ -18,6 +18,7 @@ from gof.zarr_array import ZarrArray
 SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side; a file that claims more is refused: twice what a scene may ask for
 LARGEST_CHUNK_BYTES = 2**29
+AXES = ("time", "x", "y", "z", "component")  # as dimension_names of a zarr.json call them, where it does
 LARGEST_M = 1e30  # of a grid's place or cell; squares of it stay finite
 
 
@@ -278,7 +279,8 @@ def open_array(path: str | Path) -> ZarrArray:
     """A zarr array of cells over time for reading.
 
     Raises:
-        DataFormatError: not a zarr array, of other things than floats, or too large for any simulation.
+        DataFormatError: not a zarr array, of other things than floats, too large for any simulation, or with other axes
+            or in another frame than ours.
     """
     array = ZarrArray.open(path)
     if (
@@ -289,6 +291,12 @@ def open_array(path: str | Path) -> ZarrArray:
         raise DataFormatError(
             f"{path}: shape {array.shape} in chunks of {array.chunks}; expected at most {LARGEST} cells a side in "
             f"chunks of at most {LARGEST_CHUNK} and {LARGEST_CHUNK_BYTES >> 20} MB"
+        )
+    frame = array.attributes.get("frame", "world")
+    axes = [name for name in array.axes if name is not None]
+    if frame != "world" or axes not in ([], list(AXES[: len(axes)])):
+        raise DataFormatError(
+            f"{path}: axes {axes} in frame {str(frame)[:40]!r}; expected {', '.join(AXES)} in frame 'world'"
         )
     return array
 

@@ -18,6 +18,9 @@ from gof.harmonics import C0
 from gof.ply_file import read_vertices, write_vertices
 
 LARGEST_LN = 29  # of a standard deviation in metres; its cube is finite in float32
+PLAIN = frozenset(
+    "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 red green blue".split()
+)
 OURS = "units: metres"  # how a comment of the PLYs that gof writes begins
 UNBOUNDED = ("t_sigma", "v_sd")  # where inf says "always" and "nobody knows"
 LOGIT_EPS = 2.0**-24  # opacities 0 and 1 have no finite logit; this is half a float32 step below 1
@@ -60,6 +63,15 @@ class Ply:
         if not any(comment.startswith(OURS) for comment in self.comments):
             refuse_activated(sizes, opacity, self.path)
         return self.without_scale() | {"scale": activate_scale(sizes, self.path)}
+
+    def refuse_unread(self) -> None:
+        """Raises DataFormatError: a plain 3DGS PLY has properties that nobody reads; some change what others mean."""
+        unread = [n for n in self.vertex.dtype.names if n not in PLAIN and not re.fullmatch(r"f_rest_[0-9]{1,4}", n)]
+        if unread:
+            raise DataFormatError(
+                f"{self.path}: properties {unread[:6]} are not read, and may change what the others mean (as "
+                "Mip-Splatting's filter_3D does sizes); export the PLY without them"
+            )
 
     def without_scale(self) -> dict[str, np.ndarray]:
         """As `splats`, for methods whose sizes are no logarithms."""

@@ -39,6 +39,7 @@ class ZarrArray:
         path: the folder. shape, chunks: of the array, of a chunk. dtype: in the byte order of the file.
         fill_value: of chunks that are not stored. packing: "", "gzip" or "zstd". level: of gzip, when written.
         separator: between the numbers in a chunk's name. attributes: what its author says of it.
+        axes: what its author calls them, () or a name or None each.
     """
 
     path: Path
@@ -50,6 +51,7 @@ class ZarrArray:
     level: int
     separator: str
     attributes: dict
+    axes: tuple[str | None, ...] = ()
 
     @classmethod
     def open(cls, path: str | Path) -> ZarrArray:
@@ -225,6 +227,7 @@ def _described(description: dict) -> tuple:
         int(packings[0]["configuration"]["level"]) if packings else 0,
         separator,
         dict(description.get("attributes", {})),
+        tuple(description.get("dimension_names") or ()),
     )
 
 

@@ -62,7 +62,7 @@ CANNOT_BE = {
     "K[2][2]": (_swap(lambda c: {"K": [*c["K"][:2], [0, 0, 2]]}), "K"),
     "a pose's last row": (
         _swap(lambda c: {"world_to_camera": [*c["world_to_camera"][:3], [0, 0, 1, 1]]}),
-        "world_to_c",
+        "world",
     ),
     "names of one file": (
         lambda meta: [c.update(name=n) for c, n in zip(meta["cameras"], ("caf\u00e9", "cafe\u0301"), strict=True)],

@@ -442,3 +442,159 @@ def test_a_folder_of_activated_plys_is_refused(tmp_path, capsys):
     assert "time_00000.ply: all 'opacity' lie in 0..1 and all 'scale' are above 0" in " ".join(
         capsys.readouterr().err.split()
     )
+
+
+@SPLAT_DOORS
+def test_properties_that_nobody_reads_are_refused(tmp_path, door):
+    """Mip-Splatting's filter_3D widens every Gaussian; who leaves it aside draws other sizes."""
+    from gof.io.importers import ImportOptions, read_result
+    from gof_blender.pure.io.gaussians_file import load
+
+    head = _properties(NAMES) + "property float filter_3D\n"
+    for k in range(2):
+        row = np.array([*ROW, 0.01], "<f4")
+        row[0] = k
+        (tmp_path / f"time_{k:05d}.ply").write_bytes(_ply_of(head, row.tobytes()))
+    with pytest.raises((DataFormatError, FileFormatError), match=r"time_0000\d\.ply: properties \['filter_3D'\]"):
+        if door is _splats_by_gof:
+            read_result(tmp_path, ImportOptions(time_unit_s=0.1))
+        else:
+            load(tmp_path / "time_00000.ply")
+
+
+# ---------------------------------------------------------------- what other fields say
+
+FTGS = "ftgs_version 1|time_units normalized|use_velocity 1|min_duration 0.02|n_frames 11"
+FTGS_NAMES = [*NAMES, "time", "log_duration", "velocity_0", "velocity_1", "velocity_2"]
+FTGS_SAYS = {
+    "as vanilla": ("", 3.0),
+    "said to be vanilla": ("duration_activation exp|use_marginal_gating 0|use_color_velocity false", 3.0),
+    "true": ("use_velocity true", 3.0),
+    "off": ("use_velocity 0", 0.0),
+    "perhaps": ("use_velocity perhaps", "use_velocity|perhaps"),
+    "sigmoid": ("duration_activation sigmoid", "duration_activation"),
+    "gates": ("use_marginal_gating 1", "use_marginal_gating"),
+    "colours that move": ("use_color_velocity true", "use_color_velocity"),
+    "seconds": ("time_units seconds", "time_units seconds"),
+    "version 2": ("ftgs_version 2", "ftgs_version 2"),
+}
+
+
+@pytest.mark.parametrize("door", ["gof", "add-on"])
+@pytest.mark.parametrize("name", FTGS_SAYS)
+def test_what_an_ftgs_ply_says_of_itself(tmp_path, door, name):
+    """A clip of 1 s (11 frames, 0.1 s apart) in which it moves 3 m a clip."""
+    from gof.io.importers import ImportOptions, read_result
+    from gof_blender.pure.io.gaussians_file import Clock, load
+
+    said, expected = FTGS_SAYS[name]
+    comments = dict(line.split() for line in [*FTGS.split("|"), *filter(None, said.split("|"))])
+    head = "".join(f"comment {key} {value}\n" for key, value in comments.items())
+    head += f"element vertex 1\n{_properties(FTGS_NAMES)}end_header\n"
+    data = f"ply\nformat binary_little_endian 1.0\n{head}".encode()
+    path = tmp_path / "a.ftgs.ply"
+    path.write_bytes(data + np.array([*ROW, 0.5, -1, 3, 0, 0], "<f4").tobytes())
+
+    def speed() -> float:
+        if door == "gof":
+            return read_result(path, ImportOptions(frame_time_s=0.1)).gaussians.velocity[0, 0]
+        return load(path, Clock(fps=10)).velocity[0, 0]
+
+    if isinstance(expected, float):
+        assert speed() == pytest.approx(expected)
+    else:
+        with pytest.raises((DataFormatError, FileFormatError), match=expected):
+            speed()
+
+
+def test_a_trajectory_with_a_misspelt_field_is_refused(tmp_path):
+    """`velocities` was left aside, and differences of the positions were scored in its place."""
+    from gof.io.importers import read_result
+
+    states = {"position": np.zeros((2, 3, 3)), "opacity": np.ones((2, 3)), "scale": np.ones((3, 3))}
+    states |= {"rotation": np.tile([1.0, 0, 0, 0], (3, 1)), "time_s": [0, 1], "velocities": np.ones((2, 3, 3))}
+    np.savez(tmp_path / "mine.npz", schema="gof-trajectory/1", **states)
+    with pytest.raises(DataFormatError, match=r"mine\.npz: \['velocities'\] are no fields"):
+        read_result(tmp_path / "mine.npz")
+
+
+@pytest.mark.parametrize("door", ["gof", "add-on"])
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"dimension_names": ["time", "x", "y", "z", "component"]}, None),
+        ({"dimension_names": [None] * 5}, None),
+        ({"dimension_names": ["time", "z", "y", "x", "component"]}, "axes"),
+        ({"dimension_names": ["t", "x", "y", "z", "c"]}, "axes"),
+        ({"frame": "camera"}, "frame 'camera'"),
+    ],
+)
+def test_axes_and_frame_of_a_velocity_store(tmp_path, door, change, words):
+    from gof.fields import VelocityField, VelocitySequence
+    from gof_blender.pure.io.grid_reader import StoredGrid
+
+    VelocitySequence.create(tmp_path / "v.zarr", [VelocityField(np.ones((2, 2, 2, 3)), np.eye(4), 0.0)])
+    file = tmp_path / "v.zarr/zarr.json"
+    content = json.loads(file.read_text())
+    (content["attributes"] if "frame" in change else content).update(change)
+    file.write_text(json.dumps(content))
+    reader = VelocitySequence.open if door == "gof" else lambda path: StoredGrid(path, "velocity", "m/s")
+    if words is None:
+        reader(tmp_path / "v.zarr")
+    else:
+        with pytest.raises((DataFormatError, FileFormatError), match=rf"v\.zarr.*{words}"):
+            reader(tmp_path / "v.zarr")
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"distorsion": [0.1, 0, 0, 0]}, r"cameras\.distorsion"),
+        ({"model": "fisheye"}, r"cameras\.model"),
+        ({"K": [[90, 5, 50], [0, 90, 40], [0, 0, 1]]}, "skew"),
+        ({"K": [[90, 0, 0], [0, 90, 0], [50, 40, 1]]}, "transposed"),
+    ],
+)
+def test_what_cameras_by_hand_say_besides(tmp_path, changes, words):
+    from gof.lens import read_cameras as read_lenses
+
+    camera = {"width": 100, "height": 80, "K": [[90, 0, 50], [0, 90, 40], [0, 0, 1]]}
+    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": [camera | changes]}))
+    with pytest.raises(DataFormatError, match=rf"cameras\.json.*{words}"):
+        read_lenses(tmp_path / "cameras.json", 1)
+
+
+# ---------------------------------------------------------------- alignment
+
+
+def _rig(names: str = "abcd", turn: np.ndarray | None = None, shift: float = 0.0) -> dict[str, np.ndarray]:
+    """Cameras on a square of 4 m that look along +z; `shift`: of the first, along x."""
+    poses = {}
+    for name, (x, y) in zip(names, ((0, 0), (4, 0), (4, 4), (0, 4)), strict=True):
+        camera_to_world = np.eye(4)
+        camera_to_world[:3, 3] = (x + shift * (name == names[0]), y, 0)
+        poses[name] = np.linalg.inv(camera_to_world if turn is None else camera_to_world @ turn)
+    return poses
+
+
+def test_an_alignment_says_what_it_leaves():
+    """One of four cameras 0.6 m off its place in a rig 5.7 m across: the best fit leaves about half of that (rms)."""
+    from gof.io.importers.alignment import align_cameras
+
+    assert "that is much" not in align_cameras(_rig(), _rig()).in_words(Path("x.json"))
+    found = align_cameras(_rig(shift=0.6), _rig())
+    assert 0.12 < found.position_rms_m < 0.3
+    assert "that is much for cameras 5.7 m apart" in found.in_words(Path("x.json"))
+
+
+@pytest.mark.parametrize(
+    "source",
+    [_rig("acbd"), _rig(turn=np.diag([1.0, -1, -1, 1])), _rig("badc")],
+    ids=["swapped", "OpenGL", "mirrored"],
+)
+def test_another_rig_is_refused(source):
+    from gof.errors import GofError
+    from gof.io.importers.alignment import align_cameras
+
+    with pytest.raises(GofError, match="the best fit leaves"):
+        align_cameras(source, _rig())

@@ -14,6 +14,9 @@ from .ply_file import PlyVertices, columns
 SH_C0 = 0.5 / np.sqrt(np.pi)  # the constant spherical harmonic; display colour = 0.5 + SH_C0 * coefficient
 
 LARGEST_LN, SMALLEST_LN = 29, -80  # of a standard deviation in metres; flatter ones count as that
+PLAIN = frozenset(
+    "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 red green blue".split()
+)
 OURS = "units: metres"  # how a comment of the PLYs that gof writes begins
 
 
@@ -108,6 +111,16 @@ def name_kind(names: Collection[str]) -> str | None:
     if has(("x", "y", "z")) and not gaussians:
         return "points or a mesh, without Gaussians' sizes: give the PLY that a training of Gaussians saved"
     return None
+
+
+def refuse_unread(ply: PlyVertices) -> None:
+    """Raises FileFormatError: a plain 3DGS PLY has properties that nobody reads; some change what others mean."""
+    unread = [name for name in ply.names if name not in PLAIN and not name.startswith("f_rest_")]
+    if unread:
+        raise FileFormatError(
+            f"{ply.path}: properties {unread[:6]} are not read, and may change what the others mean (as "
+            "Mip-Splatting's filter_3D does sizes); export the PLY without them"
+        )
 
 
 def _refuse_activated(scale: np.ndarray, opacity: np.ndarray, path: Path) -> None:

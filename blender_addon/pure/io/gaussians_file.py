@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from . import FileFormatError, ftgs_file, npz_file, ply_sequence
-from .cloud import SH_C0, GaussianCloud, checked, splats
+from .cloud import SH_C0, GaussianCloud, checked, refuse_unread, splats
 from .ply_file import PlyVertices, columns
 
 NPZ_SCHEMA, NPZ_MEASURED = "gof-linear/1", "gof-linear/2"  # around zero; from a datum
@@ -160,6 +160,7 @@ def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:
     rows = ply.rows(step)
     values = splats(rows, ply, step)
     if not any(ply.has(name) for name in OWN_PROPERTIES):  # a plain 3DGS PLY is a still
+        refuse_unread(ply)
         n = len(rows)
         return values | {
             "velocity": np.zeros((n, 3)),

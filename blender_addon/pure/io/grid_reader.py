@@ -17,6 +17,7 @@ from . import FileFormatError
 from .files import path_in, read_json
 
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side that are believed
+AXES = ("time", "x", "y", "z", "component")  # as dimension_names of a zarr.json call them, where it does
 MOST_CHUNKS = 2**15  # of a frame; each is asked for, stored or not
 CODECS = ({"bytes"}, {"bytes", "gzip"})
 SAME_TIME_S = 1e-6  # a stored frame this near to a time is the frame of that time
@@ -69,7 +70,7 @@ class StoredGrid:
         except (ValueError, KeyError, TypeError, AttributeError, np.linalg.LinAlgError) as error:
             message = f"{path}/zarr.json: not a {quantity} store ({type(error).__name__}: {error})"
             raise FileFormatError(message) from None
-        self._check_content(attributes, quantity, units)
+        self._check_content(description, quantity, units)
         self._check_layout(description, shape, chunks, codecs, separator)
         self.grid = shape[1:4]
         self._gzip = "gzip" in codecs
@@ -109,9 +110,16 @@ class StoredGrid:
     def _frame(self, frame: int) -> np.ndarray:
         return self.cells(frame, np.zeros(3, int), np.array(self.grid))
 
-    def _check_content(self, attributes: dict, quantity: str, units: str | None) -> None:
+    def _check_content(self, description: dict, quantity: str, units: str | None) -> None:
+        attributes = description["attributes"]
         schema = "gof-velocity" if quantity == "velocity" else "gof-grid"
         found = attributes.get("schema"), attributes.get("quantity", "velocity"), attributes.get("units")
+        axes = [name for name in description.get("dimension_names") or () if name is not None]
+        frame = attributes.get("frame", "world")
+        if frame != "world" or axes != list(AXES[: len(axes)]):
+            raise FileFormatError(
+                f"{self.path}: axes {axes} in frame {str(frame)[:40]!r}; expected {', '.join(AXES)} in frame 'world'"
+            )
         if found[:2] != (schema, quantity) or (units is not None and found[2] != units):
             raise FileFormatError(
                 f"{self.path}: schema '{found[0]}', {found[1]} in {found[2]}; "

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from . import FileFormatError
-from .cloud import GaussianCloud, checked, splats
+from .cloud import GaussianCloud, checked, refuse_unread, splats
 from .ply_file import PlyVertices
 
 
@@ -26,6 +26,7 @@ def read(paths: list[Path], fps: float, step: int = 1) -> GaussianCloud:
     states = []
     for path in paths:
         ply = PlyVertices(path)
+        refuse_unread(ply)
         rows = ply.rows(step)
         if not len(rows):
             raise FileFormatError(f"{path}: holds 0 points; remove it from the sequence")

@@ -14,22 +14,30 @@ from gof.io.colmap import Poses, check_poses, name_model, read_colmap
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's
 PICTURES = frozenset("avif bmp dng exr gif hdr heic heif jp2 jpeg jpg jxl pgm png ppm raw tga tif tiff webp".split())
 SAME_WORLD = 0.02  # of the cameras' distances from each other; 100 times as many degrees
+ANOTHER_RIG = 0.2  # as SAME_WORLD: what no similarity brings nearer is not the same rig
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """world_from_source (4, 4), and how well it maps one set of cameras onto the other."""
+    """world_from_source (4, 4), and how well it maps one set of cameras onto the other; `reach_m`: how far those are
+    from each other at most."""
 
     matrix: np.ndarray
     scale: float
     position_rms_m: float
     rotation_max_deg: float
+    reach_m: float
 
     def in_words(self, source: Path) -> str:
         """What was done by the cameras of `source`, and what is left."""
+        doubtful = self.position_rms_m > SAME_WORLD * self.reach_m or self.rotation_max_deg > SAME_WORLD * 100
         return (
             f"moved by the similarity of {name_model(source)}: scale {self.scale:.4g}; cameras then "
             f"{self.position_rms_m * 1000:.2g} mm (rms) and at most {self.rotation_max_deg:.2g} degrees off"
+            + (
+                f"; that is much for cameras {self.reach_m:.2g} m apart: is the calibration poor, or a name wrong?"
+                * doubtful
+            )
         )
 
 
@@ -43,7 +51,8 @@ def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) 
     Args:
         source, target: name -> world_to_camera (4, 4), OpenCV; source may be in any unit.
     Raises:
-        GofError: fewer than two cameras in common, or all centres coincide.
+        GofError: fewer than two cameras in common, all centres coincide, or the cameras stand otherwise in one set than
+            in the other: after the fit, 20 % of their distances or 20 degrees are left.
     """
     names = sorted(set(source) & set(target))
     if len(names) < 2:
@@ -76,7 +85,15 @@ def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) 
     turn = np.einsum("nji,njk->nik", R @ pose[0][:, :3, :3], pose[1][:, :3, :3])
     angle = np.degrees(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1)))
     position_rms = float(np.sqrt(np.mean(np.sum((moved - centres[1]) ** 2, 1))))
-    return Alignment(matrix, scale=s, position_rms_m=position_rms, rotation_max_deg=float(angle.max()))
+    reach = float(np.linalg.norm(centres[1][:, None] - centres[1], axis=-1).max())
+    if position_rms > ANOTHER_RIG * reach or angle.max() > ANOTHER_RIG * 100:
+        worst = names[int(angle.argmax())]
+        raise GofError(
+            f"alignment: cameras of the same name stand otherwise in both worlds: the best fit leaves "
+            f"{position_rms:.2g} m (rms, of {reach:.2g} m) and {angle.max():.2g} degrees ('{worst}'); are names swapped, "
+            "or are poses camera-to-world or in OpenGL's axes?"
+        )
+    return Alignment(matrix, s, position_rms, float(angle.max()), reach)
 
 
 def read_cameras(path: Path) -> dict[str, np.ndarray]:
