@@ -22,7 +22,7 @@ class Camera:
     Args:
         name: unique name inside its dataset; files are named after it (`gof.files.is_name`).
         width, height: image size in pixels.
-        K: (3, 3) float64 intrinsics in pixels; last row 0 0 1.
+        K: (3, 3) float64 intrinsics in pixels; rows fx s cx, 0 fy cy and 0 0 1.
         world_to_camera: (4, 4) float64 rigid transform, world (Z up, metres) to OpenCV camera axes.
         row_time_s: seconds between two neighbouring image lines of a rolling shutter; 0 = global shutter.
         readout: direction in the image in which lines are read later. A landscape sensor rolled by 90 degrees
@@ -63,6 +63,16 @@ class Camera:
                 f"camera '{self.name}': world_to_camera is not a rigid transform (rotation not orthonormal, or "
                 "mirrored; OpenGL camera-to-world matrices must be converted first)"
             )
+        for field, row, expected in (
+            ("K", self.K[1, :1], [0]),
+            ("K", self.K[2], [0, 0, 1]),
+            ("world_to_camera", self.world_to_camera[3], [0, 0, 0, 1]),
+        ):
+            if np.abs(row - expected).max() > 1e-9:
+                raise DataFormatError(
+                    f"camera '{self.name}': {field} is {getattr(self, field).tolist()}; expected "
+                    + ("rows fx s cx, 0 fy cy and 0 0 1" if field == "K" else "a last row 0 0 0 1 (is it transposed?)")
+                )
         if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
             raise DataFormatError(
                 f"camera '{self.name}': focal lengths must be positive, got {self.K[0, 0]}, {self.K[1, 1]}"

@@ -18,6 +18,8 @@ from gof.zarr_array import ZarrArray
 SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side; a file that claims more is refused: twice what a scene may ask for
 LARGEST_CHUNK_BYTES = 2**29
+AXES = ("time", "x", "y", "z", "component")  # as dimension_names of a zarr.json call them, where it does
+LARGEST_M = 1e30  # of a grid's place or cell; squares of it stay finite
 
 
 @dataclass(frozen=True)
@@ -144,11 +146,7 @@ class VelocitySequence:
             )
         if len(self.times_s) == 0 or not np.isfinite(self.times_s).all() or not (np.diff(self.times_s) > 0).all():
             raise DataFormatError(f"{path}: time_s must be finite, strictly increasing and not empty")
-        if (
-            self.index_to_world.shape != (4, 4)
-            or not np.isfinite(self.index_to_world).all()
-            or not np.linalg.det(self.index_to_world)
-        ):
+        if not is_affine(self.index_to_world):
             raise DataFormatError(f"{path}: index_to_world must be a finite, invertible 4x4 matrix")
 
     @classmethod
@@ -269,11 +267,20 @@ class VelocitySequence:
         return VelocityField(velocity, self.index_to_world, float(time_s))
 
 
+def is_affine(matrix: np.ndarray) -> bool:
+    """Whether a matrix (4, 4) maps indices of a grid to places: below 1e30 m, with a last row 0 0 0 1, invertible."""
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST_M).all() or (matrix[3] != [0, 0, 0, 1]).any():
+        return False
+    with np.errstate(under="ignore"):
+        return bool(np.isfinite(np.linalg.det(matrix)) and np.linalg.det(matrix))
+
+
 def open_array(path: str | Path) -> ZarrArray:
     """A zarr array of cells over time for reading.
 
     Raises:
-        DataFormatError: not a zarr array, of other things than floats, or too large for any simulation.
+        DataFormatError: not a zarr array, of other things than floats, too large for any simulation, or with other axes
+            or in another frame than ours.
     """
     array = ZarrArray.open(path)
     if (
@@ -284,6 +291,12 @@ def open_array(path: str | Path) -> ZarrArray:
         raise DataFormatError(
             f"{path}: shape {array.shape} in chunks of {array.chunks}; expected at most {LARGEST} cells a side in "
             f"chunks of at most {LARGEST_CHUNK} and {LARGEST_CHUNK_BYTES >> 20} MB"
+        )
+    frame = array.attributes.get("frame", "world")
+    axes = [name for name in array.axes if name is not None]
+    if frame != "world" or axes not in ([], list(AXES[: len(axes)])):
+        raise DataFormatError(
+            f"{path}: axes {axes} in frame {str(frame)[:40]!r}; expected {', '.join(AXES)} in frame 'world'"
         )
     return array
 

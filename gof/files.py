@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import math
 import os
 import re
 import stat
@@ -207,23 +208,77 @@ def write_json(path: Path, value: Any) -> None:
         temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_json(path: Path) -> Any:
-    """Read JSON.
+def read_text(path: Path, errors: str = "strict") -> str:
+    """Read text that people or other programs wrote: UTF-8, with or without a byte-order mark, and any line ends.
 
+    Args:
+        errors: as of `bytes.decode`, for what is not UTF-8.
     Raises:
-        DataFormatError: the file is absent or is not JSON (names it).
+        DataFormatError: the file is absent, cannot be read, or its text is not UTF-8 (names it).
     """
     if path.exists() and not path.is_file():
         raise DataFormatError(f"{path}: not a file")  # a device would never end
     try:
-        text = path.read_text(encoding="utf-8")
-        value = json.loads(text)
-        if HALF_CHARACTER.search(text):
-            json.dumps(value, ensure_ascii=False).encode("utf-8")  # fails where its other half is missing
-        return value
+        data = path.read_bytes()
+        if b"\0" in data[:4] or data.startswith((b"\xff\xfe", b"\xfe\xff")):
+            raise DataFormatError(f"{path}: its text is UTF-16 or UTF-32; save it as UTF-8 in your editor")
+        return data.decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError as e:
         raise DataFormatError(f"{path}: no such file") from e
     except OSError as e:
         raise DataFormatError(f"{path}: cannot be read ({e.strerror})") from e
-    except (ValueError, RecursionError) as e:  # broken, not UTF-8, numbers of thousands of digits, brackets without end
-        raise DataFormatError(f"{path}: not valid JSON ({e}); was it cut off while being copied?") from e
+    except UnicodeDecodeError as e:
+        raise DataFormatError(f"{path}: its text is not UTF-8 ({e}); save it as UTF-8 in your editor") from e
+
+
+def read_json(path: Path) -> Any:
+    """Read JSON; every number in it is finite, also as a float.
+
+    Raises:
+        DataFormatError: the file is absent or is not JSON (names it), or a number is none or beyond what a float holds
+            (names the field).
+    """
+    text = read_text(path)
+    try:
+        value = json.loads(text, parse_int=_whole, object_pairs_hook=_object)
+        if HALF_CHARACTER.search(text):
+            json.dumps(value, ensure_ascii=False).encode("utf-8")  # fails where its other half is missing
+        bad = _not_finite(value)
+    except (ValueError, RecursionError) as e:  # broken, brackets without end
+        if not text.strip():
+            raise DataFormatError(f"{path}: not valid JSON: the file is empty; copy or write it again") from e
+        remedy = "; was it cut off while being copied?" if isinstance(e, json.JSONDecodeError) else ""
+        raise DataFormatError(f"{path}: not valid JSON ({e}){remedy}") from e
+    if bad is not None:
+        raise DataFormatError(
+            f"{path}: not valid JSON: '{bad or 'all of it'}' is NaN, Inf or a number that no float holds; null "
+            "stands for what is not known"
+        )
+    return value
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON. Raises ValueError: a name stands in it twice, of which one value would be lost."""
+    value = dict(pairs)
+    if len(value) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"'{twice[:80]}' stands twice in one object; remove one")
+    return value
+
+
+def _whole(digits: str) -> int | float:
+    """A whole number of JSON; Inf where no float can hold it, as of other numbers."""
+    return int(digits) if math.isfinite(float(digits)) else math.copysign(math.inf, float(digits))
+
+
+def _not_finite(value: Any) -> str | None:
+    """Where the first number that is not finite stands, as "cameras[0].K[1][2]"; None where all are."""
+    if isinstance(value, float):
+        return None if math.isfinite(value) else ""
+    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in parts:
+        if (inner := _not_finite(part)) is not None:
+            here = f"[{key}]" if isinstance(value, list) else key[:80]
+            return here + ("." if inner and not inner.startswith("[") else "") + inner
+    return None

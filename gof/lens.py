@@ -12,7 +12,7 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.files import read_json
-from gof.records import from_json
+from gof.records import from_json, refuse_unknown
 
 Turn = Literal["none", "clockwise", "counterclockwise", "half"]
 ROLL_DEG = {"none": 0, "clockwise": 90, "counterclockwise": -90, "half": 180}
@@ -87,6 +87,10 @@ class CalibratedCamera:
         square = [len(row) for row in self.K] == [3, 3, 3]
         if not square or not np.isfinite(self.K).all() or not (np.diag(self.K) > 0).all():
             raise DataFormatError(f"{who}K must be 3x3 with positive focal lengths")
+        if (self.K[0][1], *self.K[1][:1], *self.K[2]) != (0, 0, 0, 0, 1):
+            raise DataFormatError(
+                f"{who}K must be fx 0 cx, 0 fy cy, 0 0 1: OpenCV's model has no skew; is the matrix transposed?"
+            )
         if len(self.distortion) not in DISTORTIONS or not np.isfinite(self.distortion).all():
             raise DataFormatError(f"{who}distortion must be none, or {DISTORTIONS[1:]} OpenCV numbers")
 
@@ -114,6 +118,7 @@ def read_cameras(path: Path, count: int) -> list[CalibratedCamera]:
     data = read_json(path)
     if isinstance(data, dict):
         data = {"schema": CamerasFile.SCHEMA, "version": CamerasFile.VERSION} | data
+    refuse_unknown(CamerasFile, data, path)
     cameras = list(from_json(CamerasFile, data, path).cameras)
     if len(cameras) not in (1, count):
         raise DataFormatError(f"{path}: 'cameras' must list one entry, or one per video ({count})")

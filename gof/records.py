@@ -8,11 +8,10 @@ door, and by name.
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from keyword import iskeyword
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_type_hints
 
 import msgspec
 
@@ -45,31 +44,44 @@ def from_json(kind: type[R], data: Any, source: str | Path) -> R:
     """
     if not isinstance(data, dict) or data.get("schema") != kind.SCHEMA or data.get("version") != kind.VERSION:
         raise DataFormatError(f"{source}: not schema '{kind.SCHEMA}' version {kind.VERSION}")
-    return convert_json(kind, data, source)
+    return _converted(kind, data, source)
 
 
 def convert_json(kind: type[T], data: Any, source: str | Path) -> T:
     """Build a dataclass from the JSON of a file that people write by hand, without schema and version.
 
     Raises:
-        DataFormatError: not an object, NaN or Inf in it, a missing field, or one of the wrong type (names it).
+        DataFormatError: not an object, a field there is not, a missing one, or one of the wrong type (names it).
     """
+    refuse_unknown(kind, data, source)
+    return _converted(kind, data, source)
+
+
+def refuse_unknown(kind: Any, data: Any, source: str | Path, at: str = "") -> None:
+    """Raises DataFormatError: JSON by hand has a field that a dataclass, or one inside it, has not (names it)."""
+    if is_dataclass(kind) and isinstance(data, dict):
+        hints = {name.removesuffix("_"): hint for name, hint in get_type_hints(kind).items()}
+        known = [field.name.removesuffix("_") for field in fields(kind)]
+        unknown = sorted(set(data) - set(known) - ({"schema", "version"} if not at else set()))
+        if unknown:
+            raise DataFormatError(
+                f"{source}: '{at}{unknown[0][:80]}' is no field that is read here; there are {', '.join(known)}"
+            )
+        for name in known:
+            refuse_unknown(hints[name], data.get(name), source, f"{at}{name}.")
+        return
+    for inner in get_args(kind):
+        for part in data if isinstance(data, list) else data.values() if isinstance(data, dict) else ():
+            refuse_unknown(inner, part, source, at)
+
+
+def _converted(kind: type[T], data: Any, source: str | Path) -> T:
     if not isinstance(data, dict):
         raise DataFormatError(f"{source}: not a JSON object")
     try:
-        record = msgspec.convert({f"{key}_" if iskeyword(key) else key: value for key, value in data.items()}, kind)
+        return msgspec.convert({f"{key}_" if iskeyword(key) else key: value for key, value in data.items()}, kind)
     except (msgspec.ValidationError, GofError) as e:  # of a field; of the record's own checks
         raise DataFormatError(f"{source}: {e}") from e
-    if not _all_finite(data):
-        raise DataFormatError(f"{source}: holds NaN or Inf; null stands for what is not known")
-    return record
-
-
-def _all_finite(data: Any) -> bool:
-    if isinstance(data, float):
-        return math.isfinite(data)
-    parts = data.values() if isinstance(data, dict) else data if isinstance(data, list) else ()
-    return all(map(_all_finite, parts))
 
 
 def read_record(kind: type[R], path: Path) -> R:

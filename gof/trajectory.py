@@ -203,6 +203,12 @@ class Trajectory:
         missing = [name for name in _ARRAYS if name not in data]
         if missing:
             raise DataFormatError(f"{path}: fields {missing} are missing; a gof-trajectory needs {list(_ARRAYS)}")
+        known = [f.name for f in fields(cls)]
+        unknown = sorted(set(data) - set(known) - {"schema", "source"})
+        if unknown:
+            raise DataFormatError(
+                f"{path}: {unknown} are no fields of a gof-trajectory, which would leave them aside; there are {known}"
+            )
         try:
             return cls(**{f.name: data[f.name] for f in fields(cls) if f.name in data})
         except DataFormatError as e:

@@ -26,6 +26,7 @@ from gof.files import path_in, read_json, write_json
 TYPES = ("float16", "float32", "float64")
 PACKINGS = ("gzip", "zstd")
 REMEDY = "write it with zarr.create_array(..., compressors=zarr.codecs.GzipCodec())"
+MOST_CHUNKS = 2**15  # of an index of the first axis; each is asked for, stored or not
 GZIP_LEVEL = 5  # as the add-on's writer
 DAMAGE = (OSError, ValueError, EOFError, zlib.error)
 
@@ -38,6 +39,7 @@ class ZarrArray:
         path: the folder. shape, chunks: of the array, of a chunk. dtype: in the byte order of the file.
         fill_value: of chunks that are not stored. packing: "", "gzip" or "zstd". level: of gzip, when written.
         separator: between the numbers in a chunk's name. attributes: what its author says of it.
+        axes: what its author calls them, () or a name or None each.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class ZarrArray:
     level: int
     separator: str
     attributes: dict
+    axes: tuple[str | None, ...] = ()
 
     @classmethod
     def open(cls, path: str | Path) -> ZarrArray:
@@ -112,11 +115,10 @@ class ZarrArray:
             out[...] = self.fill_value
 
         def put(number: tuple[int, ...]) -> None:
-            if self.is_stored(number):
-                here, there = self._overlap(number, low, high)
-                out[there] = self._chunk(number)[here]
+            here, there = self._overlap(number, low, high)
+            out[there] = self._chunk(number)[here]
 
-        numbers = list(self._numbers(low, high))
+        numbers = [number for number in self._numbers(low, high) if self.is_stored(number)]
         if len(numbers) == 1:
             put(numbers[0])
         elif numbers:
@@ -125,14 +127,24 @@ class ZarrArray:
         return out[tuple(0 if isinstance(w, (int, np.integer)) else slice(None) for w in where)]
 
     def write(self, frame: int, values: np.ndarray) -> None:
-        """Write `array[frame]`; chunks of zeros are not stored. A chunk may hold one frame only."""
+        """Write `array[frame]`; chunks of zeros are not stored. A chunk may hold one frame only.
+
+        Raises:
+            DataFormatError: a finite value is beyond what the array's type can hold.
+        """
         low, high = self._box((frame,))
         values = np.asarray(values)[None]
         if self.chunks[0] != 1 or values.shape != tuple(h - l for l, h in zip(low, high, strict=True)):
             raise ValueError(f"{values.shape[1:]} is not a frame of {self.shape} in chunks of {self.chunks}")
         for number in self._numbers(low, high):
             here, there = self._overlap(number, low, high)
-            part = values[there].astype(self.dtype)
+            with np.errstate(over="ignore"):
+                part = values[there].astype(self.dtype)
+            if (np.isfinite(values[there]) & ~np.isfinite(part)).any():
+                raise DataFormatError(
+                    f"{self.path}: frame {frame}: {np.abs(values).max():.3g} is beyond what {self.dtype.name} holds; "
+                    "store float32"
+                )
             if part.any():
                 whole = np.zeros(self.chunks, self.dtype)  # those at the upper border are of full size too
                 whole[here] = part
@@ -193,6 +205,10 @@ def _described(description: dict) -> tuple:
     sizes = all(type(n) is int and n >= 0 for n in shape) and all(type(n) is int and n > 0 for n in chunks)
     if not sizes or len(shape) != len(chunks) or not 0 < len(shape) <= 32:
         raise ValueError(f"shape {shape} in chunks of {chunks}")
+    if math.prod(-(-n // c) for n, c in zip(shape[1:], chunks[1:], strict=True)) > MOST_CHUNKS:
+        raise ValueError(
+            f"shape {shape} in chunks of {chunks}: more than {MOST_CHUNKS} chunks a frame; write larger ones"
+        )
     if description["data_type"] not in TYPES:
         raise ValueError(f"data type {description['data_type']!r}; expected one of {TYPES}")
     first, *packings = description["codecs"]
@@ -211,6 +227,7 @@ def _described(description: dict) -> tuple:
         int(packings[0]["configuration"]["level"]) if packings else 0,
         separator,
         dict(description.get("attributes", {})),
+        tuple(description.get("dimension_names") or ()),
     )
 
 

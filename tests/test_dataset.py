@@ -47,6 +47,49 @@ def test_wrong_metadata_is_named(tiny_dataset, fields, error):
         Dataset.open(tiny_dataset)
 
 
+def _swap(change):
+    """A change of the first camera's fields."""
+    return lambda meta: meta["cameras"][0].update(change(meta["cameras"][0]))
+
+
+CANNOT_BE = {
+    "a frame in both splits": (lambda meta: meta["splits"].update(train=[0, 1, 2], test=[2]), "splits"),
+    "a frame twice": (lambda meta: meta["splits"].update(train=[0, 1, 1]), "splits.train"),
+    "frames out of order": (lambda meta: meta["splits"].update(train=[1, 0]), "splits.train"),
+    "a frame there is not": (lambda meta: meta["splits"].update(test=[4]), "splits.test"),
+    "K[1][0]": (_swap(lambda c: {"K": [c["K"][0], [7, *c["K"][1][1:]], c["K"][2]]}), "K"),
+    "K[2][0]": (_swap(lambda c: {"K": [*c["K"][:2], [1, 0, 1]]}), "K"),
+    "K[2][2]": (_swap(lambda c: {"K": [*c["K"][:2], [0, 0, 2]]}), "K"),
+    "a pose's last row": (
+        _swap(lambda c: {"world_to_camera": [*c["world_to_camera"][:3], [0, 0, 1, 1]]}),
+        "world",
+    ),
+    "names of one file": (
+        lambda meta: [c.update(name=n) for c, n in zip(meta["cameras"], ("caf\u00e9", "cafe\u0301"), strict=True)],
+        "name",
+    ),
+    "names in two cases": (
+        lambda meta: [c.update(name=n) for c, n in zip(meta["cameras"], ("Left", "left"), strict=True)],
+        "name",
+    ),
+}
+
+
+@pytest.mark.parametrize("door", ["gof", "add-on"])
+@pytest.mark.parametrize("name", CANNOT_BE)
+def test_a_dataset_that_cannot_be_is_refused(tiny_dataset, door, name):
+    from gof_blender.pure.description import DatasetDescription
+    from gof_blender.pure.io import FileFormatError
+
+    path = tiny_dataset / "dataset.json"
+    meta = json.loads(path.read_text())
+    spoil, words = CANNOT_BE[name]
+    spoil(meta)
+    path.write_text(json.dumps(meta))
+    with pytest.raises((DataFormatError, FileFormatError), match=rf"dataset\.json.*{words}"):
+        (Dataset.open if door == "gof" else DatasetDescription.read)(tiny_dataset)
+
+
 def test_not_a_dataset(tmp_path, tiny_dataset):
     with pytest.raises(DataFormatError, match="gof generate"):
         Dataset.open(tmp_path / "nothing")

@@ -107,6 +107,9 @@ def test_times_outside_the_clock_are_refused(tmp_path):
         ({"time_s": [0, 0, 1]}, "increasing"),
         ({"time_s": [0, 1]}, "times"),
         ({"index_to_world": None}, "index_to_world"),
+        ({"index_to_world": (1.7e308 * np.eye(4)).tolist()}, "index_to_world"),
+        ({"index_to_world": np.diag([1.0, 1, 0, 1]).tolist()}, "index_to_world"),
+        ({"index_to_world": np.diag([1.0, 1, 1, 2]).tolist()}, "index_to_world"),
     ],
 )
 def test_wrong_attributes_are_named(tmp_path, change, error):

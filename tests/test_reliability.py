@@ -307,7 +307,19 @@ def test_wrong_types_in_dataset_json_are_named(tiny_dataset, fields):
         _ = Dataset.open(tiny_dataset).velocity
 
 
-@pytest.mark.parametrize("change", [{"shape": [4, 10**18, 5, 6, 3]}, {"data_type": "int32"}, {"attributes": []}])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"shape": [4, 10**18, 5, 6, 3]},
+        {"shape": [10**400, 4, 5, 6, 3]},
+        {"data_type": "int32"},
+        {"attributes": []},
+        {  # two kilobytes of JSON that name 27 million chunks a frame
+            "shape": [4, 300, 300, 300, 3],
+            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1, 1, 1, 1, 3]}},
+        },
+    ],
+)
 def test_absurd_velocity_stores_are_refused_unread(tiny_dataset, change):
     file = tiny_dataset / "velocity.zarr" / "zarr.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | change))
@@ -329,7 +341,7 @@ def test_numbers_of_thousands_of_digits_and_brackets_without_end(tiny_dataset):
 
 def test_cameras_that_are_none(tmp_path):
     target = {c.name: c.world_to_camera for c in arc(2)}
-    for bad in (np.full((4, 4), np.nan), np.zeros((4, 4)), np.diag([1.0, 1, -1, 1])):
+    for bad in (np.zeros((4, 4)), np.diag([1.0, 1, -1, 1])):
         (tmp_path / "poses.json").write_text(json.dumps({name: bad.tolist() for name in target}))
         with pytest.raises(DataFormatError, match="not a rotation"):
             read_cameras(tmp_path / "poses.json")
@@ -414,7 +426,7 @@ def test_records_hold_finite_numbers(tmp_path, number):
     assert "1.5" in good and "3.0" in good
     for before in ("1.5", "3.0"):
         (tmp_path / "costs.json").write_text(good.replace(before, number))
-        with pytest.raises(DataFormatError, match=r"costs\.json: holds NaN or Inf"):
+        with pytest.raises(DataFormatError, match=r"costs\.json: .*is NaN, Inf"):
             log.costs()
 
 

@@ -8,12 +8,12 @@ are sealed: `test/SHA256SUMS` holds their digests, as `sha256sum` writes them.
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from gof.errors import DataFormatError
+from gof.files import read_json
 from gof_benchmark.solvers.openfoam.case import FoamFire
 from gof_benchmark.solvers.openfoam.shipped import find_fire
 from gof_blender.pure.checked_json import SpecError
@@ -58,8 +58,8 @@ def fires(split: Split, folder: Path = FOLDER) -> list[BenchmarkFire]:
 
 def _read(split: Split, path: Path) -> BenchmarkFire:
     try:
-        spec = SceneSpec.from_dict(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, SpecError) as error:
+        spec = SceneSpec.from_dict(read_json(path))
+    except SpecError as error:
         raise DataFormatError(f"{path}: {error}") from error
     if spec.name != path.stem:
         raise DataFormatError(f"{path}: its name is '{spec.name}'; file and spec are named alike")

@@ -25,7 +25,7 @@ import numpy as np
 
 from gof.drafts import whole_folder
 from gof.errors import DataFormatError, require_finite
-from gof.fields import CHUNK, VelocitySequence, open_array
+from gof.fields import CHUNK, VelocitySequence, is_affine, open_array
 from gof.files import is_name
 from gof.records import read_record, write_record
 from gof.zarr_array import ZarrArray
@@ -147,8 +147,11 @@ class GridSequence:
             self.quantity, self.units = str(attributes["quantity"]), str(attributes["units"])
         except (KeyError, TypeError, ValueError) as e:
             raise DataFormatError(f"{path}: zarr.json lacks time_s, index_to_world, quantity or units ({e})") from e
-        if self.times_s.shape != self._array.shape[:1] or self.index_to_world.shape != (4, 4):
-            raise DataFormatError(f"{path}: {self.times_s.shape} times do not fit shape {self._array.shape}")
+        if self.times_s.shape != self._array.shape[:1] or not is_affine(self.index_to_world):
+            raise DataFormatError(
+                f"{path}: {self.times_s.shape} times do not fit shape {self._array.shape}, or index_to_world is no "
+                "finite, invertible 4x4 matrix"
+            )
 
     @property
     def resolution(self) -> tuple[int, int, int]:

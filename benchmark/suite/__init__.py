@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from gof.errors import GofError
+from gof.files import read_json
 from gof.records import read_record
 from gof_benchmark.fires import SPLITS, Split, check_seal, fires
 from gof_benchmark.scenes import FOLDER as BUILT_IN
@@ -124,7 +125,7 @@ def _specs() -> dict[str, tuple[SceneSpec, FoamFire | None]]:
     """Every fire that a line can name."""
     found = {fire.name: (fire.spec, fire.foam) for split in SPLITS for fire in fires(split)}
     for path in BUILT_IN.glob("*/spec.json"):
-        spec = SceneSpec.from_dict(json.loads(path.read_text(encoding="utf-8")))
+        spec = SceneSpec.from_dict(read_json(path))
         found[f"scenes/{path.parent.name}"] = spec, None
     return found
 

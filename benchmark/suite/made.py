@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from gof.dataset import Dataset
 from gof.errors import DataFormatError
+from gof.files import read_json
 from gof_benchmark.suite import Size, SuiteScene, scenes_of
 from gof_benchmark.views.shrunk import SHRUNK
+from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
@@ -62,7 +63,10 @@ def scene_of(dataset: Path) -> MadeScene:
 
 def _require_spec(scene: SuiteScene, layout: Layout) -> None:
     """Raises DataFormatError: the dataset is of another spec than the suite's."""
-    made = SceneSpec.from_dict(json.loads(layout.spec.read_text(encoding="utf-8")))
+    try:
+        made = SceneSpec.from_dict(read_json(layout.spec))
+    except SpecError as e:
+        raise DataFormatError(f"{layout.spec}: {e}; make the scene again") from e
     different = [part for part in made.differences(scene.spec) if part != "fire" or scene.foam is None]
     if different:
         raise DataFormatError(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .checked_json import from_dict
+from .checked_json import SpecError, from_dict
 from .io.files import read_json, write_json
 
 WHITE, BLACK = 252, 26
@@ -53,7 +53,10 @@ class Brightness:
     @classmethod
     def read(cls, path: Path) -> Brightness | None:
         """As `write` left it; None where no picture has been looked at."""
-        return from_dict(cls, read_json(path), "") if path.is_file() else None
+        try:
+            return from_dict(cls, read_json(path), "") if path.is_file() else None
+        except SpecError as error:
+            raise SpecError(f"{path}: {error}") from None
 
     def write(self, path: Path) -> None:
         write_json(path, vars(self))

@@ -16,7 +16,16 @@ class SpecError(ValueError):
 def require(condition: bool, name: str, rule: str, value: Any) -> None:
     """Raise SpecError("<name> must be <rule>, got <value>") unless the condition holds."""
     if not condition:
-        raise SpecError(f"{name} must be {rule}, got {value!r}")
+        raise SpecError(f"{name} must be {rule}, got {_shown(value)}")
+
+
+def _shown(value: Any) -> str:
+    """A value in an error, at most 80 characters of it."""
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of thousands of digits
+        text = f"a number of about {int(value.bit_length() * math.log10(2))} digits"
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def from_dict(cls: type, data: Any, prefix: str, ignore_unknown: bool = False) -> Any:
@@ -88,7 +97,10 @@ def _tuple(args: tuple, value: Any, name: str, ignore_unknown: bool) -> tuple:
 
 
 def _number(kind: type, value: Any, name: str) -> int | float:
-    finite = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    try:
+        finite = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # an integer that no float holds
+        finite = False
     if kind is float:
         require(finite, name, "a finite number", value)
     else:

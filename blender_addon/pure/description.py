@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import unicodedata
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -65,6 +67,13 @@ class CameraEntry:
 
     def __post_init__(self):
         require(is_name(self.name), "cameras.name", "the plain name of a file", self.name)
+        for name, row, expected in (
+            ("K[1][0]", self.K[1][:1], (0,)),
+            ("K[2]", self.K[2], (0, 0, 1)),
+            ("world_to_camera[3]", self.world_to_camera[3], (0, 0, 0, 1)),
+        ):
+            straight = all(abs(a - b) <= 1e-9 for a, b in zip(row, expected, strict=True))
+            require(straight, f"cameras.{name}", " ".join(map(str, expected)), list(row))
         for kind in ("rgb", "static", "mask", "exr", "flow", "board_mask"):
             pattern = getattr(self, kind)
             rule = "the name of a file in the dataset"
@@ -101,6 +110,13 @@ class DatasetDescription:
     made_from: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
     def __post_init__(self):
+        names = {unicodedata.normalize("NFC", entry.name).casefold() for entry in self.cameras}
+        require(len(names) == len(self.cameras), "cameras", "of different names", [e.name for e in self.cameras])
+        for name, frames in (("splits.train", self.splits.train), ("splits.test", self.splits.test)):
+            good = all(0 <= k < len(self.time_s) for k in frames) and all(a < b for a, b in pairwise(frames))
+            require(good, name, f"frames below {len(self.time_s)} in increasing order", list(frames))
+        both = sorted(set(self.splits.train) & set(self.splits.test))
+        require(not both, "splits", "of different frames", both)
         inside = self.velocity is None or is_relative_path(self.velocity)
         require(inside, "velocity", "the name of a file in the dataset", self.velocity)
 

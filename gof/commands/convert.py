@@ -47,8 +47,8 @@ class ConvertConfig:
     end: float | None = None
     """Last second of the clip in an .ftgs.ply (time 1) or a folder; default: when the last Gaussian is gone."""
     align: Path | None = None
-    """The method's own cameras (COLMAP folder, dataset.json, or JSON of name to 4x4 world_to_camera): the result is
-    moved by the similarity that maps them onto the cameras of --dataset."""
+    """The method's own cameras (COLMAP folder, dataset.json, transforms.json, or JSON of name to 4x4
+    world_to_camera): the result is moved by the similarity that maps them onto the cameras of --dataset."""
     dataset: Path | None = None
     """The dataset into whose world --align moves the result; its cameras have the same names."""
     json: Path | None = None

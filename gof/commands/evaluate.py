@@ -55,8 +55,8 @@ class EvaluateConfig:
     """Dataset folder with the true pictures and velocities."""
     other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
     align: Path | None = None
-    """Cameras of the method's own world (COLMAP folder, dataset.json, or JSON name -> 4x4 world_to_camera), to move it
-    into ours."""
+    """Cameras of the method's own world (COLMAP folder, dataset.json, transforms.json, or JSON name -> 4x4
+    world_to_camera), to move it into ours."""
     out: Path | None = None
     """Folder to write scores.json to; an older scores.json there is replaced."""
     json: Path | None = None

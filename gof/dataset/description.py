@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -102,8 +104,9 @@ class DatasetDescription:
 
     Raises:
         DataFormatError, NonFiniteError: times do not increase, a camera's own times have another length, a split names
-            a frame there is not, two cameras share a name (in any case), no camera is for training, a matrix is not a
-            camera's, or a name of a file leads out of the dataset.
+            a frame there is not, or one twice, a frame is in both splits, two cameras share a name (in any case and any
+            form of its letters), no camera is for training, a matrix is not a camera's, or a name of a file leads out
+            of the dataset.
     """
 
     SCHEMA: ClassVar[str] = "gof-dataset"
@@ -145,11 +148,17 @@ class DatasetDescription:
             raise DataFormatError("time_s must be a non-empty, strictly increasing list of seconds")
         if not any(entry.role == "train" for entry in self.cameras):
             raise DataFormatError("no camera with role 'train'")
-        if len({entry.name.casefold() for entry in self.cameras}) < len(self.cameras):
-            raise DataFormatError("two cameras have the same name")
+        if len({_as_file_system(entry.name) for entry in self.cameras}) < len(self.cameras):
+            raise DataFormatError("two cameras have the same name, in any case and any form of its letters")
         for name, frames in (("train", self.splits.train), ("test", self.splits.test)):
             if not all(0 <= k < count for k in frames):
                 raise DataFormatError(f"splits.{name} must list frame numbers below {count}")
+            if any(a >= b for a, b in pairwise(frames)):
+                raise DataFormatError(f"splits.{name} must list frames in increasing order, each once")
+        if both := sorted(set(self.splits.train) & set(self.splits.test)):
+            raise DataFormatError(
+                f"splits: frames {both[:5]} are in train and in test; a frame is held out or it is not"
+            )
         for entry in self.cameras:
             entry.camera()  # or it says what is wrong
             for kind in PICTURES:
@@ -179,6 +188,11 @@ class DatasetDescription:
     def write(self, folder: Path) -> None:
         """Write `folder/dataset.json`. Written last, it says that the dataset is complete."""
         write_record(folder / FILE, self)
+
+
+def _as_file_system(name: str) -> str:
+    """What is the same for two names of one file on systems that mind neither case nor the form of letters."""
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def _require_inside(field_name: str, path: str | None) -> None:

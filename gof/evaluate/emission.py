@@ -23,7 +23,7 @@ from gof.datum import Datum
 from gof.errors import DataFormatError
 from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.sparse_grid import StoredField
-from gof.fields import CHUNK, VelocitySequence, open_array
+from gof.fields import CHUNK, VelocitySequence, is_affine, open_array
 from gof.gaussians import MovingGaussians
 from gof.rotations import rotation_matrices
 
@@ -75,10 +75,10 @@ class FlameGrid:
         if not 0 < self.light_exponent < 10:
             raise DataFormatError(f"{path}: light_exponent {self.light_exponent:g} of zarr.json must lie in (0, 10)")
         fits = self.times_s.shape == self._array.shape[:1] and self.index_to_world.shape == (4, 4)
-        if not fits or not np.isfinite(self.index_to_world).all():
+        if not fits or not is_affine(self.index_to_world) or not np.isfinite(self.times_s).all():
             raise DataFormatError(
-                f"{path}: times {self.times_s.shape} and index_to_world {self.index_to_world.shape} do not fit shape "
-                f"{self._array.shape}"
+                f"{path}: times {self.times_s.shape} or index_to_world do not fit shape {self._array.shape}, are not "
+                "finite, or are no invertible 4x4 matrix"
             )
 
     def measured_from(self, datum: Datum) -> FlameGrid:

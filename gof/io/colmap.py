@@ -2,52 +2,170 @@
 
 from __future__ import annotations
 
+import re
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from gof.errors import DataFormatError
+from gof.files import read_text
 from gof.rotations import rotation_matrices
 
 Poses = dict[str, np.ndarray]  # world_to_camera (4, 4) by image name
+Line = tuple[int, str]  # of text: its number, from 1, and what it says
 
 
 def read_colmap(folder: Path) -> tuple[Poses, np.ndarray]:
     """World-to-camera matrices by image name, and points (P, 3) of a COLMAP model (binary or text).
 
     Args:
-        folder: the model, or the project with the model in `sparse/0` or `0`.
+        folder: the model, or the project with models in `sparse/0`, `sparse/1`, ... or `0`, `1`, ...: of several, the
+            one with most pictures (`name_model` says which).
     Raises:
-        DataFormatError: no model there, or its files are cut off.
+        DataFormatError: no model there, or its files are cut off or no COLMAP model (names file and line of text).
     """
-    folder = _model_in(Path(folder))
-    try:
-        if (folder / "images.bin").is_file():
-            poses = _binary_images((folder / "images.bin").read_bytes())
-            points = _binary_points((folder / "points3D.bin").read_bytes())
-        else:
-            poses = _text_images((folder / "images.txt").read_text())
-            points = _text_points((folder / "points3D.txt").read_text())
-        cloud = np.array(points, np.float64).reshape(-1, 3)
-    except (struct.error, ValueError, IndexError, FileNotFoundError) as e:
-        raise DataFormatError(f"{folder}: the COLMAP model cannot be read ({e}); files missing or cut off?") from e
+    folder = _largest(_models_in(Path(folder)))
+    poses, points = _poses_of(folder), _read(folder, "points3D", _binary_points, _text_points)
+    cloud = np.array(points, np.float64).reshape(-1, 3)
     check_poses(poses, folder)
     if not np.isfinite(cloud).all():
         raise DataFormatError(f"{folder}: points of the COLMAP model are NaN or Inf")
     return poses, cloud
 
 
-def _model_in(folder: Path) -> Path:
-    for candidate in (folder, folder / "sparse" / "0", folder / "0"):
-        if (candidate / "images.bin").is_file() or (candidate / "images.txt").is_file():
-            return candidate
+def name_model(path: Path) -> str:
+    """The path in words; of a project with several COLMAP models, which one is read and what the others hold."""
+    if not path.is_dir() or len(models := _models_in(path)) < 2:
+        return str(path)
+    used = _largest(models)
+    others = ", ".join(f"{m.relative_to(path)} has {len(_poses_of(m))}" for m in models if m != used)
+    return f"{used} (the model with most pictures, {len(_poses_of(used))}; {others})"
+
+
+def _models_in(folder: Path) -> list[Path]:
+    """The models of a folder or a project, in order of their numbers."""
+
+    def numbered(parent: Path) -> list[Path]:
+        found = parent.iterdir() if parent.is_dir() else ()
+        return sorted((f for f in found if re.fullmatch("[0-9]{1,9}", f.name)), key=lambda f: int(f.name))
+
+    for candidates in ([folder], [folder / "sparse"], numbered(folder / "sparse"), numbered(folder)):
+        models = [f for f in candidates if (f / "images.bin").is_file() or (f / "images.txt").is_file()]
+        if models:
+            return models
     raise DataFormatError(f"{folder}: no COLMAP model there (images.bin or images.txt)")
 
 
-def _binary_images(data: bytes) -> Poses:
+def _largest(models: list[Path]) -> Path:
+    return max(models, key=lambda model: len(_poses_of(model))) if len(models) > 1 else models[0]
+
+
+def _poses_of(folder: Path) -> Poses:
+    """Poses by image name. Raises DataFormatError: the file is damaged, or two images have the same name."""
+    poses: Poses = {}
+    for name, pose in _read(folder, "images", _binary_images, _text_images):
+        if name in poses:
+            raise DataFormatError(f"{folder}: two images of the COLMAP model are called '{name[:80]}'")
+        poses[name] = pose
+    return poses
+
+
+def _read(folder: Path, what: str, of_bytes: Callable[[bytes], list], of_lines: Callable[[list[Line]], list]) -> list:
+    """What the model's images or points are."""
+    binary = (folder / "images.bin").is_file()
+    path = folder / f"{what}.{'bin' if binary else 'txt'}"
+    try:
+        return of_bytes(path.read_bytes()) if binary else of_lines(_lines(path))
+    except (struct.error, ValueError, IndexError, OverflowError, OSError) as e:
+        raise DataFormatError(f"{path}: the COLMAP model cannot be read ({e}); file missing or cut off?") from e
+
+
+# ---------------------------------------------------------------- text
+# `gof_blender.pure.io.camera_files` decides the same without this package; tests/io/test_dialects.py holds both to one
+# list.
+
+
+def _lines(path: Path) -> list[Line]:
+    """Numbers and texts of the lines that are no comments. What is not UTF-8 may stand in comments only."""
+    lines = enumerate(read_text(path, "surrogateescape").split("\n"), 1)
+    return [(number, line.strip()) for number, line in lines if not line.lstrip().startswith("#")]
+
+
+def _text_images(lines: list[Line]) -> list[tuple[str, np.ndarray]]:
+    """Per image a line "number pose camera name", and one of observations, which may be empty or stripped.
+
+    Lines are told apart by their form. Raises ValueError: a line is neither, or could be both.
+    """
+    found, observed = [], True  # whether the image before has had its line of observations
+    for number, line in lines:
+        image, observations = _is_image(line), _is_observations(line)
+        if not line:
+            observed = True
+        elif image and observations and not observed and _turns(line):
+            raise ValueError(f"line {number} may be an image or observations; write an empty line after every image")
+        elif image and (observed or not observations):
+            words = line.split(maxsplit=9)
+            if any("\udc80" <= c <= "\udcff" for c in words[9]):
+                raise ValueError(f"line {number}: the image's name is not UTF-8")
+            found.append((words[9], _pose(tuple(map(float, words[1:8])))))
+            observed = False
+        elif observations and not observed:
+            observed = True
+        else:
+            raise ValueError(f"line {number} is no 'IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME': {line[:60]!r}")
+    return found
+
+
+def _is_image(line: str) -> bool:
+    """Whether a line says "number pose camera name"; the name is all that is left, blanks too."""
+    words = line.split(maxsplit=9)
+    return len(words) == 10 and words[0].isdecimal() and words[8].isdecimal() and _are_numbers(words[1:8])
+
+
+def _turns(line: str) -> bool:
+    """Whether the second to fifth word are a quaternion of length 1, which no observations in pixels are."""
+    return abs(np.linalg.norm([float(word) for word in line.split()[1:5]]) - 1) < 1e-2
+
+
+def _is_observations(line: str) -> bool:
+    """Whether a line says "x y point", any number of times."""
+    words = line.split()
+    return len(words) % 3 == 0 and _are_whole(words[2::3]) and _are_numbers(words)
+
+
+def _are_whole(words: list[str]) -> bool:
+    return all(re.fullmatch("[+-]?[0-9]+", word, re.ASCII) for word in words)
+
+
+def _are_numbers(words: list[str]) -> bool:
+    try:
+        return bool(np.isfinite([float(word) for word in words]).all())
+    except ValueError:
+        return False
+
+
+def _text_points(lines: list[Line]) -> list[tuple[float, ...]]:
+    """Per point a line "number position colour error track". Raises ValueError: a line is none."""
+    points = []
+    for number, line in lines:
+        words = line.split()
+        if words and not (
+            len(words) >= 8 and _are_whole([words[0], *words[4:7], *words[8:]]) and _are_numbers(words[1:8])
+        ):
+            raise ValueError(f"line {number} is no 'POINT3D_ID X Y Z R G B ERROR TRACK': {line[:60]!r}")
+        if words:
+            points.append(tuple(map(float, words[1:4])))
+    return points
+
+
+# ---------------------------------------------------------------- binary
+
+
+def _binary_images(data: bytes) -> list[tuple[str, np.ndarray]]:
     """Per image: u32 number, 7 f64 pose, u32 camera, name with a zero at its end, u64 count of 24-byte observations."""
-    poses = {}
+    found = []
     (count,) = struct.unpack_from("<Q", data)
     at = 8
     for _ in range(count):
@@ -55,9 +173,9 @@ def _binary_images(data: bytes) -> Poses:
         name_at = at + 64
         end = data.index(b"\0", name_at)
         (observations,) = struct.unpack_from("<Q", data, end + 1)
-        poses[data[name_at:end].decode()] = _pose(pose)
+        found.append((data[name_at:end].decode(), _pose(pose)))
         at = end + 9 + 24 * observations
-    return poses
+    return found
 
 
 def _binary_points(data: bytes) -> list[tuple[float, ...]]:
@@ -70,19 +188,6 @@ def _binary_points(data: bytes) -> list[tuple[float, ...]]:
         (track,) = struct.unpack_from("<Q", data, at + 43)
         at += 51 + 8 * track
     return points
-
-
-def _text_images(text: str) -> Poses:
-    """Per image a line "number pose camera name", and one of observations."""
-    lines = [line for line in text.split("\n") if not line.startswith("#")]
-    images = [line.split() for line in lines[::2] if line.strip()]
-    return {words[9]: _pose(tuple(map(float, words[1:8]))) for words in images}
-
-
-def _text_points(text: str) -> list[tuple[float, ...]]:
-    """Per point a line "number position colour error track"."""
-    points = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    return [tuple(map(float, words[1:4])) for words in points]
 
 
 def _pose(values: tuple[float, ...]) -> np.ndarray:

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError
+from gof.errors import DataFormatError, NonFiniteError
 from gof.gaussians import TransientGaussians
 from gof.io import compressed, gltf, ply_frames
 from gof.io.importers import Imported, freetime, own
 from gof.options import require_number
+
+INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
 
 
 def convert(
@@ -34,28 +36,42 @@ def convert(
         time_s: instant of a .glb, .spz or .sog; default: the middle of the Gaussians' times.
     Raises:
         DataFormatError: the file exists, the suffix is unknown, positions sampled in time are to become a closed form,
-            start_s, end_s or time_s is given for another format, or a folder of PLYs without frame_time_s.
+            start_s, end_s or time_s is given for another format, a folder of PLYs without frame_time_s, or a value that
+            the format cannot hold.
     """
     require_number("--start", start_s)
     require_number("--end", end_s)
     require_number("--time", time_s)
-    sequence = out.suffix == ""
-    if (start_s, end_s) != (None, None) and not (sequence or out.name.endswith(".ftgs.ply")):
+    if (start_s, end_s) != (None, None) and not (out.suffix == "" or out.name.endswith(".ftgs.ply")):
         raise DataFormatError(f"{out}: --start and --end mean something in .ftgs.ply and folders only; leave them out")
-    instant = (".glb", *compressed.SUFFIXES)
-    if time_s is not None and out.suffix not in instant:
-        raise DataFormatError(f"{out}: --time means something in {', '.join(instant)} only; leave it out")
+    if time_s is not None and out.suffix not in INSTANT:
+        raise DataFormatError(f"{out}: --time means something in {', '.join(INSTANT)} only; leave it out")
     if out.exists():
         raise DataFormatError(f"{out}: exists already; remove it or choose another name")
+    try:
+        return _written(imported, out, start_s, end_s, frame_time_s, time_s)
+    except NonFiniteError as e:
+        raise DataFormatError(f"{out}: {e}; is the instant far from the result's times?") from e
+
+
+def _written(
+    imported: Imported,
+    out: Path,
+    start_s: float | None,
+    end_s: float | None,
+    frame_time_s: float | None,
+    time_s: float | None,
+) -> list[str]:
+    """The file by its suffix; args and result as of `convert`."""
     gaussians = imported.gaussians
     if not isinstance(gaussians, TransientGaussians) and out.suffix != ".npz":
         raise DataFormatError(f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)")
     if out.name.endswith(".ftgs.ply"):
         return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
     source = own.converted(imported.method, imported.path)
-    if out.suffix in instant:
+    if out.suffix in INSTANT:
         return _save_instant(gaussians, out, time_s, source)
-    if sequence:
+    if out.suffix == "":
         if not frame_time_s:
             raise DataFormatError(f"{out}: a folder of PLYs needs --frame-time, the seconds from one file to the next")
         notes = ply_frames.save(gaussians, out, *_clip(gaussians, out, start_s, end_s), frame_time_s)

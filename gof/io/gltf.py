@@ -15,6 +15,7 @@ import numpy as np
 
 import gof
 from gof.colour import srgb_to_linear
+from gof.errors import DataFormatError, require_finite
 from gof.files import atomic_path
 from gof.gaussians import TransientGaussians
 from gof.harmonics import C0, plain_color
@@ -34,9 +35,15 @@ def save(gaussians: TransientGaussians, path: Path, time_s: float, source: str =
         time_s: seconds on the dataset clock.   source: how the result was made.
     Returns:
         What a viewer that keeps to the extension's text will draw otherwise than `gof.render`, in words.
+    Raises:
+        DataFormatError: there is no Gaussian.   NonFiniteError: a value is beyond what a float32 can hold.
     """
+    if not len(gaussians):
+        raise DataFormatError(f"{path}: the result holds no Gaussian, and glTF knows no empty list of points")
     g = gaussians.transformed(Y_UP)
     columns = _columns(g, time_s)
+    for name, values in columns.items():
+        require_finite(name, values, "a GLB of float32")
     accessors, views, attributes, start = [], [], {}, 0
     parts = []
     for name, values in columns.items():

@@ -172,11 +172,12 @@ def test_truncated(tmp_path, suffix, keep):
     "old, new, message",
     [
         (b"ply\n", b"plx\n", "not a PLY"),
-        (b"binary_little_endian", b"ascii", "not a binary PLY"),
-        (b"element vertex", b"element face", "first element"),
+        (b"binary_little_endian", b"ascii", "truncated|line"),
+        (b"binary_little_endian", b"binary_middle_endian", "no line 'format'"),
+        (b"element vertex", b"element face", "element 'vertex'"),
         (b"element vertex 40", b"element vertex 99999999", "truncated"),
         (b"element vertex 40", b"element vertex 0", "0 points"),
-        (b"element vertex 40", b"element vertex -3", "first element"),
+        (b"element vertex 40", b"element vertex -3", "no element with a count"),
         (b"property float vx", b"property float ux", r"\['vx'\] are missing"),
         (b"property float vx", b"property float vy", "broken"),
         (b"property float vx", b"property list uchar int vx", "not a plain number"),
@@ -199,7 +200,7 @@ def test_absurd_raw_values_in_ply(tmp_path):
     assert load(file).opacity[:2].tolist() == [0.0, 1.0]
     vertex["scale_1"][5] = 1e4
     write_ply(file, vertex, comments=comments)
-    with pytest.raises(FileFormatError, match=r"'scale' must be finite.*rows \[5\]"):
+    with pytest.raises(FileFormatError, match=r"'scale' must be a natural logarithm.*rows \[5\]"):
         load(file)
 
 

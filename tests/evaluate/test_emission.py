@@ -1,5 +1,7 @@
 """The score on the flame's own emission: places, the Gaussians' answer there, closed forms, and independence."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -139,6 +141,12 @@ def test_without_flame_and_with_bad_grids(tmp_path, column):
         FlameGrid(write_grid(tmp_path / "heat.zarr", np.zeros((2, 4, 4, 4)), "heat"))
     with pytest.raises(DataFormatError, match="zarr"):
         FlameGrid(tmp_path / "nothing.zarr")
+    path = write_grid(tmp_path / "far.zarr", np.zeros((2, 4, 4, 4)))
+    description = json.loads((path / "zarr.json").read_text())
+    description["attributes"]["index_to_world"][0][3] = 1.7e308
+    (path / "zarr.json").write_text(json.dumps(description))
+    with pytest.raises(DataFormatError, match="index_to_world"):
+        FlameGrid(path)
     with pytest.raises(DataFormatError, match="same times"):
         flame.places(0.05, 10, np.random.default_rng(0))
     with pytest.raises(DataFormatError, match="negative"):

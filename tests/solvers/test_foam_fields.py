@@ -43,6 +43,22 @@ def test_binary_fields_are_read_exactly(tmp_path, shape, arch):
     np.testing.assert_array_equal(read_internal(tmp_path / "U", 7), values)
 
 
+@pytest.mark.parametrize("values", ["(1 2 nan)", "(1 2 inf)", "(1 2 x)", "(1 2 -)", "(1 2)", "(1 2 3 4)"])
+def test_text_that_is_no_finite_numbers_is_refused(tmp_path, values):
+    header = HEADER.format(form="ascii", kind="Vector", item="vector", count=2, arch=ARCH)
+    uniform = header[: header.index("nonuniform")] + f"uniform {values};\n"
+    for text in (header + f"\n(1 2 3)\n{values}\n)\n;\n", uniform):
+        (tmp_path / "U").write_text(text)
+        with pytest.raises(DataFormatError, match=r"U: "):
+            read_internal(tmp_path / "U", 2)
+
+
+def test_binary_values_that_are_not_finite_are_refused(tmp_path):
+    (tmp_path / "U").write_bytes(binary(np.array([1, np.nan])))
+    with pytest.raises(DataFormatError, match="NaN"):
+        read_internal(tmp_path / "U", 2)
+
+
 def test_text_and_uniform_fields_are_read(tmp_path):
     header = HEADER.format(form="ascii", kind="Vector", item="vector", count=2, arch=ARCH)
     (tmp_path / "U").write_text(header + "\n(1 2 3)\n(4 5 6)\n)\n;\n")

@@ -38,7 +38,7 @@ def read_internal(path: Path, cells: int) -> np.ndarray:
         )
     width = 1 if kind.group(1) == b"Scalar" else 3
     if uniform := re.compile(rb"uniform\s+\(?([^;)]*)\)?\s*;").match(data, start.end()):
-        value = np.array(uniform.group(1).split(), float)
+        value = _numbers(uniform.group(1), width, path)
         return np.broadcast_to(value if width == 3 else value[0], (cells, 3) if width == 3 else (cells,)).copy()
     listed = re.compile(rb"nonuniform\s+List<(?:scalar|vector)>\s*(\d+)\s*\(").match(data, start.end())
     if not listed or int(listed.group(1)) != cells:
@@ -49,10 +49,21 @@ def read_internal(path: Path, cells: int) -> np.ndarray:
         values = _binary(data, listed.end(), cells * width, path)
     else:
         text = data[listed.end() : data.find(b";", listed.end())]
-        values = np.array(re.sub(rb"[()]", b" ", text).split(), float)
-        if len(values) != cells * width:
-            raise DataFormatError(f"{path}: {len(values)} numbers, expected {cells * width}; the file is cut off")
+        values = _numbers(re.sub(rb"[()]", b" ", text), cells * width, path)
+    if not np.isfinite(values).all():
+        raise DataFormatError(f"{path}: holds NaN or Inf; did the run diverge?")
     return values.reshape(cells, 3) if width == 3 else values
+
+
+def _numbers(text: bytes, count: int, path: Path) -> np.ndarray:
+    """(count,) finite numbers of text. Raises DataFormatError."""
+    try:
+        values = np.array(text.split(), float)
+    except ValueError as e:
+        raise DataFormatError(f"{path}: holds no numbers ({e}); the file is damaged") from e
+    if len(values) != count or not np.isfinite(values).all():
+        raise DataFormatError(f"{path}: {len(values)} numbers, expected {count} finite ones; is the file cut off?")
+    return values
 
 
 def _binary(data: bytes, start: int, count: int, path: Path) -> np.ndarray:

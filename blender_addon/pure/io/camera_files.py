@@ -6,9 +6,11 @@ Pictures' distortion is nothing that a Blender camera has, so files that speak o
 from __future__ import annotations
 
 import math
+import re
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -16,10 +18,12 @@ import numpy as np
 from ..camera_poses import rotation_matrix
 from ..description import FILE, CameraEntry, DatasetDescription
 from . import FileFormatError
-from .files import is_name, read_json, write_json, write_text
+from .files import is_name, read_json, read_text, write_json, write_text
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's, and back
-DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye", "distortion_params", "rolling_shutter")
+STRAIGHT = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "FULL_OPENCV", "RADIAL", "SIMPLE_RADIAL")  # without distortion
+PICTURES = frozenset("avif bmp dng exr gif hdr heic heif jp2 jpeg jpg jxl pgm png ppm raw tga tif tiff webp".split())
 COLMAP = ("cameras.txt", "images.txt")
 LENSES = {"SIMPLE_PINHOLE": (0, 0, 1, 2), "PINHOLE": (0, 1, 2, 3)}  # where fx, fy, cx and cy are in the parameters
 MOST = 10_000  # cameras
@@ -81,57 +85,156 @@ def _of_transforms(path: Path) -> Iterator[CameraEntry]:
     frames = whole.get("frames") if isinstance(whole, dict) else None
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
         raise FileFormatError(f"{path}: has no list 'frames', so it is not a transforms.json")
-    for number, own in enumerate(frames):
+    names = _camera_names([str(frame.get("file_path", "cam")) for frame in frames])
+    for number, (own, name) in enumerate(zip(frames, names, strict=True)):
         frame, what = whole | own, f"{path}: frame {number}"
-        if any(frame.get(name) for name in DISTORTION):
-            raise FileFormatError(f"{what} has distortion, which Blender's cameras have not: undistort the pictures")
+        bent = [name for name in DISTORTION if _says(frame.get(name))]
+        bent += [name for name in frame if name.startswith("ftheta_p") or name in ("latlong", "equirectangular")]
+        if frame.get("camera_model", "OPENCV") not in STRAIGHT:
+            bent.append(f"camera_model {str(frame['camera_model'])[:40]}")
+        if bent:
+            raise FileFormatError(
+                f"{what} has {', '.join(bent)}: distortion, which Blender's cameras have not: undistort the pictures"
+            )
         try:
             pose = np.array(frame["transform_matrix"], np.float64)
             width, height = _whole(frame["w"]), _whole(frame["h"])
             fl_x = frame["fl_x"] if "fl_x" in frame else width / 2 / math.tan(frame["camera_angle_x"] / 2)
-            lens = (fl_x, frame.get("fl_y", fl_x), frame.get("cx", width / 2), frame.get("cy", height / 2))
+            fl_y = fl_x
+            if "camera_angle_y" in frame:
+                fl_y = height / 2 / math.tan(frame["camera_angle_y"] / 2)
+            lens = (fl_x, frame.get("fl_y", fl_y), frame.get("cx", width / 2), frame.get("cy", height / 2))
             if pose.shape != (4, 4):
                 raise ValueError(f"transform_matrix is {pose.shape}")
             to_camera = np.linalg.inv(pose @ FLIP)
-            entry = _entry(Path(str(frame.get("file_path", "cam"))).stem, width, height, lens, to_camera)
+            entry = _entry(name, width, height, lens, to_camera)
         except KeyError as error:
             raise FileFormatError(f"{what} has no {error}") from None
-        except (TypeError, ValueError, ZeroDivisionError, np.linalg.LinAlgError) as error:
+        except (TypeError, ValueError, ZeroDivisionError, OverflowError, np.linalg.LinAlgError) as error:
             raise FileFormatError(f"{what}: {error}") from None
         yield _with_role(entry, frame.get("role"))
 
 
 def _of_colmap(folder: Path) -> Iterator[CameraEntry]:
+    if not (folder / COLMAP[1]).is_file() and (folder / "images.bin").is_file():
+        raise FileFormatError(
+            f"{folder}: a binary COLMAP model; make text of it: colmap model_converter --output_type TXT"
+        )
+    lenses = _lenses(folder / COLMAP[0])
+    path = folder / COLMAP[1]
+    pictures = _pictures(path)
+    names = _camera_names([name for _, _, _, name in pictures])
+    for (number, values, lens_number, _), name in zip(pictures, names, strict=True):
+        try:
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = _matrix(values[:4]), values[4:]
+            if lens_number not in lenses:
+                raise ValueError(f"no camera {lens_number} in cameras.txt")
+            yield _entry(name, *lenses[lens_number], pose)
+        except ValueError as error:
+            raise FileFormatError(f"{path}: line {number}: {error}") from None
+
+
+def _lenses(path: Path) -> dict[int, tuple[int, int, list[float]]]:
+    """Width, height and fx, fy, cx, cy by COLMAP's camera number."""
     lenses = {}
-    for words in _lines(folder / "cameras.txt"):
-        what = f"{folder / 'cameras.txt'}: camera {words[0]}"
+    for number, line in _lines(path):
+        words = line.split()
+        if not words:
+            continue
+        what = f"{path}: line {number}"
         if len(words) < 5 or words[1] not in LENSES:
             raise FileFormatError(f"{what} is no PINHOLE or SIMPLE_PINHOLE: run COLMAP's image_undistorter")
         try:
+            if not words[0].isdecimal() or int(words[0]) in lenses:
+                raise ValueError(f"{words[0][:40]} is no camera number of its own")
+            if len(words) != 4 + len(set(LENSES[words[1]])):
+                raise ValueError(f"{words[1]} has {len(set(LENSES[words[1]]))} parameters, here are {len(words) - 4}")
             lens = [float(words[4 + place]) for place in LENSES[words[1]]]
-            lenses[words[0]] = (_whole(words[2]), _whole(words[3]), lens)
-        except (ValueError, IndexError) as error:
+            lenses[int(words[0])] = (_whole(words[2]), _whole(words[3]), lens)
+        except ValueError as error:
             raise FileFormatError(f"{what}: {error}") from None
-    for words in list(_lines(folder / "images.txt"))[::2]:  # every other line lists points
-        what = f"{folder / 'images.txt'}: picture {words[0]}"
-        try:
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = _matrix([float(word) for word in words[1:5]]), [float(w) for w in words[5:8]]
-            width, height, lens = lenses[words[8]]
-            yield _entry(Path(" ".join(words[9:])).stem, width, height, lens, pose)
-        except (KeyError, ValueError, IndexError) as error:
-            raise FileFormatError(f"{what}: {error}") from None
+    return lenses
 
 
-def _lines(path: Path) -> Iterator[list[str]]:
-    """Words of every line that is no comment; of images.txt's empty lines one empty word."""
+def _pictures(path: Path) -> list[tuple[int, list[float], int, str]]:
+    """Of every picture: its line's number, quaternion and translation, its camera's number, its name.
+
+    Pictures' lines and those of their observations, which may be empty or stripped, are told apart by their form.
+    """
+    found, names, observed = [], set(), True  # whether the picture before has had its line of observations
+    for number, line in _lines(path):
+        picture, observations = _is_picture(line), _is_observations(line)
+        if not line:
+            observed = True
+        elif picture and observations and not observed and _turns(line):
+            raise FileFormatError(
+                f"{path}: line {number} may be a picture or observations; write an empty line after every picture"
+            )
+        elif picture and (observed or not observations):
+            words = line.split(maxsplit=9)
+            if any("\udc80" <= c <= "\udcff" for c in words[9]):
+                raise FileFormatError(f"{path}: line {number}: the picture's name is not UTF-8")
+            if words[9] in names:
+                raise FileFormatError(f"{path}: line {number}: a second picture is called '{words[9][:80]}'")
+            found.append((number, [float(word) for word in words[1:8]], int(words[8]), words[9]))
+            names.add(words[9])
+            observed = False
+        elif observations and not observed:
+            observed = True
+        else:
+            raise FileFormatError(
+                f"{path}: line {number} is no 'IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME': {line[:60]!r}"
+            )
+    return found
+
+
+def _is_picture(line: str) -> bool:
+    """Whether a line says "number pose camera name"; the name is all that is left, blanks too."""
+    words = line.split(maxsplit=9)
+    return len(words) == 10 and words[0].isdecimal() and words[8].isdecimal() and _are_numbers(words[1:8])
+
+
+def _turns(line: str) -> bool:
+    """Whether the second to fifth word are a quaternion of length 1, which no observations in pixels are."""
+    return abs(math.hypot(*map(float, line.split()[1:5])) - 1) < 1e-2
+
+
+def _is_observations(line: str) -> bool:
+    """Whether a line says "x y point", any number of times."""
+    words = line.split()
+    whole = all(re.fullmatch("[+-]?[0-9]+", word, re.ASCII) for word in words[2::3])
+    return len(words) % 3 == 0 and whole and _are_numbers(words)
+
+
+def _are_numbers(words: list[str]) -> bool:
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{path}: cannot be read ({error})") from None
-    for line in text.splitlines():
-        if not line.startswith("#") and (line.strip() or path.name == "images.txt"):
-            yield line.split() or [""]
+        return all(math.isfinite(float(word)) for word in words)
+    except ValueError:
+        return False
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Numbers and texts of the lines that are no comments. What is not UTF-8 may stand in comments only."""
+    lines = enumerate(read_text(path, "surrogateescape").split("\n"), 1)
+    return [(number, line.strip()) for number, line in lines if not line.lstrip().startswith("#")]
+
+
+def _says(value: Any) -> bool:
+    """Whether a field of distortion says that there is some."""
+    return any(map(_says, value)) if isinstance(value, list) else bool(value)
+
+
+def _camera_names(pictures: list[str]) -> list[str]:
+    """What cameras are called by the names of their pictures.
+
+    `cam_0.png` and `cam_0/000001.png` are of camera `cam_0`, and so is `static/cam_0.png` where all pictures lie in one
+    folder. Folders may be written with backslashes. `gof` decides the same.
+    """
+    paths = [PureWindowsPath(picture) for picture in pictures]  # which knows both separators
+    one_folder = len({path.parent for path in paths}) == 1
+    files = [path.stem if path.suffix[1:].lower() in PICTURES else path.name for path in paths]
+    return [file if one_folder else path.parent.name or file for path, file in zip(paths, files, strict=True)]
 
 
 def _entry(name: str, width: int, height: int, lens, to_camera: np.ndarray) -> CameraEntry:
@@ -145,7 +248,13 @@ def _entry(name: str, width: int, height: int, lens, to_camera: np.ndarray) -> C
     turn = to_camera[:3, :3]
     if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
         raise ValueError("its pose is no turn and move; was it scaled?")
-    return CameraEntry(name if is_name(name) else "cam", width, height, k.tolist(), to_camera.tolist())
+    return CameraEntry(_plain(name), width, height, k.tolist(), to_camera.tolist())
+
+
+def _plain(name: str) -> str:
+    """A name that files can have: the same with "_" for the characters that no file's name may hold."""
+    plain = "".join("_" if c in '/\\:*?"<>|{}' or not c.isprintable() else c for c in name).strip(" .").lstrip("-~")
+    return plain if plain and is_name(plain) else "cam"
 
 
 def _with_role(entry: CameraEntry, role: Any) -> CameraEntry:
@@ -169,10 +278,16 @@ def _different(found: list[CameraEntry]) -> list[CameraEntry]:
 
 
 def _named_apart(found: list[CameraEntry]) -> list[CameraEntry]:
-    names = [entry.name for entry in found]
-    if len(set(names)) == len(names):
-        return found
-    return [replace(entry, name=f"cam_{number}") for number, entry in enumerate(found)]
+    """With a number behind the names that there are already, in any case and any form of their letters."""
+    named, taken = [], set()
+    for entry in found:
+        name, count = entry.name, 1
+        while unicodedata.normalize("NFC", name).casefold() in taken:
+            count += 1
+            name = f"{entry.name}_{count}"
+        taken.add(unicodedata.normalize("NFC", name).casefold())
+        named.append(replace(entry, name=name))
+    return named
 
 
 def _whole(value: Any) -> int:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from . import FileFormatError
-from .ply_file import columns
+from .ply_file import PlyVertices, columns
 
 SH_C0 = 0.5 / np.sqrt(np.pi)  # the constant spherical harmonic; display colour = 0.5 + SH_C0 * coefficient
+
+LARGEST_LN, SMALLEST_LN = 29, -80  # of a standard deviation in metres; flatter ones count as that
+PLAIN = frozenset(
+    "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 red green blue".split()
+)
+OURS = "units: metres"  # how a comment of the PLYs that gof writes begins
 
 
 @dataclass(frozen=True)
@@ -51,8 +58,16 @@ class GaussianCloud:
         return velocity * self.dynamic[:, None]
 
 
-def splats(rows: np.ndarray, path: Path) -> dict[str, np.ndarray]:
-    """The 3DGS properties, activated: position, scale, rotation, opacity, color."""
+def splats(rows: np.ndarray, ply: PlyVertices, step: int = 1) -> dict[str, np.ndarray]:
+    """The 3DGS properties, activated: position, scale, rotation, opacity, color.
+
+    Args:
+        rows: every step-th of the file's.
+    Raises:
+        FileFormatError: properties are missing, not finite, of absurd size, or activated already (names the rows).
+            `gof.ply` decides the same.
+    """
+    path = ply.path
     try:
         raw = {
             "position": columns(rows, "x", "y", "z"),
@@ -62,15 +77,63 @@ def splats(rows: np.ndarray, path: Path) -> dict[str, np.ndarray]:
             "color": columns(rows, "f_dc_0", "f_dc_1", "f_dc_2"),
         }
     except KeyError as error:
+        kind = name_kind(ply.names) or "export it again"
         raise FileFormatError(
-            f"{path}: properties {error.args[0]} are missing, so not a Gaussian splat PLY; a mesh or plain points?"
+            f"{path}: properties {error.args[0]} are missing, so not a Gaussian splat PLY: {kind}"
         ) from None
-    with np.errstate(over="ignore"):  # an absurd logit is opacity 0 or 1, an absurd log-scale fails the finite check
+    rest = [name for name in ply.names if name.startswith("f_rest_")]
+    for name, values in (("position", raw["position"]), ("color", raw["color"]), ("color", columns(rows, *rest))):
+        _require(np.isfinite(values), name, "finite (NaN or Inf found)", path, step)
+    _require(np.isfinite(raw["rotation"]), "rotation", "finite (NaN or Inf found)", path, step)
+    _require((raw["rotation"] != 0).any(1), "rotation", "a quaternion that is not zero", path, step)
+    _require(~np.isnan(raw["opacity"]), "opacity", "a number", path, step)
+    _require(raw["scale"] <= LARGEST_LN, "scale", f"a natural logarithm of at most {LARGEST_LN}", path, step)
+    if not any(comment.startswith(OURS) for comment in ply.comments):
+        _refuse_activated(raw["scale"], raw["opacity"], path)
+    with np.errstate(over="ignore"):  # an absurd logit is opacity 0 or 1
         return raw | {
-            "scale": np.exp(raw["scale"].astype(np.float64)),
+            "scale": np.exp(np.maximum(raw["scale"].astype(np.float64), SMALLEST_LN)),
             "opacity": 1 / (1 + np.exp(-raw["opacity"].astype(np.float64))),
             "color": 0.5 + SH_C0 * raw["color"],
         }
+
+
+def name_kind(names: Collection[str]) -> str | None:
+    """What a PLY with these properties is where it is none of 3D Gaussians in full, and the way out; else None."""
+    has = set(names).issuperset
+    if has(("packed_position", "packed_scale")):
+        return "SuperSplat's compressed PLY, packed values of one instant: open it there and export PLY uncompressed"
+    gaussians = has(("opacity", "scale_0", "rot_0"))
+    if gaussians and has(("scale_1",)) and not has(("scale_2",)):
+        return "2D Gaussians (surfels, no scale_2): export it from its own code as 3D ones with a third size"
+    if gaussians and has(("red", "green", "blue")) and not has(("f_dc_0",)):
+        return "Gaussians with plain colours (red, green, blue, no f_dc_0): export it with spherical harmonics"
+    if has(("x", "y", "z")) and not gaussians:
+        return "points or a mesh, without Gaussians' sizes: give the PLY that a training of Gaussians saved"
+    return None
+
+
+def refuse_unread(ply: PlyVertices) -> None:
+    """Raises FileFormatError: a plain 3DGS PLY has properties that nobody reads; some change what others mean."""
+    unread = [name for name in ply.names if name not in PLAIN and not name.startswith("f_rest_")]
+    if unread:
+        raise FileFormatError(
+            f"{ply.path}: properties {unread[:6]} are not read, and may change what the others mean (as "
+            "Mip-Splatting's filter_3D does sizes); export the PLY without them"
+        )
+
+
+def _refuse_activated(scale: np.ndarray, opacity: np.ndarray, path: Path) -> None:
+    """Raises FileFormatError: raw sizes and opacities look like values, where PLYs hold logarithms and logits."""
+    if not len(opacity) or not ((opacity >= 0) & (opacity <= 1)).all():
+        return
+    fill = len(opacity) >= 100 and opacity.min() < 0.1 and opacity.max() > 0.9
+    if (scale > 0).all() or fill:
+        sizes = " and all 'scale' are above 0" if (scale > 0).all() else ""
+        raise FileFormatError(
+            f"{path}: all 'opacity' lie in 0..1{sizes}: are they activated? A PLY of Gaussians holds logits and "
+            "natural logarithms; export those"
+        )
 
 
 def checked(values: dict[str, np.ndarray], path: Path) -> GaussianCloud:
@@ -102,8 +165,9 @@ def checked(values: dict[str, np.ndarray], path: Path) -> GaussianCloud:
     return GaussianCloud(**values)
 
 
-def _require(good: np.ndarray, name: str, rule: str, path: Path) -> None:
+def _require(good: np.ndarray, name: str, rule: str, path: Path, step: int = 1) -> None:
+    """Raises FileFormatError naming the Gaussians' rows in the file, from 0; `good` is of every step-th."""
     if good.all():
         return
-    rows = np.unique(np.argwhere(~good)[:, 0])
-    raise FileFormatError(f"{path}: '{name}' must be {rule}; rows {rows[:5].tolist()} of {len(good)} are not")
+    rows = step * np.unique(np.argwhere(~good)[:, 0])
+    raise FileFormatError(f"{path}: '{name}' must be {rule}; rows {rows[:5].tolist()} (from 0) are not")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
 import stat
@@ -129,25 +130,77 @@ def write_json(path: Path, data: Any, indent: int = 1) -> None:
     write_text(path, json.dumps(data, indent=indent, allow_nan=False) + "\n")
 
 
-def read_json(path: Path) -> Any:
-    """Read JSON. Raises FileFormatError: the file is absent, or is not JSON (names it)."""
+def read_text(path: Path, errors: str = "strict") -> str:
+    """Read text that people or other programs wrote: UTF-8, with or without a byte-order mark, and any line ends.
+
+    Args:
+        errors: as of `bytes.decode`, for what is not UTF-8.
+    Raises:
+        FileFormatError: the file is absent, cannot be read, or its text is not UTF-8 (names it).
+    """
     if path.exists() and not path.is_file():
         raise FileFormatError(f"{path}: not a file")  # a device would never end
     try:
-        text = path.read_text(encoding="utf-8")
-        value = json.loads(text)
-        if HALF_CHARACTER.search(text):
-            json.dumps(value, ensure_ascii=False).encode("utf-8")  # fails where its other half is missing
-        return value
+        data = path.read_bytes()
+        if b"\0" in data[:4] or data.startswith((b"\xff\xfe", b"\xfe\xff")):
+            raise FileFormatError(f"{path}: its text is UTF-16 or UTF-32; save it as UTF-8 in your editor")
+        return data.decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         raise FileFormatError(f"{path}: no such file") from None
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise FileFormatError(
-            f"{path}: not readable as JSON: its text is not UTF-8; save it so in your editor"
-        ) from None
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: its text is not UTF-8 ({error}); save it as UTF-8 in your editor") from None
+
+
+def read_json(path: Path) -> Any:
+    """Read JSON; every number in it is finite, also as a float.
+
+    Raises:
+        FileFormatError: the file is absent or is not JSON (names it), or a number is none or beyond what a float holds
+            (names the field).
+    """
+    text = read_text(path)
+    try:
+        value = json.loads(text, parse_int=_whole, object_pairs_hook=_object)
+        if HALF_CHARACTER.search(text):
+            json.dumps(value, ensure_ascii=False).encode("utf-8")  # fails where its other half is missing
+        bad = _not_finite(value)
     except (ValueError, RecursionError) as error:  # broken, brackets without end
         if not text.strip():
             raise FileFormatError(f"{path}: not readable as JSON: the file is empty; copy or write it again") from None
-        raise FileFormatError(f"{path}: not readable as JSON ({error}); was it cut off while being copied?") from None
+        remedy = "; was it cut off while being copied?" if isinstance(error, json.JSONDecodeError) else ""
+        raise FileFormatError(f"{path}: not readable as JSON ({error}){remedy}") from None
+    if bad is not None:
+        raise FileFormatError(
+            f"{path}: not readable as JSON: '{bad or 'all of it'}' is NaN, Inf or a number that no float holds; null "
+            "stands for what is not known"
+        )
+    return value
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON. Raises ValueError: a name stands in it twice, of which one value would be lost."""
+    value = dict(pairs)
+    if len(value) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"'{twice[:80]}' stands twice in one object; remove one")
+    return value
+
+
+def _whole(digits: str) -> int | float:
+    """A whole number of JSON; Inf where no float can hold it, as of other numbers."""
+    return int(digits) if math.isfinite(float(digits)) else math.copysign(math.inf, float(digits))
+
+
+def _not_finite(value: Any) -> str | None:
+    """Where the first number that is not finite stands, as "cameras[0].K[1][2]"; None where all are."""
+    if isinstance(value, float):
+        return None if math.isfinite(value) else ""
+    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in parts:
+        if (inner := _not_finite(part)) is not None:
+            here = f"[{key}]" if isinstance(value, list) else key[:80]
+            return here + ("." if inner and not inner.startswith("[") else "") + inner
+    return None

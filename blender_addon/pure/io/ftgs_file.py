@@ -9,6 +9,9 @@ from .cloud import splats
 from .ply_file import PlyVertices, columns
 
 PROPERTIES = ("time", "log_duration", "velocity_0", "velocity_1", "velocity_2")
+VANILLA = {"duration_activation": "exp", "use_marginal_gating": "0", "use_color_velocity": "0", "color_correction": "0"}
+SWITCH = {"1": True, "true": True, "0": False, "false": False}
+NOTHING = ("0", "false", "no", "none", "off")
 CLIP = "gof_clip_s"  # comment of `gof convert`: seconds of its times 0 and 1
 
 
@@ -30,8 +33,14 @@ def read(ply: PlyVertices, clip_s: float | None, fps: float, step: int) -> dict[
     version = words.get("ftgs_version"), words.get("time_units")
     if version != ("1", "normalized"):
         raise FileFormatError(f"{ply.path}: ftgs_version {version[0]}, time_units {version[1]}; expected 1, normalized")
+    for name, vanilla in VANILLA.items():
+        if words.get(name, vanilla).lower() not in (vanilla, *NOTHING[: 5 * (vanilla == "0")]):
+            raise FileFormatError(
+                f"{ply.path}: {name} {words[name][:40]}: a variant of FreeTimeGS vanilla in which the same fields mean "
+                "other things; export positions at times"
+            )
     try:
-        shortest, moving = float(words["min_duration"]), words["use_velocity"] == "1"
+        shortest, moving = float(words["min_duration"]), SWITCH[words["use_velocity"].lower()]
         frames = int(words.get("n_frames", 0))
         first, last = map(float, words[CLIP].split()) if CLIP in words else (0.0, 0.0)
     except (KeyError, ValueError) as error:
@@ -56,7 +65,7 @@ def read(ply: PlyVertices, clip_s: float | None, fps: float, step: int) -> dict[
         ) from None
     with np.errstate(over="ignore"):  # an endless duration is "always on"
         t_sigma = np.maximum(np.exp(log_duration), shortest) * seconds
-    return splats(rows, ply.path) | {
+    return splats(rows, ply, step) | {
         "velocity": velocity * moving,
         "t_mu": first + time * seconds,
         "t_sigma": t_sigma,

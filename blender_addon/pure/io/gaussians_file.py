@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from . import FileFormatError, ftgs_file, npz_file, ply_sequence
-from .cloud import SH_C0, GaussianCloud, checked, splats
+from .cloud import SH_C0, GaussianCloud, checked, refuse_unread, splats
 from .ply_file import PlyVertices, columns
 
 NPZ_SCHEMA, NPZ_MEASURED = "gof-linear/1", "gof-linear/2"  # around zero; from a datum
@@ -35,6 +35,15 @@ NPZ_NAMES = {
 }
 UNSURE = "v_sd"  # only in files that say how sure the velocity is
 GAS = "v_gas", ("gas_vx", "gas_vy", "gas_vz")  # npz, PLY: only where the gas has another velocity than its light
+SPLATS = {
+    ".splat": "a file of antimatter15's web viewer",
+    ".spz": "a file of Niantic's SPZ",
+    ".ksplat": "a file of mkkellogg's web viewer",
+    ".sog": "a file of PlayCanvas' SOG",
+    ".glb": "a GLB",
+    ".gltf": "a glTF",
+    ".usdz": "a USDZ",
+}
 OWN_PROPERTIES = ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")
 
 
@@ -90,6 +99,8 @@ def files_of(source: str | Path | Sequence[Path]) -> list[Path]:
             raise FileFormatError(f"{path}: no numbered .ply files in this folder; choose result.npz or result.ply")
         return found
     if path.suffix.lower() not in (".npz", ".ply"):
+        if kind := SPLATS.get(path.suffix.lower()):
+            raise FileFormatError(f"{path}: {kind}: open it in SuperSplat and export an uncompressed PLY")
         raise FileFormatError(
             f"{path}: unknown suffix '{path.suffix}'; a result is .npz or .ply. Checkpoints of other "
             "methods: `gof convert` makes a result of them"
@@ -147,8 +158,9 @@ def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:
     if ftgs_file.matches(ply):
         return ftgs_file.read(ply, clock.clip_s, clock.fps, step)
     rows = ply.rows(step)
-    values = splats(rows, path)
+    values = splats(rows, ply, step)
     if not any(ply.has(name) for name in OWN_PROPERTIES):  # a plain 3DGS PLY is a still
+        refuse_unread(ply)
         n = len(rows)
         return values | {
             "velocity": np.zeros((n, 3)),

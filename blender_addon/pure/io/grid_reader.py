@@ -6,7 +6,7 @@ nobody says otherwise.
 
 from __future__ import annotations
 
-import json
+import math
 import zlib
 from itertools import product
 from pathlib import Path
@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from . import FileFormatError
-from .files import path_in
+from .files import path_in, read_json
 
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side that are believed
+AXES = ("time", "x", "y", "z", "component")  # as dimension_names of a zarr.json call them, where it does
+MOST_CHUNKS = 2**15  # of a frame; each is asked for, stored or not
 CODECS = ({"bytes"}, {"bytes", "gzip"})
 SAME_TIME_S = 1e-6  # a stored frame this near to a time is the frame of that time
 REMEDY = "make it again"
@@ -43,8 +45,11 @@ class StoredGrid:
 
     def __init__(self, path: Path, quantity: str, units: str | None = None, components: tuple[int, ...] = (3,)):
         self.path, self._components = path, components
+        file = path_in(path, "zarr.json")
+        if not file.is_file():
+            raise FileFormatError(f"{path}: no zarr.json inside, so no {quantity} store; {REMEDY}")
         try:
-            description = json.loads(path_in(path, "zarr.json").read_bytes())
+            description = read_json(file)
             attributes, shape = description["attributes"], tuple(description["shape"])
             codecs = {codec["name"] for codec in description["codecs"]}
             chunks = tuple(description["chunk_grid"]["configuration"]["chunk_shape"])
@@ -56,22 +61,16 @@ class StoredGrid:
             self._chunk = chunks[1:4]
             plain = all(type(n) is int and 0 < n <= LARGEST for n in (*shape, *self._chunk))
             plain &= self.dtype.kind == "f" and len(self._chunk) == 3 and max(self._chunk) <= LARGEST_CHUNK
+            plain = plain and math.prod(-(-n // c) for n, c in zip(shape[1:4], self._chunk, strict=True)) <= MOST_CHUNKS
             if not plain or not np.isfinite(self.time_s).all() or not np.isfinite(self.world_to_index).all():
-                raise ValueError(f"{self.dtype}, shape {shape} in chunks of {chunks}, or times that are not finite")
-        except FileNotFoundError:
-            raise FileFormatError(f"{path}: no zarr.json inside, so no {quantity} store; {REMEDY}") from None
-        except (
-            OSError,
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            RecursionError,
-            np.linalg.LinAlgError,
-        ) as error:
+                raise ValueError(
+                    f"{self.dtype}, shape {shape} in chunks of {chunks}: no floats, too many cells, more than "
+                    f"{MOST_CHUNKS} chunks a frame, or times that are not finite"
+                )
+        except (ValueError, KeyError, TypeError, AttributeError, np.linalg.LinAlgError) as error:
             message = f"{path}/zarr.json: not a {quantity} store ({type(error).__name__}: {error})"
             raise FileFormatError(message) from None
-        self._check_content(attributes, quantity, units)
+        self._check_content(description, quantity, units)
         self._check_layout(description, shape, chunks, codecs, separator)
         self.grid = shape[1:4]
         self._gzip = "gzip" in codecs
@@ -111,9 +110,16 @@ class StoredGrid:
     def _frame(self, frame: int) -> np.ndarray:
         return self.cells(frame, np.zeros(3, int), np.array(self.grid))
 
-    def _check_content(self, attributes: dict, quantity: str, units: str | None) -> None:
+    def _check_content(self, description: dict, quantity: str, units: str | None) -> None:
+        attributes = description["attributes"]
         schema = "gof-velocity" if quantity == "velocity" else "gof-grid"
         found = attributes.get("schema"), attributes.get("quantity", "velocity"), attributes.get("units")
+        axes = [name for name in description.get("dimension_names") or () if name is not None]
+        frame = attributes.get("frame", "world")
+        if frame != "world" or axes != list(AXES[: len(axes)]):
+            raise FileFormatError(
+                f"{self.path}: axes {axes} in frame {str(frame)[:40]!r}; expected {', '.join(AXES)} in frame 'world'"
+            )
         if found[:2] != (schema, quantity) or (units is not None and found[2] != units):
             raise FileFormatError(
                 f"{self.path}: schema '{found[0]}', {found[1]} in {found[2]}; "

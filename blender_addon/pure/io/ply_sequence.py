@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from . import FileFormatError
-from .cloud import GaussianCloud, checked, splats
+from .cloud import GaussianCloud, checked, refuse_unread, splats
 from .numbered import frame_of, is_hidden, number_files
 from .ply_file import PlyVertices
 
@@ -25,10 +25,12 @@ def read(paths: list[Path], fps: float, step: int = 1) -> GaussianCloud:
     time_s = np.array([frame_of(path)[1] for path in paths], float) / fps
     states = []
     for path in paths:
-        rows = PlyVertices(path).rows(step)
+        ply = PlyVertices(path)
+        refuse_unread(ply)
+        rows = ply.rows(step)
         if not len(rows):
             raise FileFormatError(f"{path}: holds 0 points; remove it from the sequence")
-        states.append(splats(rows, path))
+        states.append(splats(rows, ply, step))
     ends = np.append(time_s[1:], 2 * time_s[-1] - time_s[-2])
     parts = []
     for k, (state, path) in enumerate(zip(states, paths, strict=True)):

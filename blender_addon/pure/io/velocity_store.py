@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from . import FileFormatError
-from .files import write_bytes, write_json
+from .files import read_json, write_bytes, write_json
 
 CHUNK = 64  # cells per chunk side: 1.5 MB of float16, small enough to read a flame out of a large domain
 GZIP_LEVEL = 5
@@ -119,7 +119,7 @@ class VelocityWriter:
             missing = [f for f in frames if not self.has_frame(f)]
             if missing:
                 raise ValueError(f"{self._partial}: frames {missing[:5]} are not written; write them before finish()")
-            errors = [json.loads(self._marker(f).read_bytes())["max_abs_error"] for f in frames]
+            errors = [read_json(self._marker(f))["max_abs_error"] for f in frames]
             self._description["attributes"]["storage_max_abs_error"] = max(errors)
             write_json(self._partial / "zarr.json", self._description)
             # Rename first: a kill between the two lines leaves a complete array with a harmless extra folder.
@@ -214,12 +214,12 @@ def array_description(
 
 def _read_description(folder: Path) -> dict:
     file = folder / "zarr.json"
+    if not file.is_file():
+        raise FileFormatError(f"{folder}: no zarr.json inside, so not a velocity store; choose another path")
     try:
-        description = json.loads(file.read_bytes())
-    except FileNotFoundError:
-        raise FileFormatError(f"{folder}: no zarr.json inside, so not a velocity store; choose another path") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{file}: not readable as JSON ({error}); delete {folder} and export again") from None
+        description = read_json(file)
+    except FileFormatError as error:
+        raise FileFormatError(f"{error}; delete {folder} and export again") from None
     if not isinstance(description, dict):
         raise FileFormatError(f"{file}: not a zarr v3 description; delete {folder} and export again")
     return description

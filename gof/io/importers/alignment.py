@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
 from gof.errors import DataFormatError, GofError
 from gof.files import read_json
-from gof.io.colmap import check_poses, read_colmap
+from gof.io.colmap import Poses, check_poses, name_model, read_colmap
 
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's
+PICTURES = frozenset("avif bmp dng exr gif hdr heic heif jp2 jpeg jpg jxl pgm png ppm raw tga tif tiff webp".split())
 SAME_WORLD = 0.02  # of the cameras' distances from each other; 100 times as many degrees
+ANOTHER_RIG = 0.2  # as SAME_WORLD: what no similarity brings nearer is not the same rig
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """world_from_source (4, 4), and how well it maps one set of cameras onto the other."""
+    """world_from_source (4, 4), and how well it maps one set of cameras onto the other; `reach_m`: how far those are
+    from each other at most."""
 
     matrix: np.ndarray
     scale: float
     position_rms_m: float
     rotation_max_deg: float
+    reach_m: float
 
     def in_words(self, source: Path) -> str:
         """What was done by the cameras of `source`, and what is left."""
+        doubtful = self.position_rms_m > SAME_WORLD * self.reach_m or self.rotation_max_deg > SAME_WORLD * 100
         return (
-            f"moved by the similarity of {source}: scale {self.scale:.4g}; cameras then "
+            f"moved by the similarity of {name_model(source)}: scale {self.scale:.4g}; cameras then "
             f"{self.position_rms_m * 1000:.2g} mm (rms) and at most {self.rotation_max_deg:.2g} degrees off"
+            + (
+                f"; that is much for cameras {self.reach_m:.2g} m apart: is the calibration poor, or a name wrong?"
+                * doubtful
+            )
         )
 
 
@@ -41,7 +51,8 @@ def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) 
     Args:
         source, target: name -> world_to_camera (4, 4), OpenCV; source may be in any unit.
     Raises:
-        GofError: fewer than two cameras in common, or all centres coincide.
+        GofError: fewer than two cameras in common, all centres coincide, or the cameras stand otherwise in one set than
+            in the other: after the fit, 20 % of their distances or 20 degrees are left.
     """
     names = sorted(set(source) & set(target))
     if len(names) < 2:
@@ -74,34 +85,83 @@ def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) 
     turn = np.einsum("nji,njk->nik", R @ pose[0][:, :3, :3], pose[1][:, :3, :3])
     angle = np.degrees(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1)))
     position_rms = float(np.sqrt(np.mean(np.sum((moved - centres[1]) ** 2, 1))))
-    return Alignment(matrix, scale=s, position_rms_m=position_rms, rotation_max_deg=float(angle.max()))
+    reach = float(np.linalg.norm(centres[1][:, None] - centres[1], axis=-1).max())
+    if position_rms > ANOTHER_RIG * reach or angle.max() > ANOTHER_RIG * 100:
+        worst = names[int(angle.argmax())]
+        raise GofError(
+            f"alignment: cameras of the same name stand otherwise in both worlds: the best fit leaves "
+            f"{position_rms:.2g} m (rms, of {reach:.2g} m) and {angle.max():.2g} degrees ('{worst}'); are names swapped, "
+            "or are poses camera-to-world or in OpenGL's axes?"
+        )
+    return Alignment(matrix, s, position_rms, float(angle.max()), reach)
 
 
 def read_cameras(path: Path) -> dict[str, np.ndarray]:
-    """World-to-camera matrices by camera name: a COLMAP folder, a dataset.json, or JSON of name -> 4x4.
+    """World-to-camera matrices by camera name: a COLMAP folder, a dataset.json, a transforms.json, or name -> 4x4.
 
-    A COLMAP image `cam_0.png` or `cam_0/000001.png` is camera `cam_0`, and so is `static/cam_0.png` where all images
-    lie in one folder.
+    A picture `cam_0.png` or `cam_0/000001.png` is of camera `cam_0`, and so is `static/cam_0.png` where all pictures
+    lie in one folder. Folders may be written with backslashes.
+
+    Raises:
+        DataFormatError: no cameras there, one is no rotation and shift, or pictures of one camera stand apart.
     """
     path = Path(path)
     if path.is_dir():
         if (path / "dataset.json").is_file():
             return read_cameras(path / "dataset.json")
-        poses = read_colmap(path)[0]
-        folders = {Path(n).parent for n in poses}  # one for all cameras says nothing of which
-        return {
-            (Path(n).stem if len(folders) == 1 else Path(n).parent.name or Path(n).stem): pose
-            for n, pose in sorted(poses.items(), reverse=True)
-        }
+        return _of_pictures(read_colmap(path)[0], path)
     content = read_json(path)
     try:
-        if "cameras" in content:
-            content = {c["name"]: c["world_to_camera"] for c in content["cameras"]}
-        found = {str(n): np.asarray(m, np.float64).reshape(4, 4) for n, m in content.items()}
-    except (AttributeError, KeyError, TypeError, ValueError) as e:
-        raise DataFormatError(f"{path}: no cameras with a name and a 4x4 world_to_camera in it ({e})") from e
-    check_poses(found, path)
+        if "frames" in content and isinstance(content["frames"], list):
+            frames = [(str(f["file_path"]), np.asarray(f["transform_matrix"], np.float64)) for f in content["frames"]]
+            found = [(name, np.linalg.inv(pose.reshape(4, 4) @ FLIP)) for name, pose in frames]
+        else:
+            cameras = content.items()
+            if "cameras" in content:
+                cameras = [(c["name"], c["world_to_camera"]) for c in content["cameras"]]
+            found = [(str(name), np.asarray(pose, np.float64).reshape(4, 4)) for name, pose in cameras]
+    except (AttributeError, KeyError, TypeError, ValueError, np.linalg.LinAlgError) as e:
+        raise DataFormatError(
+            f"{path}: no cameras with a name and a 4x4 world_to_camera in it, and no 'frames' as of a transforms.json "
+            f"({type(e).__name__}: {e})"
+        ) from e
+    for name, pose in found:
+        check_poses({name: pose}, path)
+    names = [name for name, _ in found]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise DataFormatError(f"{path}: two cameras are called '{twice[:80]}'")
+    return _of_pictures(dict(found), path) if "frames" in content else dict(found)
+
+
+def _of_pictures(poses: Poses, path: Path) -> Poses:
+    """Poses by camera of poses by picture: of several pictures of a camera the first by name.
+
+    Raises:
+        DataFormatError: they stand apart, so that they are of two cameras, or of one that moved.
+    """
+    paths = {name: PureWindowsPath(name) for name in sorted(poses)}  # which knows both separators
+    one_folder = len({p.parent for p in paths.values()}) == 1  # which says nothing of which camera
+    centres = {name: np.linalg.inv(pose)[:3, 3] for name, pose in poses.items()}
+    reach = max(np.linalg.norm(c - centres[min(centres)]) for c in centres.values()) if centres else 0.0
+    found, first = {}, {}
+    for name, p in paths.items():
+        file = p.stem if p.suffix[1:].lower() in PICTURES else p.name
+        camera = file if one_folder else p.parent.name or file
+        seen = first.setdefault(camera, name)
+        turned = _degrees(poses[seen][:3, :3] @ poses[name][:3, :3].T)
+        if np.linalg.norm(centres[seen] - centres[name]) > SAME_WORLD * reach or turned > SAME_WORLD * 100:
+            raise DataFormatError(
+                f"{path}: '{seen[:80]}' and '{name[:80]}' would both be camera '{camera[:80]}', but stand apart; name "
+                "pictures CAMERA.png, or CAMERA/NUMBER.png"
+            )
+        found.setdefault(camera, poses[name])
     return found
+
+
+def _degrees(turn: np.ndarray) -> float:
+    """Angle of a rotation (3, 3)."""
+    return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
 
 
 def require_same_world(source: dict[str, np.ndarray], target: dict[str, np.ndarray], path: Path) -> str:
@@ -118,8 +178,7 @@ def require_same_world(source: dict[str, np.ndarray], target: dict[str, np.ndarr
     centre = [np.stack([np.linalg.inv(poses[n])[:3, 3] for n in names]) for poses in (source, target)]
     reach = np.linalg.norm(centre[1][:, None] - centre[1], axis=-1).max()
     off = np.linalg.norm(centre[0] - centre[1], axis=1).max()
-    turns = [np.trace(source[n][:3, :3] @ target[n][:3, :3].T) for n in names]
-    turned = float(np.degrees(np.arccos(np.clip((min(turns) - 1) / 2, -1, 1))))
+    turned = max(_degrees(source[n][:3, :3] @ target[n][:3, :3].T) for n in names)
     if off > SAME_WORLD * max(reach, 1e-12) or turned > SAME_WORLD * 100:
         raise DataFormatError(
             f"{path}: its cameras stand up to {off:.3g} m and {turned:.2g} degrees from the dataset's, so its world is "

@@ -15,7 +15,7 @@ from gof.errors import DataFormatError
 from gof.files import read_json
 from gof.gaussians import TransientGaussians
 from gof.io.importers.source import Imported, ImportOptions, Source, array
-from gof.ply import exp, quaternions, sigmoid
+from gof.ply import activate_scale, quaternions, sigmoid
 
 OPTIONS = ("time_unit_s", "time_zero_s")
 LAYOUT = (
@@ -59,6 +59,7 @@ class Splats:
         t_mu, t_sigma: (N,).   dynamic: (N,) bool.
         scaling: raw: a sigmoid between the bounds where dynamic, a logarithm elsewhere.
         bounds: None where the method has none; then all sizes are logarithms.
+        path: of the file, for errors.
     """
 
     position: np.ndarray
@@ -71,14 +72,17 @@ class Splats:
     t_sigma: np.ndarray
     dynamic: np.ndarray
     bounds: ScaleBounds | None
+    path: Path
 
     @property
     def scale(self) -> np.ndarray:
         """(N, 3) standard deviations, in its length."""
         if self.bounds is None:
-            return exp(self.scaling)
+            return activate_scale(self.scaling, self.path)
         span = self.bounds.high - self.bounds.low
-        return np.where(self.dynamic[:, None], self.bounds.low + span * sigmoid(self.scaling), exp(self.scaling))
+        logarithms = np.where(self.dynamic[:, None], 0, self.scaling)
+        bounded = self.bounds.low + span * sigmoid(self.scaling)
+        return np.where(self.dynamic[:, None], bounded, activate_scale(logarithms, self.path))
 
 
 def matches(source: Source) -> bool:
@@ -144,6 +148,7 @@ def _from_checkpoint(source: Source) -> Splats:
         t_sigma=array(state[9], "t_sigma", (n, 1), path)[:, 0],
         dynamic=dynamic,
         bounds=bounds,
+        path=path,
     )
 
 
@@ -154,7 +159,7 @@ def _from_ply(source: Source) -> Splats:
             f"{path}: this PLY of the paper's code (its ECCV demo) holds no velocities; give the chkpnt*.pth of the "
             "same iteration (two folders up)"
         )
-    shared = ply.splats()
+    shared = ply.without_scale()
     times = ply.columns("t_mu", "t_sigma", "is_dynamic")
     return Splats(
         position=shared["position"],
@@ -167,6 +172,7 @@ def _from_ply(source: Source) -> Splats:
         t_sigma=times[:, 1],
         dynamic=times[:, 2] > 0.5,
         bounds=_read_bounds(path, [Path()], f"{path.stem}_scale_bounds.json"),
+        path=path,
     )
 
 

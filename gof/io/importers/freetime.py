@@ -15,7 +15,7 @@ from gof.files import atomic_path
 from gof.gaussians import TransientGaussians
 from gof.io.importers.normalisation import world_from_training
 from gof.io.importers.source import Imported, ImportOptions, Source, array
-from gof.ply import exp, quaternions, sigmoid, splat_columns, write
+from gof.ply import activate_scale, exp, quaternions, sigmoid, splat_columns, write
 
 OPTIONS = ("time_unit_s", "time_zero_s", "world", "world_by")
 SPLATS = {"means", "scales", "quats", "opacities", "sh0", "shN", "times", "durations", "velocities"}
@@ -28,6 +28,8 @@ VANILLA = {
     "use_color_velocity": False,
     "color_correction": None,
 }
+SWITCH = {"1": True, "true": True, "0": False, "false": False}
+MEANT = {"0": False, "false": False, "no": False, "none": None, "off": False}  # in words of a PLY's comment
 CLIP = "gof_clip_s"  # our own comment in an .ftgs.ply: seconds of its times 0 and 1
 
 
@@ -99,7 +101,7 @@ def _from_splats(source: Source) -> tuple[dict, dict]:
         "velocity": get("velocities", n, 3),
         "time": get("times", n, 1)[:, 0],
         "log_duration": get("durations", n, 1)[:, 0],
-        "scale": exp(get("scales", n, 3)),
+        "scale": activate_scale(get("scales", n, 3), source.path),
         "rotation": quaternions(get("quats", n, 4), source.path),
         "opacity": sigmoid(get("opacities", n)),
         "color": np.concatenate([get("sh0", n, 1, 3), get("shN", n, None, 3)], 1),
@@ -137,13 +139,7 @@ def _vanilla_facts(content: dict, path: Path) -> dict:
     spec = content.get("model_spec") or {}
     if not isinstance(spec, dict):
         raise DataFormatError(f"{path}: 'model_spec' is no table")
-    for name, vanilla in VANILLA.items():
-        said = spec.get(name, content.get(name, vanilla))
-        if said != vanilla and (said or vanilla):
-            raise DataFormatError(
-                f"{path}: '{name}' is {str(said)[:40]!r}, so this is a variant of FreeTimeGS vanilla in which the same "
-                "fields mean other things; export positions at times, as a gof-trajectory (docs/importers.md)"
-            )
+    _refuse_variants({name: spec.get(name, content.get(name)) for name in VANILLA if name in {**content, **spec}}, path)
     facts = {k: content[k] for k in ("n_frames", "use_velocity") if k in content}
     if "min_duration" in spec:
         facts["min_duration"] = spec["min_duration"]
@@ -151,6 +147,16 @@ def _vanilla_facts(content: dict, path: Path) -> dict:
         if not isinstance(value, (bool, int, float)) or not 0 <= value < np.inf:
             raise DataFormatError(f"{path}: '{name}' is {str(value)[:40]!r}, not a number")
     return facts
+
+
+def _refuse_variants(said: dict, path: Path) -> None:
+    """Raises DataFormatError: one of the settings that VANILLA lists is another one, so fields mean other things."""
+    for name, value in said.items():
+        if value != VANILLA[name] and (value or VANILLA[name]):
+            raise DataFormatError(
+                f"{path}: '{name}' is {str(value)[:40]!r}, so this is a variant of FreeTimeGS vanilla in which the "
+                "same fields mean other things; export positions at times, as a gof-trajectory (docs/importers.md)"
+            )
 
 
 def _from_ply(source: Source) -> tuple[dict, dict]:
@@ -161,8 +167,11 @@ def _from_ply(source: Source) -> tuple[dict, dict]:
             f"{source.path}: ftgs_version {words.get('ftgs_version')}, time_units {words.get('time_units')}; expected "
             "1, normalized"
         )
+    _refuse_variants(
+        {name: MEANT.get(words[name].lower(), words[name]) for name in VANILLA if name in words}, source.path
+    )
     try:
-        meta = {"use_velocity": words["use_velocity"] == "1", "min_duration": float(words["min_duration"])}
+        meta = {"use_velocity": SWITCH[words["use_velocity"].lower()], "min_duration": float(words["min_duration"])}
         if "n_frames" in words:
             meta["n_frames"] = int(words["n_frames"])
         if CLIP in words:

@@ -30,7 +30,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
         raise DataFormatError(f"{source.path}: give --time-unit, the seconds between two numbers of this PLY sequence")
     offsets = unit * np.array([number for number, _ in files], np.float64)
     require_unit(offsets, options, source.path)
-    states = [Ply.read(path).splats() for _, path in files]
+    states = [_state(path) for _, path in files]
     counts = {len(s["position"]) for s in states}
     if len(counts) > 1:
         raise DataFormatError(
@@ -56,6 +56,12 @@ def read(source: Source, options: ImportOptions) -> Imported:
             "4DGS (Wu et al.) writes opacities without their deformation into such PLYs",
         ],
     )
+
+
+def _state(path: Path) -> dict[str, np.ndarray]:
+    ply = Ply.read(path)
+    ply.refuse_unread()
+    return ply.splats()
 
 
 def difference_notes(trajectory: Trajectory) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from gof.errors import DataFormatError
 from gof.io.importers.source import Imported, ImportOptions, Source
 from gof.motion import Motion, State
-from gof.ply import Ply, exp, quaternions, sigmoid
+from gof.ply import Ply, activate_scale, exp, quaternions, refuse_activated, require_rows, sigmoid
 
 OPTIONS = ("time_unit_s", "time_zero_s")
 MOTION = tuple(f"motion_{i}" for i in range(9))
@@ -54,11 +54,13 @@ def _state(ply: Ply, unit: float, zero_s: float, lite: bool):
     m1, m2, m3 = np.split(ply.columns(*MOTION).astype(np.float64), 3, axis=1)
     centre, width = ply.columns("trbf_center").astype(np.float64), exp(ply.columns("trbf_scale"))
     rotation, turn = ply.columns(*(f"rot_{i}" for i in range(4))), ply.columns(*(f"omega_{i}" for i in range(4)))
-    peak, scale = sigmoid(ply.columns("opacity")), exp(ply.columns("scale_0", "scale_1", "scale_2"))
+    logits, sizes = ply.columns("opacity"), ply.columns("scale_0", "scale_1", "scale_2")
+    require_rows(~np.isnan(logits), "opacity", "a number", ply.path)
+    refuse_activated(sizes, logits[:, 0], ply.path)
+    peak, scale = sigmoid(logits), activate_scale(sizes, ply.path)
     color = ply.columns("f_dc_0", "f_dc_1", "f_dc_2") if lite else np.full(place.shape, 0.5)
     for name, values in (("position", place), ("trbf_center", centre), ("motion", np.hstack([m1, m2, m3]))):
-        if not np.isfinite(values).all():
-            raise DataFormatError(f"{ply.path}: '{name}' holds NaN or Inf; did the training diverge?")
+        require_rows(np.isfinite(values), name, "finite (did the training diverge?)", ply.path)
 
     def state(time_s: float) -> State:
         d = (time_s - zero_s) / unit - centre

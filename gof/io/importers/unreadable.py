@@ -7,6 +7,7 @@ from pathlib import Path
 from gof.errors import DataFormatError
 from gof.io.importers.authors import is_capture
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
+from gof.ply import name_kind
 
 EXPORT = (
     "its positions come from a network that only its own code runs; export positions at the frame times and half steps "
@@ -18,6 +19,16 @@ SAMPLED = (
     "its positions are known at the frames alone; stack them and add their seconds, as a gof-trajectory npz "
     "(docs/importers.md)"
 )
+STILL = "convert every instant to an uncompressed PLY (SuperSplat exports them) and give the folder of all times"
+SPLATS = {
+    ".splat": "a file of antimatter15's web viewer",
+    ".spz": "a file of Niantic's SPZ",
+    ".ksplat": "a file of mkkellogg's web viewer",
+    ".sog": "a file of PlayCanvas' SOG",
+    ".glb": "a GLB",
+    ".gltf": "a glTF",
+    ".usdz": "a USDZ",
+}
 OPTIONS = tuple(FLAGS)  # what was said of a file that cannot be read does not matter
 
 
@@ -27,7 +38,11 @@ def reason(source: Source) -> str | None:
         return f"a deformation method (4DGS of Wu et al., Grid4D or Deformable-3DGS): {EXPORT}"
     if path.is_dir() and (path / "params.npz").is_file():
         return f"a folder of Dynamic3DGaussians: {SAMPLED}"
+    if path.is_file() and (kind := SPLATS.get(path.suffix.lower())):
+        return f"{kind}, splats of one instant without velocity: {STILL}"
     if path.is_file() and path.suffix == ".ply":
+        if kind := name_kind(source.ply.vertex.dtype.names):
+            return kind
         if source.ply.has("f_dc_0", "scale_0", "rot_0") and not source.ply.has("t_mu"):
             return "a plain 3DGS PLY has neither time nor velocity; give the folder of all its times"
     if path.is_file() and path.suffix == ".npz" and {"means3D", "unnorm_rotations"} <= set(source.npz):

@@ -17,7 +17,7 @@ from gof.gaussians import TransientGaussians
 from gof.harmonics import plain_color
 from gof.io.importers.authors import is_capture
 from gof.io.importers.source import Imported, ImportOptions, Source, array, require_unit
-from gof.ply import exp, quaternions, sigmoid
+from gof.ply import activate_scale, quaternions, sigmoid
 from gof.rotations import quaternions_wxyz
 
 OPTIONS = ("time_unit_s", "time_zero_s", "code_date")
@@ -45,7 +45,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
     right = quaternions(array(state[15], "rotation_r", (n, 4), path), path)
     settings = _training_settings(path.parent / "cfg_args")
     flipped, flip_note = _is_flipped(settings, options)
-    covariance = covariance_4d(exp(scale), left, right, flipped)
+    covariance = covariance_4d(activate_scale(scale, path), left, right, flipped)
     velocity, spatial, variance_t = condition_on_time(covariance)
     std, rotation = principal_axes(spatial)
     window, window_note = _prefilter(settings)
