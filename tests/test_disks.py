@@ -10,7 +10,9 @@ import pytest
 from gof.errors import GofError
 from gof.files import only_run_in, write_json
 from gof.gaussians import TransientGaussians
+from gof_benchmark.scenes import claimed
 from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.layout import Layout
 from tests.blender.runs import TOY
 from tests.reconstruct.rising_flame import reconstruct, write_flame
 
@@ -115,6 +117,24 @@ def test_two_generators_in_one_folder(tmp_path):
         scene_spec.save(TOY, tmp_path / "data" / "spec.json")
         run = gof("generate", tmp_path / "spec.json", "--out", tmp_path / "data")
     assert run.returncode == 1 and "another run is at work there" in run.stderr, run.stderr
+
+
+def test_the_second_of_two_first_generators_claims_nothing(tmp_path):
+    """The first holds the folder and has written nothing yet; it was stopped there, and the next run may begin."""
+    scene_spec.save(TOY, tmp_path / "spec.json")
+    with only_run_in(tmp_path / "data" / ".cache"):
+        run = gof("generate", tmp_path / "spec.json", "--out", tmp_path / "data")
+        assert run.returncode == 1 and "another run is at work there" in run.stderr, run.stderr
+        assert files(tmp_path / "data") == [".lock"]
+    with claimed(Layout(tmp_path / "data"), TOY):
+        assert (tmp_path / "data" / "spec.json").is_file()
+
+
+def test_no_lock_is_left_in_a_folder_of_others(tmp_path):
+    (tmp_path / "note.txt").write_text("mine")
+    with pytest.raises(GofError, match="not empty"), claimed(Layout(tmp_path), TOY):
+        pass
+    assert files(tmp_path) == ["note.txt"]
 
 
 def test_the_folder_is_free_again_after_kill_9(tmp_path):

@@ -10,6 +10,7 @@ import urllib.request
 import psutil
 import pytest
 
+from gof.cli import main
 from tests.conftest import random_gaussians
 from tests.test_docs import ROOT
 
@@ -139,20 +140,24 @@ def test_the_cluster_page_warns_first():
             assert "$TLS" in line and "--interface" in line, line
 
 
-@pytest.mark.long
-def test_a_scheduler_with_a_certificate_lets_in_who_holds_it(tmp_path):
-    """The recipe's options, on loopback; without the certificate nobody gets in, and the way in is encrypted."""
-    import distributed
-
-    from gof.errors import GofError
-    from gof_benchmark.generator import graph
-
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory):
+    """The folder that the recipe's own command makes."""
     if not shutil.which("openssl"):
         pytest.skip("needs openssl")
+    folder = tmp_path_factory.mktemp("tls")
     page = (ROOT / "docs" / "cluster.md").read_text()
-    make = re.search(r"openssl req .*?(?=`)", page)[0].replace("~/.gof-tls", str(tmp_path))
+    make = re.search(r"openssl req .*?(?=`)", page)[0].replace("~/.gof-tls", str(folder))
     subprocess.run(make, shell=True, check=True, capture_output=True)
-    cert, key = str(tmp_path / "cert.pem"), str(tmp_path / "key.pem")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scheduler(certificate):
+    """A scheduler that lets in who holds the certificate; and its address."""
+    import distributed
+
+    cert, key = str(certificate / "cert.pem"), str(certificate / "key.pem")
     security = distributed.Security(
         require_encryption=True,
         tls_ca_file=cert,
@@ -162,12 +167,94 @@ def test_a_scheduler_with_a_certificate_lets_in_who_holds_it(tmp_path):
     with distributed.LocalCluster(
         n_workers=1, processes=False, protocol="tls://", host="127.0.0.1", security=security, dashboard_address=None
     ) as remote:
-        address = remote.scheduler_address
-        assert address.startswith("tls://127.0.0.1")
-        with graph.cluster(address, 1, tmp_path) as client:
-            assert client.submit(sum, [1, 2]).result(timeout=30) == 3
-        for wrong in (address, address.replace("tls://", "tcp://")):
-            with pytest.raises(GofError, match="no dask scheduler answers"), graph.cluster(wrong, 1):
-                pass
-        with pytest.raises(GofError, match=r"no cert\.pem and no key\.pem"), graph.cluster(address, 1, tmp_path / "x"):
-            pass
+        assert remote.scheduler_address.startswith("tls://127.0.0.1")
+        yield remote
+
+
+@pytest.fixture
+def connected(monkeypatch):
+    """Address and certificate of each client that `gof generate` makes; in place of a fire, two numbers are added."""
+    from gof_benchmark.generator import graph
+
+    seen = []
+
+    class Sum:
+        def __init__(self, spec, layout, client, log):
+            self.client = client
+
+        def run(self):
+            assert self.client.submit(sum, [1, 2]).result(timeout=30) == 3
+            seen.append((self.client.scheduler.address, self.client.security))
+
+    monkeypatch.setattr(graph, "Generation", Sum)
+    return seen
+
+
+@pytest.mark.long
+def test_a_scheduler_with_a_certificate_lets_in_who_holds_it(certificate, scheduler, connected, tmp_path):
+    """From the command line to the encrypted connection; the certificate and its key are what let it in."""
+    address = scheduler.scheduler_address
+    words = ["generate", "demo", "--preset", "toy", "--out", str(tmp_path / "d"), "--scheduler", address]
+    assert main([*words, "--tls", str(certificate)]) == 0
+    reached, security = connected[0]
+    assert reached == address and security.require_encryption
+    assert security.tls_client_cert == str(certificate / "cert.pem")
+
+
+@pytest.mark.long
+def test_who_holds_another_certificate_stays_out(certificate, scheduler, connected, tmp_path, capsys):
+    make = "openssl req -x509 -newkey rsa:3072 -nodes -days 1 -subj /CN=other -keyout key.pem -out cert.pem"
+    subprocess.run(make, shell=True, check=True, capture_output=True, cwd=tmp_path)
+    words = ["generate", "demo", "--preset", "toy", "--out", str(tmp_path / "d")]
+    assert main([*words, "--scheduler", scheduler.scheduler_address, "--tls", str(tmp_path)]) == 1
+    assert "no dask scheduler answers" in capsys.readouterr().err
+    assert not connected
+
+
+REFUSED = {
+    "an address without encryption": (["--scheduler", "tcp://127.0.0.1:9"], "not encrypted"),
+    "an address without a scheme": (["--scheduler", "127.0.0.1:9"], "not encrypted"),
+    "an address of web sockets": (["--scheduler", "ws://127.0.0.1:9"], "not encrypted"),
+    "no scheduler": ([], "give its address too"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_certificate_that_would_protect_nothing_is_refused(case, certificate, connected, tmp_path, capsys):
+    """Before anything is connected or written."""
+    options, why = REFUSED[case]
+    words = ["generate", "demo", "--preset", "toy", "--out", str(tmp_path / "d"), "--tls", str(certificate)]
+    assert main([*words, *options]) == 1
+    said = capsys.readouterr().err
+    assert "--tls" in said and why in said and "Traceback" not in said
+    assert not (tmp_path / "d").exists() and not connected
+
+
+def test_a_folder_without_a_certificate_is_named(certificate, tmp_path, capsys):
+    words = ["generate", "demo", "--preset", "toy", "--out", str(tmp_path / "d"), "--scheduler", "tls://127.0.0.1:9"]
+    assert main(words) == 1
+    assert "give --tls FOLDER" in capsys.readouterr().err
+    assert main([*words, "--tls", str(tmp_path)]) == 1
+    assert f"{tmp_path}: has no cert.pem and no key.pem" in capsys.readouterr().err
+    shutil.copy(certificate / "cert.pem", tmp_path / "cert.pem")
+    (tmp_path / "key.pem").write_text("no key")
+    assert main([*words, "--tls", str(tmp_path)]) == 1
+    assert f"{tmp_path}: cert.pem and key.pem are no certificate" in capsys.readouterr().err
+    subprocess.run("openssl genrsa -aes256 -passout pass:word -out key.pem 2048", shell=True, check=True, cwd=tmp_path)
+    assert main([*words, "--tls", str(tmp_path)]) == 1, "and nobody is asked for the password"
+    assert "without a password" in capsys.readouterr().err
+    assert not (tmp_path / "d").exists()
+
+
+@pytest.mark.long
+def test_an_error_of_the_work_is_not_blamed_on_the_scheduler(certificate, scheduler, monkeypatch, tmp_path, capsys):
+    from gof_benchmark.generator import graph
+
+    def full(self):
+        raise OSError(28, "No space left on device", "somewhere.exr")
+
+    monkeypatch.setattr(graph.Generation, "run", full)
+    words = ["generate", "demo", "--preset", "toy", "--out", str(tmp_path / "d"), "--tls", str(certificate)]
+    assert main([*words, "--scheduler", scheduler.scheduler_address]) == 1
+    said = capsys.readouterr().err
+    assert "somewhere.exr: No space left" in said and "scheduler" not in said

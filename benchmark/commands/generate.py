@@ -11,10 +11,11 @@ import tyro
 
 from gof.costs import Costs, StageLog
 from gof.errors import GofError
-from gof.files import only_run_in, write_json
+from gof.files import write_json
 from gof.terminal import console
+from gof_benchmark.generator.graph import require_certificate
 from gof_benchmark.generator.looks import require_look
-from gof_benchmark.scenes import claim, load_scene
+from gof_benchmark.scenes import claimed, load_scene
 from gof_blender.pure import look_process
 from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.child import JobError
@@ -70,6 +71,7 @@ def main(argv: list[str]) -> int:
     config = tyro.cli(GenerateConfig, prog="gof generate", args=argv)
     if config.workers < 1:
         raise GofError(f"--workers {config.workers}: must be 1 or more")
+    require_certificate(config.scheduler, config.tls)
     spec = load_scene(config.scene, config.preset)
     layout = Layout(config.out)
     if not layout.description.exists():
@@ -78,11 +80,12 @@ def main(argv: list[str]) -> int:
     if config.estimate:
         _print_estimate(spec, layout, config.json)
         return 0
-    claim(layout, spec)
     log = StageLog(layout.costs)
-    if not layout.description.exists() or config.views:
-        with only_run_in(layout.hidden):
+    with claimed(layout, spec):
+        to_do = not layout.description.exists() or bool(config.views)
+        if to_do:
             _make(spec, layout, log, config)
+    if to_do:
         print(_summary(log.costs()))
         for note in leaving(layout):
             console().print("note:", note, style="yellow")
@@ -132,7 +135,7 @@ def _make(spec: SceneSpec, layout: Layout, log: StageLog, config: GenerateConfig
     if not layout.description.exists():
         from gof_benchmark.generator import dataset  # dask is slow to import
 
-        dataset.make(spec, layout, log, config.scheduler, config.workers)
+        dataset.make(spec, layout, log, config.scheduler, config.workers, config.tls)
     if config.views:
         from gof_benchmark import views
 

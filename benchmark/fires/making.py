@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gof.costs import StageLog
-from gof.files import only_run_in
-from gof_benchmark.scenes import claim
+from gof_benchmark.scenes import claimed
 from gof_benchmark.solvers.openfoam.case import FoamFire
 from gof_benchmark.solvers.openfoam.run import bake
 from gof_blender.pure.cost_model import REFERENCE, known_machine, predict
@@ -29,11 +28,10 @@ def make(spec: SceneSpec, foam: FoamFire | None, folder: Path, work: Path) -> No
     if foam and not _solved(spec, work):
         bake(foam, work / "openfoam" / foam.name)
     spec = spec.resolved(work.resolve())
-    claim(layout, spec)
-    if not layout.description.exists():
-        from gof_benchmark.generator import dataset  # dask is slow to import
+    with claimed(layout, spec):
+        if not layout.description.exists():
+            from gof_benchmark.generator import dataset  # dask is slow to import
 
-        with only_run_in(layout.hidden):
             dataset.make(spec, layout, StageLog(layout.costs))
 
 

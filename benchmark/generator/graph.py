@@ -9,6 +9,7 @@ files.
 from __future__ import annotations
 
 import logging
+import ssl
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -28,6 +29,7 @@ from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
 RETRIES = 3
+CERTIFICATE = ("cert.pem", "key.pem")
 POLL_S = 0.3
 LOCAL_WORKERS = {  # they are threads of this process: dask must neither pause nor kill them for its memory
     "distributed.admin.tick.limit": "1h",
@@ -44,25 +46,17 @@ def cluster(scheduler: str | None, workers: int, tls: Path | None = None) -> Ite
     Args:
         tls: folder with the cert.pem and key.pem that the scheduler asks for (docs/cluster.md).
     Raises:
-        GofError: the scheduler does not answer, or the folder has no such files.
+        GofError: the scheduler does not answer, or see `require_certificate`.
         MissingDependencyError: distributed is not installed.
     """
+    require_certificate(scheduler, tls)
     extras.load("distributed", "generate", "making a dataset")
     import dask
     from distributed import Client, Scheduler, SpecCluster, Worker
 
     if scheduler:
-        if tls is None and scheduler.startswith("tls://"):
-            raise GofError(f"no dask scheduler answers at {scheduler} without a certificate; give --tls FOLDER")
-        if tls is None:
-            print(f"{scheduler}: without --tls, whoever reaches that port can run programs as you", file=sys.stderr)
-        try:
-            with Client(scheduler, timeout=20, security=_security(tls)) as client:
-                yield client
-        except (OSError, TimeoutError, ValueError) as error:
-            raise GofError(
-                f"no dask scheduler answers at {scheduler} ({error}); start one with 'dask scheduler'"
-            ) from error
+        with _connect(scheduler, tls) as client:
+            yield client
         return
     inside = {"protocol": "inproc://"}
     scheduler_here = {"cls": type("QuietScheduler", (Scheduler,), _QUIET), "options": inside}
@@ -75,17 +69,55 @@ def cluster(scheduler: str | None, workers: int, tls: Path | None = None) -> Ite
         yield client
 
 
-def _security(tls: Path | None) -> Any:
-    """What dask asks of the other side, and shows it."""
-    if tls is None:
-        return None
-    from distributed import Security
+def require_certificate(scheduler: str | None, tls: Path | None) -> None:
+    """Make sure that an address and a certificate go together, before anything is connected or written.
 
-    missing = [name for name in ("cert.pem", "key.pem") if not (tls / name).is_file()]
+    Raises:
+        GofError: an address without encryption is given a certificate, one with encryption is given none, or the
+            folder holds no certificate with its key.
+    """
+    if scheduler is None:
+        if tls is not None:
+            raise GofError("--tls is for the scheduler of --scheduler; give its address too, or leave --tls out")
+        return
+    encrypted = scheduler.startswith("tls://")
+    if tls is None:
+        if encrypted:
+            raise GofError(f"no dask scheduler answers at {scheduler} without a certificate; give --tls FOLDER")
+        print(f"{scheduler}: without --tls, whoever reaches that port can run programs as you", file=sys.stderr)
+        return
+    if not encrypted:
+        raise GofError(
+            f"--tls needs a scheduler at tls://HOST:PORT, and --scheduler {scheduler} is not encrypted; start the "
+            "scheduler with '--protocol tls' and its certificate (docs/cluster.md)"
+        )
+    missing = [name for name in CERTIFICATE if not (tls / name).is_file()]
     if missing:
         raise GofError(f"{tls}: has no {' and no '.join(missing)}; docs/cluster.md says how to make them")
-    cert, key = str(tls / "cert.pem"), str(tls / "key.pem")
-    return Security(require_encryption=True, tls_ca_file=cert, tls_client_cert=cert, tls_client_key=key)
+    cert, key = (str(tls / name) for name in CERTIFICATE)
+    try:
+        ssl.create_default_context(cafile=cert).load_cert_chain(cert, key, password="")
+    except (ssl.SSLError, OSError) as e:
+        raise GofError(
+            f"{tls}: cert.pem and key.pem are no certificate with its key, without a password ({e}); docs/cluster.md "
+            "says how to make them"
+        ) from e
+
+
+def _connect(scheduler: str, tls: Path | None) -> Any:
+    """A client of a running scheduler. Raises GofError: it does not answer, or not to this certificate."""
+    from distributed import Client, Security
+
+    security = None
+    if tls is not None:
+        cert, key = (str(tls / name) for name in CERTIFICATE)
+        security = Security(require_encryption=True, tls_ca_file=cert, tls_client_cert=cert, tls_client_key=key)
+    try:
+        return Client(scheduler, timeout=20, security=security)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise GofError(
+            f"no dask scheduler answers at {scheduler} ({error}); start one with 'dask scheduler'"
+        ) from error
 
 
 def _no_http(node: Any, *_: Any, **__: Any) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from gof.errors import GofError
+from gof.files import only_run_in
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec, SpecError
@@ -45,3 +48,19 @@ def claim(layout: Layout, spec: SceneSpec) -> None:
         layout.claim(spec)
     except SpecError as error:
         raise GofError(f"{error} (--out)") from error
+
+
+@contextmanager
+def claimed(layout: Layout, spec: SceneSpec) -> Iterator[None]:
+    """Hold the folder for this run, and claim it: in this order, or two first runs could both claim it.
+
+    Raises:
+        GofError: another run works there, or see `claim`; nothing is written into a folder that holds other things.
+    """
+    try:
+        layout.require_free(spec)
+    except SpecError as error:
+        raise GofError(f"{error} (--out)") from error
+    with only_run_in(layout.hidden):
+        claim(layout, spec)
+        yield

@@ -14,7 +14,7 @@ from gof.dataset import Dataset
 from gof.evaluate import evaluate
 from gof.files import atomic_path, read_json, write_json
 from gof.reconstruct.curve import Curve
-from gof.reconstruct.presets import PRESETS, PresetName
+from gof.reconstruct.presets import PRESETS, Effort, PresetName
 from gof.worker import run_worker
 
 Setting = int | str | bool
@@ -43,9 +43,9 @@ class VariantStudy:
 
     def settings(self) -> dict[str, int]:
         """Of every reconstruction, before something is varied: options of `gof reconstruct` by name."""
-        preset = asdict(PRESETS[self.preset])
-        given = {name: getattr(self, name, None) for name in preset}
-        return preset | {name: value for name, value in given.items() if value is not None}
+        preset: Effort = PRESETS[self.preset]
+        given = {name: getattr(self, name, None) for name in asdict(preset)}
+        return asdict(preset) | {name: value for name, value in given.items() if value is not None}
 
     def finish(self, name: str, rows: list[Row]) -> None:
         """Write the figures, and show the tables in OUT/NAME.md."""

@@ -148,8 +148,15 @@ class Layout:
             self._check_claim(spec.published_in(self.root).to_dict(), spec)
         elif self.root.exists() and not self.root.is_dir():
             raise SpecError(f"{self.root} is a file; choose a new output folder")
-        elif self.root.is_dir() and any(self.root.iterdir()):
+        elif self.root.is_dir() and not self._holds_nothing():
             raise SpecError(f"{self.root} is not empty and holds no spec.json; choose a new output folder")
+
+    def _holds_nothing(self) -> bool:
+        """Whether the folder is empty, but for the lock of a run that was stopped before it claimed the folder."""
+        inside = list(self.root.iterdir())
+        if inside == [self.hidden] and self.hidden.is_dir():
+            inside = [path for path in self.hidden.iterdir() if path.name != ".lock"]
+        return not inside
 
     def _check_claim(self, published: dict, spec: SceneSpec) -> None:
         way_out = f"choose another output folder, or delete {self.root}"
