@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +12,7 @@ from gof import extras
 from gof.dataset import Dataset
 from gof.files import write_json
 from gof.gaussians import TransientGaussians
+from gof.processes import python_command
 from gof.report.preview import Preview
 from gof.worker import run_worker
 
@@ -61,8 +61,8 @@ def main(argv: list[str]) -> int:
         "mode": config.mode,
         "samples": config.samples,
     }
-    worker = [sys.executable, "-m", "gof_blender.worker.import_result"]
-    worker += [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    worker = python_command("-m", "gof_blender.worker.import_result", *words)
     extras.require("bpy", "blender", "gof import")
     cost = run_worker(worker, "import into Blender")
     names = [c.name for c in dataset.cameras]
