@@ -10,7 +10,7 @@ import tyro
 
 from gof import extras
 from gof.dataset import Dataset
-from gof.files import write_json
+from gof.files import require_replaceable, write_json
 from gof.gaussians import TransientGaussians
 from gof.processes import python_command
 from gof.report.preview import Preview
@@ -48,6 +48,8 @@ def main(argv: list[str]) -> int:
     dataset = Dataset.open(config.dataset)
     TransientGaussians.load(config.result)  # a bad file is named here, before Blender starts
     preview = config.preview or config.blend.with_suffix(".png")
+    for path in (config.blend, preview):
+        require_replaceable(path)
     frame = len(dataset.times_s) // 2 if config.frame is None else config.frame
     camera = config.camera or dataset.cameras[len(dataset.cameras) // 2].name
     config.blend.parent.mkdir(parents=True, exist_ok=True)
