@@ -10,12 +10,13 @@ from pathlib import Path
 from types import ModuleType
 
 from gof.errors import GofError, MissingDependencyError
-from gof.on_cpu import gaussian_rasterizer, gsplat_rendering, repairs
+from gof.on_cpu import gaussian_rasterizer, repairs
 from gof.on_cpu.curve import Curve
 from gof.on_cpu.devices import ProcessorForCuda, replace_cuda
 from gof.on_cpu.methods import Method, replace_gsplat
 from gof.on_cpu.small_modules import Unused
 from gof.processes import run
+from gof.render import gsplat
 
 
 def launch(
@@ -97,7 +98,7 @@ def _count_gaussians(record: Curve) -> None:
         record.count = len(means)
         return draw(means, *args, **kwargs)
 
-    gaussian_rasterizer.rasterize = gsplat_rendering.rasterize = counted
+    gaussian_rasterizer.rasterize = gsplat.rasterize = counted
 
 
 def provenance(method: Method, script: Path) -> str:
