@@ -8,8 +8,8 @@
 #   make dist    wheel, source archive and add-on zip with their checksums (dist/)
 #   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python
 # JOBS: how many files of tests run side by side.
-# TORCH: which PyTorch to install; a CUDA build of your own is kept if it is in the environment already.
-# Every other package stands with its hash in requirements.lock (tools/lock.py writes it).
+# TORCH: which PyTorch to install, by version only, as builds differ; one that is in the environment already is kept.
+# Every other package stands with its hash in requirements.lock (tools/lock.py writes it), pip and setuptools too.
 PYTHON ?= python3.11
 TORCH  ?= torch==2.13.0
 OUT    ?= out/demo
@@ -40,15 +40,8 @@ docs: setup
 
 setup: $(READY)
 
-$(READY): pyproject.toml requirements.lock tools/system_packages.sh
-	bash tools/system_packages.sh
-	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --quiet --upgrade "pip>=24" "setuptools>=77"
-	$(VENV)/bin/python -c "import torch" 2>/dev/null || $(VENV)/bin/python -m pip install "$(TORCH)"
-	$(VENV)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.lock || \
-		echo "requirements.lock is for Linux x86-64 with Python 3.11 and all its packages at hand; taking newer ones instead"
-	$(VENV)/bin/python -m pip install -e ".[blender,torch,dev,fast]"
-	rm -rf *.egg-info  # older setuptools leave one here; it would hide what is installed
+$(READY): pyproject.toml requirements.lock tools/system_packages.sh tools/setup.sh
+	bash tools/setup.sh "$(VENV)" "$(PYTHON)" "$(TORCH)"
 	touch $@
 
 lint: setup

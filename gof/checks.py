@@ -11,7 +11,6 @@ import os
 import platform
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -20,6 +19,7 @@ from typing import Literal
 
 from gof import __version__, extras
 from gof.machine import cpu_features, machine
+from gof.processes import python_command, run
 
 Status = Literal["ok", "missing", "broken"]
 Outcome = tuple[Status, str]
@@ -114,7 +114,7 @@ def check_torch() -> Outcome:
         "import torch; print(torch.__version__, 'for CUDA', torch.version.cuda, 'with', torch.get_num_threads(), "
         "'threads,', torch.backends.cpu.get_cpu_capability())"
     )
-    done = child(["-c", code])
+    done = child(code)
     if done.returncode == 0:
         return "ok", done.stdout.strip()
     if "No module named 'torch'" in done.stderr:
@@ -138,7 +138,7 @@ print(f"libLLVM {version} {' '.join(found)}, {dr.thread_count()} threads")
 
 def check_drjit() -> Outcome:
     """Compile and run one kernel, in a child: an unsuitable libLLVM aborts the process."""
-    done = child(["-c", KERNEL])
+    done = child(KERNEL)
     if done.returncode == 0:
         kind = os.environ.get("GOF_RENDER_BACKEND", "llvm")
         return "ok", f"CPU kernels compile and run ({done.stdout.strip()}); the renderer takes {kind}"
@@ -163,7 +163,7 @@ def check_kernels() -> Outcome:
         "    from gof.render.native.compiled import WHERE; kept = f'; compiled once, {WHERE}'\n"
         "print(chosen.name, chosen.why + kept, sep=chr(10))"
     )
-    done = child(["-c", code])
+    done = child(code)
     if done.returncode:
         return "broken", last_line(done.stderr)
     name, why = done.stdout.strip().splitlines()
@@ -171,7 +171,7 @@ def check_kernels() -> Outcome:
 
 
 def check_cuda() -> Outcome:
-    done = child(["-c", "import drjit as dr; print(dr.has_backend(dr.JitBackend.CUDA))"])
+    done = child("import drjit as dr; print(dr.has_backend(dr.JitBackend.CUDA))")
     if done.stdout.strip() == "True":
         return "ok", "an NVIDIA GPU and its driver are here"
     return (
@@ -229,11 +229,10 @@ def examine(checks: list[Check]) -> list[Finding]:
     return findings
 
 
-def child(arguments: list[str]) -> subprocess.CompletedProcess:
-    """Python with these arguments in a process of its own, which may crash; at most five minutes."""
-    return subprocess.run(
-        [sys.executable, *arguments], capture_output=True, encoding="utf-8", errors="replace", timeout=300
-    )
+def child(code: str) -> subprocess.CompletedProcess:
+    """Python with this code in a process of its own, which may crash; at most five minutes."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "encoding": "utf-8", "errors": "replace"}
+    return run(python_command("-c", code), timeout_s=300, **pipes)
 
 
 def last_line(text: str) -> str:

@@ -13,6 +13,7 @@ from importlib.metadata import entry_points
 from gof import __version__
 from gof.commands import COMMANDS, Command
 from gof.errors import GofError, printable
+from gof.files import follow_links_of
 
 ALIASES = {"static": "ingest"}  # old name -> new name, for one version
 
@@ -85,6 +86,7 @@ def _main(argv: list[str] | None) -> int:
     if name not in commands():
         print(f"gof: no command '{name}'; commands: {', '.join(commands())}", file=sys.stderr)
         return 2
+    follow_links_of(rest)
     return run(name, rest)
 
 

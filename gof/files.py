@@ -8,8 +8,10 @@ import json
 import math
 import os
 import re
+import shutil
 import stat
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -117,12 +119,44 @@ def digest(path: Path) -> str:
 # ---------------------------------------------------------------- writing
 
 
+_named: set[Path] = set()  # links, as the user has written them
+
+
+def follow_links_of(argv: Iterable[str]) -> None:
+    """Remember the links that a command line names: an output of that name goes to where the link leads.
+
+    Other links lie in folders that somebody else may have made, and are never written through.
+    """
+    words = [part for word in argv for part in (word, word.partition("=")[2]) if part]
+    _named.update(path.absolute() for path in map(Path, words) if os.path.islink(path))
+
+
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside `path` (same suffix); rename it to `path` only if the block succeeds.
 
-    The content is on the disk before it has its name: a power cut leaves the old file or the new one.
+    The content is on the disk before it has its name: a power cut leaves the old file or the new one. A link is
+    replaced, unless the user has named it; a device or a pipe stays, and gets the content at the end.
+
+    Raises:
+        GofError: `path` is a folder, or a link in a circle.
     """
+    if (number := _descriptor(path)) is not None:
+        with _draft_elsewhere(path) as draft:
+            yield draft
+            sys.stdout.flush()
+            sys.stderr.flush()
+            _write_into(os.dup(number), draft, path)
+        return
+    if path.absolute() in _named:
+        path = _end_of(path)
+    if path.is_dir() and not path.is_symlink():
+        raise GofError(f"{path}: is a folder; give the name of a file")
+    if not path.is_symlink() and path.exists() and not path.is_file():
+        with _draft_elsewhere(path) as draft:
+            yield draft
+            _write_into(os.open(path, os.O_WRONLY), draft, path)
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = draft_of(path)
     temporary.unlink(missing_ok=True)  # a link of that name would be written through
@@ -137,6 +171,58 @@ def atomic_path(path: Path) -> Iterator[Path]:
         raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _descriptor(path: Path) -> int | None:
+    """The number of an open file of this process that a path means, also by links: /dev/stdout is 1."""
+    known = {"/dev/stdout": 1, "/dev/stderr": 2}
+    place = os.path.abspath(path)
+    for _ in range(40):  # as many as Linux follows
+        if place in known:
+            return known[place]
+        if found := re.fullmatch(r"/(?:dev|proc/self)/fd/([0-9]{1,6})", place):
+            return int(found[1])
+        if not os.path.islink(place):
+            return None
+        place = os.path.abspath(os.path.join(os.path.dirname(place), os.readlink(place)))
+    return None
+
+
+def _end_of(path: Path) -> Path:
+    """Where a link leads; nothing need be there yet."""
+    try:
+        return path.resolve(strict=False)
+    except (OSError, RuntimeError) as e:  # Python before 3.13 raises the second
+        raise GofError(f"{path}: is a link that leads in a circle; remove it") from e
+
+
+@contextmanager
+def _draft_elsewhere(path: Path) -> Iterator[Path]:
+    """A name of the same suffix in a folder of its own, which goes at the end."""
+    with tempfile.TemporaryDirectory(prefix="gof-") as folder:
+        yield Path(folder) / f"draft{path.suffix}"
+
+
+def _write_into(number: int, draft: Path, path: Path) -> None:
+    """Copy a draft into an open file, and close that."""
+    try:
+        with os.fdopen(number, "wb") as out, draft.open("rb") as file:
+            shutil.copyfileobj(file, out)
+    except OSError as e:
+        e.filename, e.filename2 = str(path), None
+        raise
+
+
+def require_replaceable(path: Path) -> None:
+    """For outputs that other programs write: they put a new file in the place of what is there.
+
+    Raises:
+        GofError: there is a folder, a device or a pipe, also at the end of a link.
+    """
+    if path.exists() and not path.is_file():
+        raise GofError(
+            f"{path}: is not a file but {'a folder' if path.is_dir() else 'a device or a pipe'}; give another"
+        )
 
 
 def _sync(path: Path) -> None:

@@ -1,13 +1,10 @@
-"""Child processes that report their progress, and die with their parent."""
+"""Child processes that report their progress."""
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
-import signal
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -15,6 +12,7 @@ from typing import Any
 
 from gof.costs import StageCost
 from gof.errors import GofError
+from gof.processes import end, start
 from gof.progress import WORKER_VARIABLE, progress_bar
 
 
@@ -32,11 +30,11 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
         GofError: the child failed; the message holds its exit status and last lines.
         KeyboardInterrupt: Ctrl-C; the child has been stopped.
     """
-    start = time.perf_counter()
+    began = time.perf_counter()
     tail: list[str] = []
     figures: dict[str, Any] = {}
     log_file = open(log, "a", encoding="utf-8") if log else None
-    child = subprocess.Popen(
+    child = start(
         argv,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -44,7 +42,6 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
         errors="replace",
         start_new_session=True,
         env=os.environ | {WORKER_VARIABLE: "1"},
-        preexec_fn=die_with_parent if sys.platform == "linux" else None,
     )
     peak = _PeakMemory(child.pid)
     try:
@@ -59,7 +56,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
                     log_file.write(line)
         status = child.wait()
     except BaseException:
-        _end(child)
+        end(child)
         raise
     finally:
         peak.stop()
@@ -68,20 +65,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
     if status:
         where = f" (full log: {log})" if log else ""
         raise GofError(f"{title} failed with status {status}{where}:\n{''.join(tail)}")
-    return StageCost(title, time.perf_counter() - start, peak.mb, figures)
-
-
-def _end(child: subprocess.Popen) -> None:
-    """End a child and the helpers that it may have started."""
-    if hasattr(os, "killpg"):
-        os.killpg(child.pid, signal.SIGKILL)
-    else:  # Windows has no groups
-        import psutil
-
-        for process in psutil.Process(child.pid).children(recursive=True):
-            process.kill()
-        child.kill()
-    child.wait()
+    return StageCost(title, time.perf_counter() - began, peak.mb, figures)
 
 
 def _progress_of(line: str) -> dict[str, Any] | None:
@@ -92,12 +76,6 @@ def _progress_of(line: str) -> dict[str, Any] | None:
         return json.loads(line)["progress"]
     except (ValueError, KeyError):
         return None
-
-
-def die_with_parent() -> None:
-    """In a child: be killed when the parent is, so that a killed run leaves nobody writing into its folder."""
-    PR_SET_PDEATHSIG = 1
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class _PeakMemory:

@@ -1,10 +1,13 @@
 """What an installation is: cheap to start, of what it says, with what it needs and nothing more."""
 
 import ast
+import hashlib
 import importlib.metadata
 import json
 import os
+import platform
 import re
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -335,6 +338,7 @@ def locked() -> dict[str, str]:
     lines = [line for line in (ROOT / "requirements.lock").read_text().splitlines() if not line.startswith("#")]
     found = [re.fullmatch(r"([a-z0-9.-]+)==(\S+) --hash=sha256:[0-9a-f]{64}", line) for line in lines]
     assert all(found), "a version and a hash on every line"
+    assert len({match[1] for match in found}) == len(found), "each package once"
     return {match[1]: match[2] for match in found}
 
 
@@ -343,10 +347,93 @@ def test_the_lock_has_what_is_asked_for_in_versions_that_are_allowed():
     """As the Makefile installs; torch itself is left out, and what its CUDA builds bring."""
     requirements = pytest.importorskip("packaging.requirements")
     lock, wanted = locked(), needed() | needed("blender") | needed("dev") | needed("leaderboard") | needed("view")
-    assert "torch" not in lock and ".[blender,torch,dev,fast]" in (ROOT / "Makefile").read_text()
+    assert "torch" not in lock and ".[blender,torch,dev,fast]" in (ROOT / "tools/setup.sh").read_text()
     assert {name.lower() for name in wanted} - {NAME} <= set(lock)
     for line in importlib.metadata.requires(NAME):
         one = requirements.Requirement(line)
         if one.name.lower() in lock:
             assert one.specifier.contains(lock[one.name.lower()]), line
+    assert {"pip", "setuptools"} <= set(lock), "what installs the others"
     assert lock["numpy"].startswith("1.26"), "bpy needs it"
+
+
+BACKEND = """
+import zipfile
+def get_requires_for_build_editable(settings=None): return []
+def prepare_metadata_for_build_editable(folder, settings=None): raise NotImplementedError
+del prepare_metadata_for_build_editable
+def build_editable(folder, settings=None, metadata=None):
+    with zipfile.ZipFile(f"{folder}/ours-1-py3-none-any.whl", "w") as wheel: write(wheel, "ours")
+    return "ours-1-py3-none-any.whl"
+def write(wheel, name):
+    wheel.writestr(f"{name}.py", "")
+    wheel.writestr(f"{name}-1.dist-info/METADATA", f"Metadata-Version: 2.1\\nName: {name}\\nVersion: 1\\n")
+    tags = "Wheel-Version: 1.0\\nGenerator: x\\nRoot-Is-Purelib: true\\nTag: py3-none-any\\n"
+    wheel.writestr(f"{name}-1.dist-info/WHEEL", tags)
+    wheel.writestr(f"{name}-1.dist-info/RECORD", "")
+"""
+
+
+@pytest.fixture
+def source(tmp_path):
+    """A source folder with the Makefile and the rule's script of ours, a project of one file, and wheels beside it."""
+    for name in ("Makefile", "tools/setup.sh"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text((ROOT / name).read_text())
+    (tmp_path / "tools/system_packages.sh").write_text("")  # asks the system's package manager
+    (tmp_path / "backend.py").write_text(BACKEND)
+    system = 'requires = []\nbuild-backend = "backend"\nbackend-path = ["."]'
+    (tmp_path / "pyproject.toml").write_text(f'[build-system]\n{system}\n[project]\nname = "ours"\nversion = "1"\n')
+    (tmp_path / "wheels").mkdir()
+    made = {}
+    exec(BACKEND, made)
+    for name in ("locked", "torch"):
+        with zipfile.ZipFile(tmp_path / f"wheels/{name}-1-py3-none-any.whl", "w") as wheel:
+            made["write"](wheel, name)
+    return tmp_path
+
+
+def make(source, python=sys.executable, **variables):
+    alone = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(source / "wheels"), "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PIP_", "MAKE", "VIRTUAL_ENV"))} | alone
+    command = ["make", "setup", f"PYTHON={python}", "TORCH=torch==1", *(f"{k}={v}" for k, v in variables.items())]
+    return subprocess.run(command, cwd=source, env=environment, capture_output=True, text=True)
+
+
+needs_make = pytest.mark.skipif(not (shutil.which("make") and shutil.which("bash")), reason="make and bash")
+needs_3_11 = pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="make needs Python 3.11")
+
+
+@needs_make
+@needs_3_11
+@pytest.mark.long
+@pytest.mark.checkout
+@pytest.mark.skipif(sys.platform != "linux" or platform.machine() != "x86_64", reason="where the lock is for")
+@pytest.mark.parametrize("good", [False, True])
+def test_make_setup_ends_where_a_hash_is_wrong(source, good):
+    wheel = (source / "wheels/locked-1-py3-none-any.whl").read_bytes()
+    digest = hashlib.sha256(wheel if good else wheel + b"tampered").hexdigest()
+    (source / "requirements.lock").write_text(f"locked==1 --hash=sha256:{digest}\n")
+    done = make(source)
+    found = {path.name.split("-")[0] for path in source.glob(".venv/lib/python3*/site-packages/*.dist-info")}
+    if good:
+        assert done.returncode == 0, done.stderr
+        assert {"locked", "torch", "ours"} <= found and (source / ".venv/.ready").exists()
+    else:
+        assert done.returncode != 0 and "hashes do not match" in done.stderr and "newest" not in done.stdout
+        assert not found & {"locked", "torch", "ours"} and not (source / ".venv/.ready").exists()
+
+
+@needs_make
+@pytest.mark.checkout
+def test_make_says_which_python_it_needs(source):
+    """Asked with a Python that says of itself that it is 3.12."""
+    other = source / "python3.12"
+    other.write_text("#!/bin/sh\necho 3.12\n")
+    other.chmod(0o755)
+    (source / "requirements.lock").write_text("")
+    done = make(source, other)
+    assert done.returncode != 0 and "3.11" in done.stderr and "Python 3.12" in done.stderr
+    assert not (source / ".venv").exists()
+    done = make(source, source / "no-such-python")
+    assert done.returncode != 0 and "does not run" in done.stderr

@@ -16,6 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 LOCK = ROOT / "requirements.lock"
 EXTRAS = "blender,torch,dev,fast"  # as the Makefile installs
+BUILDERS = ("pip", "setuptools")  # they install the others and `gof` itself
 LEFT_OUT = ("gaussians-on-fire", "torch")
 HEAD = """\
 # Written by tools/lock.py: what `make setup` installs on Linux x86-64 with Python 3.11, without PyTorch.
@@ -28,7 +29,7 @@ def resolved() -> list[dict]:
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
         command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed"]
-        subprocess.run([*command, "--report", str(report), f"{ROOT}[{EXTRAS}]"], check=True)
+        subprocess.run([*command, "--report", str(report), f"{ROOT}[{EXTRAS}]", *BUILDERS], check=True)
         return json.loads(report.read_text(encoding="utf-8"))["install"]
 
 

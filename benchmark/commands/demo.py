@@ -17,6 +17,7 @@ from gof.costs import StageCost, StageLog
 from gof.errors import GofError
 from gof.evaluate.scores import Scores
 from gof.files import write_json
+from gof.processes import python_command
 from gof.reconstruct.presets import LEAST
 from gof.records import claim, to_json
 from gof.worker import run_worker
@@ -159,7 +160,7 @@ def run_stages(config: DemoConfig) -> None:
                 path.unlink(missing_ok=True)
         if stage.name == "report":  # which reads them here
             Scores.read(evaluation(config)).write(config.out / "scores.json")
-        command = [sys.executable, "-m", "gof", *map(str, stage.command)]
+        command = python_command("-m", "gof", *map(str, stage.command))
         cost = run_worker(command, stage.name, config.out / f"{stage.name}.log")
         if not stage.costs:  # the others keep their own, part by part
             log.record(stage.name, cost.seconds, cost.peak_mb)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,7 +17,7 @@ from gof_benchmark.generator.looks import require_look
 from gof_benchmark.scenes import claimed, load_scene
 from gof_blender.pure import look_process
 from gof_blender.pure.checked_json import SpecError
-from gof_blender.pure.child import JobError
+from gof_blender.pure.child import JobError, python
 from gof_blender.pure.layout import Layout, leaving
 from gof_blender.pure.sense import require_sense
 from gof_blender.pure.spec import SceneSpec
@@ -115,7 +114,7 @@ def _checked(spec: SceneSpec, layout: Layout) -> list[str]:
 def _in_its_scene(spec: SceneSpec) -> list[str]:
     """What the user should know of objects in a .blend of theirs. Raises GofError: it cannot be the surroundings."""
     try:
-        return look_process.notes(spec, [sys.executable, "-c"])
+        return look_process.notes(spec, python())
     except (SpecError, JobError) as error:
         raise GofError(f"{spec.name}: {error}") from error
 

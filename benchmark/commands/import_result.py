@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,8 +10,9 @@ import tyro
 
 from gof import extras
 from gof.dataset import Dataset
-from gof.files import write_json
+from gof.files import require_replaceable, write_json
 from gof.gaussians import TransientGaussians
+from gof.processes import python_command
 from gof.report.preview import Preview
 from gof.worker import run_worker
 
@@ -48,6 +48,8 @@ def main(argv: list[str]) -> int:
     dataset = Dataset.open(config.dataset)
     TransientGaussians.load(config.result)  # a bad file is named here, before Blender starts
     preview = config.preview or config.blend.with_suffix(".png")
+    for path in (config.blend, preview):
+        require_replaceable(path)
     frame = len(dataset.times_s) // 2 if config.frame is None else config.frame
     camera = config.camera or dataset.cameras[len(dataset.cameras) // 2].name
     config.blend.parent.mkdir(parents=True, exist_ok=True)
@@ -61,8 +63,8 @@ def main(argv: list[str]) -> int:
         "mode": config.mode,
         "samples": config.samples,
     }
-    worker = [sys.executable, "-m", "gof_blender.worker.import_result"]
-    worker += [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    worker = python_command("-m", "gof_blender.worker.import_result", *words)
     extras.require("bpy", "blender", "gof import")
     cost = run_worker(worker, "import into Blender")
     names = [c.name for c in dataset.cameras]

@@ -29,6 +29,7 @@ from gof.costs import Costs, StageCost, StageLog
 from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.files import write_json
+from gof.processes import python_command
 from gof.records import write_record
 from gof_benchmark.evidence.scene_rows import table
 from gof_benchmark.views import shrunk
@@ -239,7 +240,7 @@ def train_ours(config: BaselineRows, name: str, data: Path, out: Path, seed: int
         return
     steps = config.steps if name != "gof_long" else equal_steps(config, data, out)
     here = fresh(out / name / data.name / f"seed_{seed}")
-    words = [sys.executable, "-m", "gof", "reconstruct", f"{data}", "--out", f"{here}/result", "--preset", "preview"]
+    words = python_command(*"-m gof reconstruct".split(), f"{data}", "--out", f"{here}/result", "--preset", "preview")
     words += ["--iterations", f"{steps}", "--seed", f"{seed}", *options]
     costs = [measured(words, here / "log.txt")]
     add(here / "result", data, folder, (), here / "log.txt", costs)
@@ -271,7 +272,7 @@ def add(result: Path, data: Path, run: Path, options: tuple[str, ...], log: Path
     """`gof benchmark add`; costs.json then says processor seconds, which others on the machine do not change."""
     shutil.rmtree(run, ignore_errors=True)
     submission, words = (run.parent, ()) if run.name == data.name else (run.parent.parent, ("--run", run.name))
-    command = [sys.executable, "-m", "gof", "benchmark", "add", f"{result}", f"{data}", f"{submission}"]
+    command = python_command("-m", "gof", "benchmark", "add", f"{result}", f"{data}", f"{submission}")
     measured([*command, *words, *options], log)
     peak = max(cost.peak_mb for cost in costs)
     total = StageCost("processor", sum(cost.seconds for cost in costs), peak)
@@ -311,13 +312,13 @@ def main(argv: list[str] | None = None) -> None:
     submissions = config.out / "submissions"
     for name in rows:
         words = ["check", f"{submissions / name}", f"{small}"]
-        subprocess.run([sys.executable, "-m", "gof", "benchmark", *words], check=False)
+        subprocess.run(python_command("-m", "gof", "benchmark", *words), check=False)
     there = [submissions / name for name in ROWS if (submissions / name / "method.json").is_file()]
     for scene in config.scenes:
         (config.out / f"{scene}.md").write_text(table(there, scene), encoding="utf-8")
         print(table(there, scene))
     words = ["score", *map(str, there), f"{small}", "--out", f"{config.out / 'board'}", "--split", config.split]
-    subprocess.run([sys.executable, "-m", "gof", "benchmark", *words], check=True)
+    subprocess.run(python_command("-m", "gof", "benchmark", *words), check=True)
 
 
 if __name__ == "__main__":

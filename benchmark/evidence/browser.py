@@ -9,13 +9,13 @@ import os
 import select
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 from gof.errors import GofError, MissingDependencyError
+from gof.processes import python_command
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 # Software drawing where there is no GPU; nothing is asked of the network by the browser itself.
@@ -62,7 +62,7 @@ class Browser:
         theirs_in, self._to = os.pipe()
         self._from, theirs_out = os.pipe()
         command = [program, *OPTIONS, f"--user-data-dir={self._profile.name}", "about:blank"]
-        begun = [sys.executable, "-c", ON_FILES_3_AND_4, str(theirs_in), str(theirs_out), *command]
+        begun = python_command("-c", ON_FILES_3_AND_4, str(theirs_in), str(theirs_out), *command)
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         self._process = subprocess.Popen(begun, pass_fds=(theirs_in, theirs_out), **quiet)
         os.close(theirs_in), os.close(theirs_out)

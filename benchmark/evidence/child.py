@@ -8,6 +8,8 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from gof.processes import python_command
+
 CODE = """\
 import json, os, sys
 from {module} import {name}
@@ -22,7 +24,7 @@ def command(function: Callable, *arguments: Any) -> list[str]:
     if module == "__main__":
         module = sys.modules["__main__"].__spec__.name  # of a script that was started with -m
     code = CODE.format(module=module, name=function.__name__)
-    return [sys.executable, "-c", code, json.dumps(arguments)]
+    return python_command("-c", code, json.dumps(arguments))
 
 
 def call(function: Callable, *arguments: Any) -> Any:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ import tyro
 
 from gof.costs import StageLog
 from gof.files import read_json, write_json
+from gof.processes import python_command
 from gof_benchmark.evidence import child
 from gof_benchmark.generator import machine
 from gof_benchmark.scenes import load_scene
@@ -110,7 +110,7 @@ def make(spec: SceneSpec, work: Path) -> Real:
         return Real(**read_json(result))
     root = work / spec.name
     scene_spec.save(spec, spec_file(spec, work))
-    used = usage([sys.executable, "-m", "gof", "generate", str(spec_file(spec, work)), "--out", str(root)])
+    used = usage(python_command("-m", "gof", "generate", str(spec_file(spec, work)), "--out", str(root)))
     peak_mb = {stage.name: stage.peak_mb for stage in StageLog(Layout(root).costs).stages()}
     real = Real(
         **asdict(used),

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.processes import python_command
 from gof_benchmark.fires import laws, measures
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.clip import Clip
@@ -68,7 +69,7 @@ def bake(spec: SceneSpec, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndar
     """
     scene_spec.save(spec, folder / "spec.json")
     done = subprocess.run(
-        [sys.executable, "-m", "gof_benchmark.evidence.fire_sizes", "--inside", str(folder)],
+        python_command("-m", "gof_benchmark.evidence.fire_sizes", "--inside", str(folder)),
         capture_output=True,
         text=True,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},

@@ -23,6 +23,7 @@ from gof.costs import StageLog
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
 from gof.evaluate.scores import Scores
+from gof.processes import python_command
 from gof.reconstruct.curve import Curve
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import PRESETS, Effort
@@ -74,7 +75,7 @@ def made(scene: str, preset: str, work: Path) -> Path:
     samples = min(SAMPLES.get(scene, 2), spec.render.samples)
     file, folder = work / f"{scene}.json", work / scene
     scene_spec.save(replace(spec, render=replace(spec.render, samples=samples)), file)
-    command = [sys.executable, "-m", "gof", "generate", str(file), "--out", str(folder)]
+    command = python_command("-m", "gof", "generate", str(file), "--out", str(folder))
     subprocess.run(command, check=True, stdout=sys.stderr)
     return folder
 

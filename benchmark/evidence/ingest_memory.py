@@ -22,6 +22,7 @@ import tyro
 from gof.costs import StageLog
 from gof.errors import MissingDependencyError
 from gof.ingest.fire_free import PlateKind
+from gof.processes import python_command
 
 CAMERAS = 3
 
@@ -74,7 +75,7 @@ def main(argv: list[str] | None = None) -> None:
         made = work / "set"
         words = ["ingest", *map(str, videos), "--out", str(made), "--fps", "60", "--board", "none", "--width", "480"]
         words += ["--cameras", str(work / "cameras.json"), "--plate", config.plate]
-        subprocess.run([sys.executable, "-m", "gof", *words], check=True, stdout=sys.stderr)
+        subprocess.run(python_command("-m", "gof", *words), check=True, stdout=sys.stderr)
         raw = CAMERAS * config.frames * config.width * config.height * 3 / 2**20
         print(f"{CAMERAS} cameras, {config.frames} frames of {config.width}x{config.height}: {raw:.0f} MB as pictures")
         for stage in StageLog(made / "costs.json").stages():

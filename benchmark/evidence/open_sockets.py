@@ -21,6 +21,7 @@ import tyro
 
 from gof.dataset import Dataset
 from gof.files import write_json
+from gof.processes import python_command
 
 EVERY_S = 0.1
 LOOKED_AT_S = 20.0  # `gof view` ends only when it is told to
@@ -76,7 +77,7 @@ def listened(name: str, arguments: list[str], log: Path) -> tuple[set[str], int 
     found: set[str] = set()
     with open(log, "ab") as file:
         child = psutil.Popen(
-            [sys.executable, "-m", "gof", *name.split(), *arguments], stdout=file, stderr=subprocess.STDOUT
+            python_command("-m", "gof", *name.split(), *arguments), stdout=file, stderr=subprocess.STDOUT
         )
     end = time.monotonic() + LOOKED_AT_S if name == "view" else float("inf")
     while child.poll() is None and time.monotonic() < end:

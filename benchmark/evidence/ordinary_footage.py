@@ -14,7 +14,6 @@ import json
 import shutil
 import struct
 import subprocess
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError, MissingDependencyError
 from gof.files import write_json
 from gof.footage import stored_frames
+from gof.processes import python_command
 
 CAMERAS = ("cam_0", "cam_1", "cam_2")
 LOOK_UP = (48, 85)  # px: size at which pictures are looked up
@@ -183,7 +183,7 @@ def tagged_clockwise(data: bytes) -> bytes:
 
 def gof(*words: str) -> tuple[int, str]:
     """Run the command line; exit status and what it said."""
-    done = subprocess.run([sys.executable, "-m", "gof", *words], capture_output=True, text=True)
+    done = subprocess.run(python_command("-m", "gof", *words), capture_output=True, text=True)
     return done.returncode, done.stdout + done.stderr
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pathlib import Path
 import tyro
 
 from gof.dataset import Dataset
+from gof.processes import python_command
 from gof.reconstruct.memory import needed_for
 from gof.reconstruct.sanity import window_share
 from gof.reconstruct.shrink import shrink
@@ -34,7 +34,7 @@ class Config:
 def measured_bytes(dataset: Path, side: int, gaussians: int, voxels: int) -> int:
     """Peak resident size of one run. Raises RuntimeError: it failed."""
     with tempfile.TemporaryDirectory() as out:
-        command = [sys.executable, "-m", "gof", "reconstruct", str(dataset), "--out", out, "--iterations", str(STEPS)]
+        command = python_command("-m", "gof", "reconstruct", str(dataset), "--out", out, "--iterations", str(STEPS))
         command += ["--longest-side", str(side), "--gaussians", str(gaussians), "--voxels", str(voxels)]
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         _, status, used = os.wait4(child.pid, 0)

@@ -6,7 +6,6 @@ import atexit
 import json
 import os
 import subprocess
-import sys
 import threading
 import time
 from collections import deque
@@ -16,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gof.errors import GofError
-from gof.worker import die_with_parent
+from gof.processes import python_command, start
 from gof_blender.pure.layout import Layout
 
 REFUSED = 2  # exit status of a worker whose spec is wrong
@@ -40,8 +39,8 @@ class ProcessCost:
 
 
 def command(stage: str, root: Path) -> list[str]:
-    worker = [sys.executable, "-m", "gof_blender.worker.generate"]
-    return [*worker, "--spec", str(Layout(root).local_spec), "--out", str(root), "--stage", stage]
+    arguments = ["--spec", str(Layout(root).local_spec), "--out", str(root), "--stage", stage]
+    return python_command("-m", "gof_blender.worker.generate", *arguments)
 
 
 def run_stage(stage: str, root: Path) -> ProcessCost:
@@ -51,7 +50,7 @@ def run_stage(stage: str, root: Path) -> ProcessCost:
         BlenderLost: it failed; the message holds its last lines.
         StageRefused: it cannot be done.
     """
-    start = time.perf_counter()
+    began = time.perf_counter()
     process, log = _start(stage, root)
     with _killed_on_error(process):
         _, status, usage = os.wait4(process.pid, 0)
@@ -60,7 +59,7 @@ def run_stage(stage: str, root: Path) -> ProcessCost:
         raise StageRefused(_last_lines(log, 1))
     if process.returncode:
         raise BlenderLost(f"stage '{stage}' of {root} ended with status {process.returncode}:\n{_last_lines(log)}")
-    seconds = time.perf_counter() - start
+    seconds = time.perf_counter() - began
     return ProcessCost(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
 
 
@@ -73,9 +72,9 @@ class Renderer:
     def __init__(self, root: Path):
         self._root = root
         self._process, self._log = _start("serve", root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        start = time.perf_counter()
+        began = time.perf_counter()
         self._answer()  # ready
-        self._overhead = time.perf_counter() - start
+        self._overhead = time.perf_counter() - began
 
     @classmethod
     def render(cls, root: Path, frame: int, camera: int) -> ProcessCost:
@@ -137,9 +136,7 @@ def _start(stage: str, root: Path, **pipes) -> tuple[subprocess.Popen, Path]:
     log = Layout(root).log(stage).with_suffix(".err")
     log.parent.mkdir(parents=True, exist_ok=True)
     with open(log, "ab") as file:
-        # A killed worker must not leave a Blender behind that goes on writing.
-        hook = die_with_parent if sys.platform == "linux" else None
-        return subprocess.Popen(command(stage, root), stderr=file, preexec_fn=hook, **({"stdout": file} | pipes)), log
+        return start(command(stage, root), stderr=file, **({"stdout": file} | pipes)), log
 
 
 @contextmanager

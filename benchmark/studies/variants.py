@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +12,7 @@ from gof.costs import StageLog
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
 from gof.files import atomic_path, read_json, write_json
+from gof.processes import python_command
 from gof.reconstruct.curve import Curve
 from gof.reconstruct.presets import PRESETS, Effort, PresetName
 from gof.worker import run_worker
@@ -62,7 +62,7 @@ def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str
     if known is None:
         options = [word for key, value in settings.items() for word in _option(key, value)]
         study.out.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, "-m", "gof", "reconstruct", str(study.dataset), "--out", str(folder), *options]
+        command = python_command("-m", "gof", "reconstruct", str(study.dataset), "--out", str(folder), *options)
         run_worker(command, name, study.out / f"{name}.log")
         velocity = evaluate(folder / "result.npz", dataset, images=False).dve
         seconds = sum(stage.seconds for stage in StageLog(folder / "costs.json").stages())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import queue
+import sys
 import threading
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,9 +20,15 @@ class JobError(RuntimeError):
 def code(worker: str, arguments: list[str]) -> str:
     """Python code that runs a module of `worker` as the only work of a Blender process, and leaves it."""
     return (
-        f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); "
+        # Empty is the current folder, a user's, where a file `random.py` would be taken for Python's own.
+        f"import sys; sys.path[:] = [{str(PACKAGE.parent)!r}, *filter(None, sys.path)]; "
         f"from {PACKAGE.name}.worker.{worker} import run; run({arguments!r})"
     )
+
+
+def python() -> list[str]:
+    """A command that runs what `code` gives in this Python, whose Blender is a module."""
+    return [sys.executable, "-c"]
 
 
 class Said:

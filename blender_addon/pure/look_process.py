@@ -30,11 +30,20 @@ def notes(spec: SceneSpec, python: list[str]) -> list[str]:
         path = Path(folder) / "spec.json"
         scene_spec.save(spec, path)
         command = [*python, code("look", ["--spec", str(path)])]
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", stdin=subprocess.DEVNULL)
-    last = (done.stderr if done.returncode else done.stdout).strip().splitlines()[-1:] or [""]
-    if done.returncode == WRONG:
+        status, out, errors = _run(command, Path(folder))
+    last = (errors if status else out).strip().splitlines()[-1:] or [""]
+    if status == WRONG:
         raise SpecError(last[0])
-    if done.returncode:
-        raise JobError(f"looking into {spec.blend_file.path} failed with status {done.returncode}: {last[0]}")
-    said = [line for line in done.stdout.splitlines() if line.startswith('{"notes"')]
+    if status:
+        raise JobError(f"looking into {spec.blend_file.path} failed with status {status}: {last[0]}")
+    said = [line for line in out.splitlines() if line.startswith('{"notes"')]
     return json.loads(said[-1])["notes"]
+
+
+def _run(command: list[str], folder: Path) -> tuple[int, str, str]:
+    """Status, output and errors. The process ends with its standard input, hence with this one; a folder for files."""
+    with (folder / "out").open("wb") as out, (folder / "errors").open("wb") as errors:
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=out, stderr=errors) as process:
+            process.wait()
+    texts = ((folder / name).read_text(encoding="utf-8", errors="replace") for name in ("out", "errors"))
+    return process.returncode, *texts

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
 import bpy
 
 from ..pure.checked_json import SpecError
+from ..pure.child import python
 from ..pure.io import FileFormatError
 
 TIMER_S = 0.5
@@ -103,7 +102,7 @@ class JobOperator:
 def blender() -> list[str]:
     """A command that runs Python code in another process of this Blender, without a window."""
     if getattr(bpy.app, "module", False):  # the bpy wheel: Blender is a module of Python
-        return [sys.executable, "-c"]
+        return python()
     return [bpy.app.binary_path, "-b", "--factory-startup", "--python-exit-code", "1", "--python-expr"]
 
 

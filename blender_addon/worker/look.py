@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ..pure import spec as scene_spec
 from ..pure.checked_json import SpecError
-from .reporter import exit_status, leave
+from .reporter import exit_status, leave, run_alone
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -45,8 +45,8 @@ def look(spec: scene_spec.SceneSpec) -> list[str]:
 
 
 def run(argv: list[str]) -> None:
-    """One look as the only work of this process."""
-    leave(main(argv))
+    """One look as the only work of this process, which ends with the one that started it."""
+    run_alone(main, argv)
 
 
 if __name__ == "__main__":

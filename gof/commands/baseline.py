@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 
 from gof import extras
+from gof.processes import python_command, run
 
 # Threads that wait by turning round cost several times the work itself where cores are few.
 ENVIRONMENT = {"OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
@@ -19,5 +18,4 @@ def main(argv: list[str]) -> int:
         MissingDependencyError: PyTorch is absent.
     """
     extras.require("torch", "torch", "other methods' training code")
-    command = [sys.executable, "-m", "gof.on_cpu", *argv]
-    return subprocess.run(command, env=ENVIRONMENT | os.environ, check=False).returncode
+    return run(python_command("-m", "gof.on_cpu", *argv), env=ENVIRONMENT | os.environ).returncode

@@ -205,9 +205,6 @@ def draw(settings, means3D, means2D, opacities, shs, colors_precomp, covariance,
     width, height = int(settings.image_width), int(settings.image_height)
     view, K = _camera(settings, width, height)
     background = settings.bg.reshape(1, -1)
-    if len(means3D) == 0:
-        empty = [torch.zeros(1, height, width)] * 2
-        return background.reshape(-1, 1, 1).expand(-1, height, width), torch.zeros(0, dtype=torch.int32), *empty
     probe = None
     if means2D is not None:
         probe = (means2D[:, :2] * torch.tensor([0.5 * width, 0.5 * height]))[None]

@@ -10,11 +10,13 @@ from pathlib import Path
 from types import ModuleType
 
 from gof.errors import GofError, MissingDependencyError
-from gof.on_cpu import gaussian_rasterizer, gsplat_rendering, repairs
+from gof.on_cpu import gaussian_rasterizer, repairs
 from gof.on_cpu.curve import Curve
 from gof.on_cpu.devices import ProcessorForCuda, replace_cuda
 from gof.on_cpu.methods import Method, replace_gsplat
 from gof.on_cpu.small_modules import Unused
+from gof.processes import run
+from gof.render import gsplat
 
 
 def launch(
@@ -59,7 +61,7 @@ def _begin(method: Method, script: Path, mode: ProcessorForCuda) -> None:
     os.environ.setdefault("MPLBACKEND", "agg")  # matplotlib asks tkinter for a window otherwise, and it may be unused
     replace_cuda(mode)
     prepare(method)
-    sys.path[0] = str(script.parent.resolve())
+    sys.path.insert(0, str(script.parent.resolve()))  # as Python does; `gof.processes` has left the place empty
 
 
 def prepare(method: Method) -> None:
@@ -96,7 +98,7 @@ def _count_gaussians(record: Curve) -> None:
         record.count = len(means)
         return draw(means, *args, **kwargs)
 
-    gaussian_rasterizer.rasterize = gsplat_rendering.rasterize = counted
+    gaussian_rasterizer.rasterize = gsplat.rasterize = counted
 
 
 def provenance(method: Method, script: Path) -> str:
@@ -104,7 +106,8 @@ def provenance(method: Method, script: Path) -> str:
     folder = script.resolve().parent
 
     def git(*words):
-        done = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True, check=False)
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+        done = run(["git", "-C", str(folder), *words], **pipes)
         return done.stdout.strip() if done.returncode == 0 else None
 
     head, changed = git("rev-parse", "HEAD"), git("diff", "--name-only", "--diff-filter=d", "HEAD")

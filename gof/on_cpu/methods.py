@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 
-from gof.on_cpu import export_wu, gsplat_rendering, repairs
+from gof.on_cpu import export_wu, repairs
 from gof.on_cpu import gaussian_rasterizer as inria
 from gof.on_cpu import small_modules as small
+from gof.render.gsplat import rasterization
 
 
 @dataclass(frozen=True)
@@ -98,4 +99,4 @@ def replace_gsplat() -> None:
     import gsplat
     import gsplat.rendering
 
-    gsplat.rendering.rasterization = gsplat.rasterization = gsplat_rendering.rasterization
+    gsplat.rendering.rasterization = gsplat.rasterization = rasterization

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import index
 from typing import Any
 
 import drjit as dr
@@ -31,6 +32,13 @@ RENDER_MODES = {
     "RGB+D": (True, "sum"),
     "RGB+ED": (True, "mean"),
 }
+
+
+class Info(dict):
+    """What is known of a drawing; asking for another entry is an error that says what there is."""
+
+    def __missing__(self, key):
+        raise DataFormatError(f"info['{key}'] is not made here; of a drawing there is {sorted(self)}")
 
 
 def rasterize(
@@ -67,7 +75,9 @@ def rasterize(
 
     Args:
         means: (N, 3) world.  quats: (N, 4) wxyz, normalised here.  scales: (N, 3) linear.  opacities: (N,) in [0, 1].
-        colors: (N, D) or (C, N, D) with D <= 8, or with `sh_degree` coefficients (N, K, D) or (C, N, K, D).
+        colors: (N, D) or (C, N, D) with D <= 8, or with `sh_degree` coefficients (N, K, D) or (C, N, K, D). None with
+            "D" and "ED", which draw no colours.
+        width, height: whole numbers of pixels, from 1 on.
         viewmats: (C, 4, 4) world to camera, OpenCV axes; gets a gradient.  Ks: (C, 3, 3) pixels; gets none.
         near_plane, far_plane: depths outside are not drawn.  radius_clip: Gaussians with a smaller radius in px are
             skipped.
@@ -91,9 +101,10 @@ def rasterize(
             made it; its values are not read. Not with absgrad. None: a new leaf, which is returned.
         max_alpha: the clamp of alpha; gsplat's is 0.999.
     Returns:
-        colors (C, H, W, X), alphas (C, H, W, 1), and a dict with width, height, n_cameras and per camera and Gaussian:
-        "means2d" (C, N, 2) px, whose `.grad` the backward pass fills if it is not the caller's, "radii" (C, N) int32
-        px, 3 standard deviations rounded up (0 = not drawn, or outside the picture).
+        colors (C, H, W, X), alphas (C, H, W, 1), and an `Info` with width, height, n_cameras, and per camera and
+        Gaussian: "means2d" (C, N, 2) px, whose `.grad` the backward pass fills if it is not the caller's, "radii"
+        (C, N) int32 px, 3 standard deviations rounded up (0 = not drawn, or outside the picture). No Gaussian (N = 0)
+        gives the background, and no camera (C = 0) no picture; gradients have their shapes then, too.
     Raises:
         NonFiniteError (a ValueError), DataFormatError: named argument and rows, or shape.
 
@@ -111,7 +122,11 @@ def rasterize(
     for name, value in (("near_plane", near_plane), ("eps2d", eps2d)):
         if not value > 0:
             raise DataFormatError(f"'{name}' is {value}; it must be > 0")
+    width, height = _whole("width", width), _whole("height", height)
     n, c = len(means), len(viewmats)
+    with_color, depth_mode = RENDER_MODES[render_mode]
+    if colors is None and not with_color:
+        colors, sh_degree, backgrounds = torch.zeros(n, 1), None, None
     gaussians = {"means": means, "opacities": opacities, "colors": colors}
     gaussians |= {"quats": quats, "scales": scales} if covars is None else {"covars": covars}
     _require_shapes(n, c, gaussians, viewmats, Ks, backgrounds, sh_degree)
@@ -128,7 +143,6 @@ def rasterize(
     if sh_degree is not None:
         colors = colors[..., : (sh_degree + 1) ** 2, :]
     per_camera = colors.ndim == (3 if sh_degree is None else 4)
-    with_color, depth_mode = RENDER_MODES[render_mode]
     projection = {
         "near": near_plane,
         "far": far_plane,
@@ -138,13 +152,19 @@ def rasterize(
     }
     drawing = {"deterministic": deterministic, "max_alpha": max_alpha, "absgrad": absgrad}
     options = _Options(width, height, with_color, depth_mode, sh_degree, projection | drawing)
-    images, alphas, centres, radii = [], [], [], []
     probe = means2d
     if probe is None:  # a leaf that every camera reads, so that autograd fills its .grad
         learns = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (*gaussians.values(), viewmats))
         probe = torch.zeros(c, n, 2, requires_grad=learns)
     if absgrad:
         probe.absgrad = torch.zeros(c, n, 2)
+    info = Info(width=width, height=height, n_cameras=c)
+    if n == 0 or c == 0:
+        drawn_from = (*gaussians.values(), quats, scales, viewmats, probe)
+        image, alpha = _draw_nothing(c, options, colors.shape[-1], backgrounds, drawn_from)
+        info |= {"means2d": probe, "radii": torch.zeros(c, n, dtype=torch.int32)}
+        return image, alpha, info
+    images, alphas, centres, radii = [], [], [], []
     for i in range(c):
         image, alpha, mean2d, radius = _Rasterize.apply(
             means,
@@ -168,11 +188,33 @@ def rasterize(
     if means2d is None:
         probe.data.copy_(drawn_at)
         drawn_at = probe
-    return (
-        torch.stack(images),
-        torch.stack(alphas),
-        {"means2d": drawn_at, "radii": torch.stack(radii), "width": width, "height": height, "n_cameras": c},
-    )
+    info |= {"means2d": drawn_at, "radii": torch.stack(radii)}
+    return torch.stack(images), torch.stack(alphas), info
+
+
+def _whole(name: str, value) -> int:
+    """A side of a picture, also of a tensor or an array that holds one whole number."""
+    try:
+        number = index(value)
+    except TypeError as e:
+        raise DataFormatError(f"'{name}' is {value!r}; it must be a whole number of pixels") from e
+    if number < 1:
+        raise DataFormatError(f"'{name}' is {number}; it must be 1 or more")
+    return number
+
+
+def _draw_nothing(cameras: int, options: _Options, channels: int, backgrounds, drawn_from) -> tuple:
+    """Pictures without a Gaussian: backgrounds, no depth, alpha 0. What they were to be drawn from gets gradient 0."""
+    size = (cameras, options.height, options.width)
+    none = sum(tensor.reshape(-1)[:0].sum().to("cpu", torch.float32) for tensor in drawn_from if tensor is not None)
+    planes = []
+    if options.with_color:
+        black = torch.zeros(cameras, channels)
+        color = black if backgrounds is None else backgrounds.to("cpu", torch.float32)
+        planes.append(color[:, None, None, :].expand(*size, channels))
+    if options.depth_mode:
+        planes.append(torch.zeros(*size, 1))
+    return torch.cat(planes, -1) + none, torch.zeros(*size, 1) + none
 
 
 @dataclass(frozen=True)
@@ -203,6 +245,8 @@ def _require_shapes(n, c, gaussians, viewmats, Ks, backgrounds, sh_degree) -> No
             shape = None if tensor is None else tuple(tensor.shape)
             raise DataFormatError(f"'{name}' has shape {shape}, expected {expected[name]}")
     colors = gaussians["colors"]
+    if colors is None:
+        raise DataFormatError("'colors' is None; only render_mode 'D' and 'ED' go without")
     tail = 1 if sh_degree is None else 2
     if tuple(colors.shape[:-tail]) not in ((n,), (c, n)):
         raise DataFormatError(

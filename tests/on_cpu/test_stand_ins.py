@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("drjit")
 
 from gof.on_cpu import gaussian_rasterizer as inria  # noqa: E402
-from gof.on_cpu import gsplat_rendering, small_modules  # noqa: E402
+from gof.on_cpu import small_modules  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("kernels")
 NEAR, FAR = 0.2, 100.0
@@ -304,70 +304,6 @@ def test_gradients_through_the_time_equal_central_differences():
             have = have - (have * raw[name]).sum(1, keepdims=True) * raw[name]
         assert np.abs(want).max() > 0
         np.testing.assert_allclose(have, want, atol=5e-3 * np.abs(want).max(), err_msg=name)
-
-
-def gsplat_arguments(g, cams, grad=False):
-    names = ("means", "quats", "scales", "opacities", "colors")
-    tensors = {
-        n: torch.tensor(v, dtype=torch.float32, requires_grad=grad) for n, v in zip(names, g.values(), strict=True)
-    }
-    poses = torch.tensor(np.stack([c.world_to_camera for c in cams]), dtype=torch.float32)
-    Ks = torch.tensor(np.stack([c.K for c in cams]), dtype=torch.float32)
-    return tensors | {"viewmats": poses, "Ks": Ks, "width": cams[0].width, "height": cams[0].height}
-
-
-def other_camera(cam):
-    W = cam.world_to_camera.copy()
-    W[:3, 3] += [0.3, 0.02, -0.2]
-    return type(cam)("b", cam.width, cam.height, cam.K, W)
-
-
-def test_gsplat_draws_with_its_own_clamp():
-    cam, g = camera(40, 30), gaussians(60, 7, 0.15)
-    g["opacity"][:] = 1.0
-    image, alpha, info = gsplat_rendering.rasterization(**gsplat_arguments(g, [cam]), packed=False)
-    want, opaque, _ = reference.render(*g.values(), cam, max_alpha=0.999)
-    close(image[0], want)
-    close(alpha[0, ..., 0], opaque)
-    assert info["radii"].shape == (1, 60, 2) and info["means2d"].shape == (1, 60, 2) and info["n_cameras"] == 1
-    with pytest.raises(DataFormatError, match="info\\['conics'\\]"):
-        info["conics"]
-
-
-@pytest.mark.parametrize("absgrad", [False, True])
-def test_packed_rows_are_those_drawn_with_their_gradients(absgrad):
-    cams = [camera(40, 30), other_camera(camera(40, 30))]
-    g = gaussians(50, 8, 0.02, spread=1.2)
-    weights = torch.tensor(np.random.default_rng(0).normal(size=(2, 30, 40, 3)), dtype=torch.float32)
-    infos = []
-    for packed in (False, True):
-        image, _, info = gsplat_rendering.rasterization(
-            **gsplat_arguments(g, cams, grad=True), packed=packed, absgrad=absgrad
-        )
-        info["means2d"].retain_grad()
-        (image * weights).sum().backward()
-        infos.append(info)
-    whole, rows = infos
-    drawn = (whole["radii"] > 0).all(-1)
-    assert 0 < drawn.sum() < 100
-    assert whole["gaussian_ids"] is None and torch.equal(rows["gaussian_ids"], torch.where(drawn)[1])
-    assert torch.equal(rows["camera_ids"], torch.where(drawn)[0])
-    assert torch.equal(rows["radii"], whole["radii"][drawn])
-    assert rows["means2d"].grad.abs().max() > 0
-    np.testing.assert_allclose(rows["means2d"].grad, whole["means2d"].grad[drawn], rtol=1e-3, atol=1e-5)
-    if absgrad:
-        np.testing.assert_allclose(rows["means2d"].absgrad, whole["means2d"].absgrad[drawn], rtol=1e-3, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    "changed, said",
-    [({"camera_model": "fisheye"}, "only 'pinhole'"), ({"with_ut": True}, "only False"), ({"fov": 3}, "no such")],
-)
-def test_gsplat_refuses_what_it_does_not_draw(changed, said):
-    with pytest.raises(DataFormatError, match=said):
-        gsplat_rendering.rasterization(**gsplat_arguments(gaussians(4), [camera()]), **changed)
-    same = {"camera_model": "pinhole", "with_ut": False, "radial_coeffs": None}
-    gsplat_rendering.rasterization(**gsplat_arguments(gaussians(4), [camera()]), **same)
 
 
 def test_distances_to_three_neighbours():

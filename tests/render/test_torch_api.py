@@ -344,3 +344,101 @@ def test_gsplats_clamp_is_selectable():
             )
         want.append((ends[0] - ends[1]) / 2e-7)
     np.testing.assert_allclose(tensors["opacities"].grad, want, atol=5e-3 * np.abs(want).max())
+
+
+DEPTHS = {"RGB": 0, "D": 1, "ED": 1, "RGB+D": 1, "RGB+ED": 1}
+
+
+@pytest.mark.parametrize("absgrad", [False, True])
+@pytest.mark.parametrize("degree", [None, 2])
+@pytest.mark.parametrize("mode", list(DEPTHS))
+def test_no_gaussian_draws_the_background(mode, degree, absgrad):
+    """By the image formation: alpha 0, so the background is all that is seen, and no depth."""
+    cams, g = two_cameras(), gaussians(0)
+    if degree is not None:
+        g["color"] = np.zeros((0, 9, 3))
+    background = torch.tensor([[0.1, 0.2, 0.3], [0.9, 0.5, 0.0]], requires_grad=True)
+    tensors, (colors, alphas, meta) = call(
+        g, cams, grad=True, render_mode=mode, backgrounds=background, sh_degree=degree, absgrad=absgrad
+    )
+    want = background.detach()[:, None, None, :].expand(2, 30, 40, 3)
+    if mode in ("D", "ED"):
+        want = want[..., :0]
+    want = torch.cat([want, *[torch.zeros(2, 30, 40, 1)] * DEPTHS[mode]], -1)
+    assert torch.equal(colors.detach(), want) and torch.equal(alphas.detach(), torch.zeros(2, 30, 40, 1))
+    assert meta["means2d"].shape == (2, 0, 2) and meta["radii"].shape == (2, 0) and meta["n_cameras"] == 2
+    (colors.sum() + alphas.sum()).backward()
+    for name, tensor in tensors.items():
+        assert tensor.grad.shape == tensor.shape and not tensor.grad.any(), name
+    assert meta["means2d"].grad.shape == (2, 0, 2)
+    if "RGB" in mode:
+        assert torch.equal(background.grad, torch.full((2, 3), 30 * 40.0))
+
+
+def test_no_gaussian_in_other_forms():
+    cams = two_cameras()
+    tensors, _ = with_covariances(gaussians(0), grad=True)
+    image, _, _ = rasterize(**tensors, **of_camera(cams[0]))
+    image.sum().backward()
+    assert image.shape == (1, 30, 40, 3) and tensors["covars"].grad.shape == (0, 3, 3)
+    _, (image, _, _) = call(gaussians(0) | {"color": np.zeros((2, 0, 4))}, cams)  # colours per camera
+    assert not image.any() and image.shape == (2, 30, 40, 4) and not image.requires_grad
+    probe = torch.zeros(2, 0, 2, requires_grad=True)
+    _, (image, _, _) = call(gaussians(0), cams, means2d=probe)
+    image.sum().backward()
+    assert probe.grad.shape == (2, 0, 2)
+
+
+def test_all_culled_is_as_none():
+    _, (none, _, _) = call(gaussians(0), two_cameras())
+    tensors, (image, alphas, meta) = call(gaussians(9), two_cameras(), grad=True, far_plane=0.1)
+    assert torch.equal(image.detach(), none) and not alphas.any() and not meta["radii"].any()
+    image.sum().backward()
+    assert all(tensor.grad is not None and not tensor.grad.any() for tensor in tensors.values())
+
+
+def test_one_gaussian_and_no_camera():
+    cams, g = two_cameras(), gaussians(1, 2, 0.2)
+    tensors, (colors, _, _) = call(g, cams, grad=True)
+    for have, cam in zip(colors, cams, strict=True):
+        np.testing.assert_allclose(have.detach(), reference.render(*g.values(), cam)[0], atol=2e-3)
+    colors.sum().backward()
+    assert tensors["means"].grad.shape == (1, 3) and tensors["colors"].grad.abs().sum() > 0
+    t = {n: torch.tensor(v, dtype=torch.float32, requires_grad=True) for n, v in zip(NAMES, g.values(), strict=True)}
+    views, Ks = torch.zeros(0, 4, 4), torch.zeros(0, 3, 3)
+    colors, alphas, meta = rasterize(**t, viewmats=views, Ks=Ks, width=40, height=30, render_mode="RGB+D")
+    assert colors.shape == (0, 30, 40, 4) and alphas.shape == (0, 30, 40, 1) and meta["radii"].shape == (0, 1)
+    colors.sum().backward()
+    assert not t["means"].grad.any()
+
+
+@pytest.mark.parametrize("mode", ["D", "ED"])
+@pytest.mark.parametrize("count", [30, 0])
+def test_depth_needs_no_colours(mode, count):
+    g, cams = gaussians(count, 1, 0.1), two_cameras()
+    tensors, (want, _, _) = call(g, cams, render_mode=mode)
+    tensors["colors"] = None
+    Ks, size = torch.tensor(np.stack([c.K for c in cams]), dtype=torch.float32), {"width": 40, "height": 30}
+    have, _, _ = rasterize(**tensors, Ks=Ks, **size, render_mode=mode, backgrounds=torch.ones(2, 3), sh_degree=3)
+    assert torch.equal(have, want)
+    with pytest.raises(DataFormatError, match="'colors' is None"):
+        rasterize(**tensors, Ks=Ks, **size, render_mode="RGB+D")
+
+
+def test_sizes_are_whole_numbers_of_any_type():
+    g, cam = gaussians(10, 1, 0.1), two_cameras()[0]
+    tensors, (want, _, _) = call(g, [cam])
+    Ks = torch.tensor(cam.K[None], dtype=torch.float32)
+    for width, height in ((torch.tensor(40), torch.tensor([30])), (np.int64(40), np.array(30))):
+        have, _, meta = rasterize(**tensors, Ks=Ks, width=width, height=height)
+        assert torch.equal(have, want) and type(meta["width"]) is int
+    for width, said in ((0, "'width' is 0"), (-3, "'width' is -3"), (40.0, "'width' is 40.0"), (None, "'width'")):
+        with pytest.raises(DataFormatError, match=said):
+            rasterize(**tensors, Ks=Ks, width=width, height=30)
+
+
+def test_an_entry_that_is_not_there_is_named():
+    _, (_, _, meta) = call(gaussians(3), two_cameras())
+    with pytest.raises(DataFormatError, match=r"info\['depths'\].*'means2d'"):
+        meta["depths"]
+    assert meta.get("depths") is None and "depths" not in meta

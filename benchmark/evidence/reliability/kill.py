@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.processes import python_command
+
 MADE_ONCE = (
     "cameras/*/rgb/0*.png",
     "cameras/*/mask/0*.png",
@@ -42,7 +44,7 @@ class ResumableCommand:
     def start(self, out: Path) -> subprocess.Popen:
         out.parent.mkdir(parents=True, exist_ok=True)
         with open(out.with_suffix(".log"), "ab") as log:
-            command = [sys.executable, "-m", "gof", *self.arguments, "--out", str(out)]
+            command = python_command("-m", "gof", *self.arguments, "--out", str(out))
             return subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
 
     def files(self, out: Path) -> Files:

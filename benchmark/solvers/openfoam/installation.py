@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gof.errors import MissingDependencyError
+from gof.processes import run
 
 HINT = (
     "fireFoam of OpenFOAM (com) is needed to bake this fire: on Debian or Ubuntu `apt-get install openfoam`; "
@@ -42,9 +43,8 @@ class Installation:
 
     def version(self) -> str:
         """For example "1912 (patch=200626)"; "unknown" when the solver's help does not say."""
-        text = subprocess.run(
-            [self.program("fireFoam"), "-help"], env=self.environment(Path()), capture_output=True, text=True
-        ).stdout
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+        text = run([self.program("fireFoam"), "-help"], env=self.environment(Path()), **pipes).stdout
         found = re.search(r"Using: OpenFOAM\S* \(([^)]*)\)", text), re.search(r"Build: *(\S.*)", text)
         return " ".join(m.group(1).strip() for m in found if m) or "unknown"
 

@@ -19,9 +19,9 @@ from pathlib import Path
 
 from gof.errors import DataFormatError, GofError
 from gof.files import only_run_in
+from gof.processes import start
 from gof.progress import progress_bar
 from gof.records import read_record, write_record
-from gof.worker import die_with_parent
 from gof_benchmark.solvers.grids import FireGrids
 from gof_benchmark.solvers.openfoam.case import FoamFire, draught, write_case, write_control, write_fields
 from gof_benchmark.solvers.openfoam.chemistry import species_of
@@ -168,7 +168,7 @@ def _lines(installation: Installation, case: Path, program: str, *arguments: str
         GofError: it failed; the message holds its last lines.
     """
     log, last = case / "log", []
-    child = subprocess.Popen(
+    child = start(
         [installation.program(program), *arguments],
         cwd=case,
         env=installation.environment(case),
@@ -176,7 +176,6 @@ def _lines(installation: Installation, case: Path, program: str, *arguments: str
         stderr=subprocess.STDOUT,
         text=True,
         errors="replace",
-        preexec_fn=die_with_parent if sys.platform == "linux" else None,
     )
     try:
         with open(log, "a", encoding="utf-8") as file:

@@ -85,7 +85,12 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside `path`; rename it to `path` only if the block succeeds. Makes the folder.
 
     The content is on the disk before it has its name: a power cut leaves the old file or the new one.
+
+    Raises:
+        FileFormatError: there is a folder, a device or a pipe, which would be lost.
     """
+    if not path.is_symlink() and path.exists() and not path.is_file():
+        raise FileFormatError(f"{path}: is not a file but {'a folder' if path.is_dir() else 'a device or a pipe'}")
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = temporary(path)
     draft.unlink(missing_ok=True)  # a link of that name would be written through
