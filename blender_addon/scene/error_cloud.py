@@ -35,7 +35,9 @@ def add_truth(thing: bpy.types.Object, truth: TrueVelocity) -> CentreError:
     mesh = thing.data
     velocity, t_mu = point_cloud.column(mesh, "gs_gas_velocity", 3), point_cloud.column(mesh, "gs_t_mu", 1)[:, 0]
     true, inside = truth.sample(positions(mesh), t_mu)
-    compared = inside & (velocity != 0).any(1)
+    # Gas that was found to rest where its light moves is compared, too: that is an error like any other.
+    moving = (velocity != 0).any(1) | (point_cloud.column(mesh, "gs_velocity", 3) != 0).any(1)
+    compared = inside & moving
     true[~compared] = velocity[~compared]
     point_cloud.add_column(mesh, "gs_true_velocity", true)
     error = np.linalg.norm(velocity - true, axis=1)[compared].astype(float)

@@ -13,6 +13,7 @@ from . import compat, display, gaussian_nodes
 
 TRANSPARENT_LAYERS = 1024  # surfaces a ray may pass, two per Gaussian; where it must stop the picture turns black
 LONGEST = np.finfo(np.float32).max
+DATUM = "gof_datum"  # custom property: x, y, z (m) and t (s) that places and times count from, where these are not 0
 
 
 class CloudInputs:
@@ -75,6 +76,8 @@ def add_point_cloud(
     settings = inputs(thing)
     settings["Mode"], settings["Start Frame"] = gaussian_nodes.MODES.index(mode), start_frame
     settings["Line Time"] = _line_time(cloud)
+    if any(cloud.datum):
+        thing[DATUM] = cloud.datum
     if hasattr(scene, "cycles"):
         scene.cycles.transparent_max_bounces = max(scene.cycles.transparent_max_bounces, TRANSPARENT_LAYERS)
     return thing

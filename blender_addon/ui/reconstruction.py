@@ -16,19 +16,19 @@ SECONDS_EACH, BYTES_EACH, FRAME_SECONDS_EACH = 4e-6, 250, 0.1e-6  # measured: be
 MODES = [
     ("points", "Points", "Round points: quick"),
     ("ellipsoids", "Ellipsoids", "The Gaussians' true shapes"),
-    ("arrows", "Arrows", "Velocity arrows"),
+    ("arrows", "Arrows", "Velocity of the gas"),
     ("streaks", "Streaks", "The way just travelled, as sparks leave it"),
 ]
 COLORS = [
     ("image", "Image Color", "As in the footage"),
-    ("speed", "Speed", "m/s"),
+    ("speed", "Speed", "Of the gas, m/s"),
     ("age", "Age", "Seconds since its brightest moment"),
     ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
     ("error", "Velocity Error", "m/s against the true velocity; score first (panel Score, Show Errors)"),
     ("doubt", "Velocity Doubt", "m/s, standard deviation of a component, where the file says it"),
 ]
 VECTORS = [
-    ("velocity", "Velocity", "As reconstructed"),
+    ("velocity", "Velocity", "Of the gas, as reconstructed"),
     ("true velocity", "True Velocity", "At the Gaussian's centre"),
     ("error", "Error", "Reconstructed minus true"),
 ]
@@ -166,6 +166,10 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         said = f"{thing.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s"
         if clip := clip_in_scene.line(context.scene, thing):
             said += f". {clip}"
+        if any(cloud.datum):  # Blender knows seven digits: the datum's place is the origin here
+            said += ". The origin is x {:.10g}, y {:.10g}, z {:.10g} m of its world, and time 0 is {:.10g} s".format(
+                *cloud.datum
+            )
         if _shows_no_colors(context):
             said += f". {GREY}: press Show Colors in the panel"
         self.report({"INFO"}, said)

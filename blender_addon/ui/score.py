@@ -81,7 +81,8 @@ class GOF_OT_show_errors(_ScoreOperator, bpy.types.Operator):
     def execute(self, context):
         settings, thing = context.scene.gof.score, _cloud(context)
         try:
-            truth = velocity_reader.of_dataset(Path(bpy.path.abspath(settings.dataset)))
+            datum = tuple(thing.get(point_cloud.DATUM, (0.0,) * 4))
+            truth = velocity_reader.of_dataset(Path(bpy.path.abspath(settings.dataset)), datum)
             found = error_cloud.add_truth(thing, truth)
         except (FileFormatError, OSError) as error:
             self.report({"ERROR"}, str(error))
