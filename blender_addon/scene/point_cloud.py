@@ -9,9 +9,8 @@ import bpy
 import numpy as np
 
 from ..pure.io.cloud import GaussianCloud
-from . import compat, display, gaussian_nodes
+from . import compat, display, gaussian_nodes, see_through
 
-TRANSPARENT_LAYERS = 1024  # surfaces a ray may pass, two per Gaussian; where it must stop the picture turns black
 LONGEST = np.finfo(np.float32).max
 DATUM = "gof_datum"  # custom property: x, y, z (m) and t (s) that places and times count from, where these are not 0
 
@@ -71,15 +70,13 @@ def add_point_cloud(
     """
     if mode not in gaussian_nodes.MODES:
         raise ValueError(f"mode {mode!r}: choose one of {', '.join(gaussian_nodes.MODES)}")
-    scene = bpy.context.scene
     thing = add_view(_mesh(cloud, name), name)
     settings = inputs(thing)
     settings["Mode"], settings["Start Frame"] = gaussian_nodes.MODES.index(mode), start_frame
     settings["Line Time"] = _line_time(cloud)
     if any(cloud.datum):
         thing[DATUM] = cloud.datum
-    if hasattr(scene, "cycles"):
-        scene.cycles.transparent_max_bounces = max(scene.cycles.transparent_max_bounces, TRANSPARENT_LAYERS)
+    see_through.allow(bpy.context.scene)
     return thing
 
 

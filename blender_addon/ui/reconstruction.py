@@ -7,7 +7,7 @@ import bpy
 from bpy_extras.io_utils import ImportHelper
 
 from ..pure.io import FileFormatError, gaussians_file
-from ..scene import clip_in_scene, compat, gaussian_nodes, point_cloud
+from ..scene import clip_in_scene, compat, gaussian_nodes, point_cloud, see_through
 from .panel import SidebarPanel, number, write_lines
 
 MANY = 2_000_000  # Gaussians; from here on an import asks back
@@ -301,10 +301,12 @@ def _menu(menu, context):
 
 
 def register() -> None:
+    see_through.watch()
     bpy.types.TOPBAR_MT_file_import.append(_menu)
 
 
 def unregister() -> None:
+    see_through.unwatch()
     bpy.types.TOPBAR_MT_file_import.remove(_menu)
 
 
