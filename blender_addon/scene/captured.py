@@ -15,6 +15,7 @@ from mathutils import Matrix
 from ..pure.description import CameraEntry, DatasetDescription
 from ..pure.io import FileFormatError
 from ..pure.io.files import path_in
+from . import compat
 
 FIRST_FRAME = 1  # Blender's frame at time 0
 SENSOR_MM = 36.0
@@ -114,9 +115,8 @@ def _plate(entry: CameraEntry, folder: Path) -> bpy.types.Image | None:
 
 def _show(world: bpy.types.World, plate: bpy.types.Image | None) -> None:
     """Fill the camera's frame with the plate; black without one."""
-    if hasattr(world, "use_nodes"):  # always on since Blender 5
-        world.use_nodes = True
-    nodes, links = world.node_tree.nodes, world.node_tree.links
+    tree = compat.add_nodes(world)
+    nodes, links = tree.nodes, tree.links
     nodes.clear()
     output, light = nodes.new("ShaderNodeOutputWorld"), nodes.new("ShaderNodeBackground")
     links.new(light.outputs["Background"], output.inputs["Surface"])

@@ -259,6 +259,7 @@ def test_blenders_own_splats(folder, flame):
 from gof_blender.pure import points
 from gof_blender.scene import compat, native_splats
 from gof_blender.ui.export import Recording
+result["version"] = list(bpy.app.version)
 result["type"], result["poll"] = compat.splat_type(), bpy.ops.gof.native_splats.poll()
 recording = Recording.of(scene, thing)
 now = points.at(recording.cloud, recording.time_s(3), recording.least)
@@ -279,6 +280,7 @@ result["base"] = [list(item.color) for item in mesh.attributes["radiance:base"].
 """,
         folder,
     )
+    assert (found["type"] is None) == (found["version"] < [5, 3, 0])
     if found["type"] is None:
         assert not found["poll"] and "5.3" in found["error"]
     assert found["names"] == ["position", "scale", "rotation", "radiance:base"]
