@@ -3,6 +3,8 @@
 Runs inside Blender and headless with the ``bpy`` wheel. Needs numpy and nothing else from outside Blender.
 """
 
+import atexit
+
 bl_info = {  # for Blender before 4.2; later versions read blender_manifest.toml
     "name": "Gaussians on Fire",
     "author": "Gaussians on Fire contributors",
@@ -16,13 +18,19 @@ bl_info = {  # for Blender before 4.2; later versions read blender_manifest.toml
 
 def register() -> None:
     """Add the panels, the operators and ``scene.gof`` to Blender."""
-    from . import ui  # here, so that the parts without bpy can be imported anywhere
+    import bpy  # here, so that the parts without bpy can be imported anywhere
+
+    from . import ui
 
     ui.register()
+    if getattr(bpy.app, "module", False):
+        # Python ends before the wheel's Blender does, which then waits for ever for Python to free what is registered.
+        atexit.register(unregister)
 
 
 def unregister() -> None:
     """Remove everything that ``register`` added."""
     from . import ui
 
+    atexit.unregister(unregister)
     ui.unregister()

@@ -30,7 +30,7 @@ CLAMP = 40.0  # lifetimes away from its moment a Gaussian is gone in any precisi
 
 @dataclass(frozen=True)
 class Frame:
-    """The moving Gaussians at one time: weight (M,) m^3; velocity, truth (M, 3) m/s; inside (M,), share in the box."""
+    """What moves at one time: weight (M,) m^3; velocity of the gas, truth (M, 3) m/s; inside (M,), share in the box."""
 
     weight: np.ndarray
     velocity: np.ndarray
@@ -101,8 +101,9 @@ def score(cloud: GaussianCloud, dataset: Path) -> Iterator[tuple[int, int, Score
         )
     if not cloud.dynamic.any():
         raise FileFormatError("the reconstruction has no moving Gaussian, so there is no velocity to score")
-    truth = of_dataset(dataset)
-    frames = _frames(truth, np.array(DatasetDescription.read(dataset).time_s), dataset)
+    truth = of_dataset(dataset, cloud.datum)
+    clip_s = np.array(DatasetDescription.read(dataset).time_s) - cloud.datum[3]
+    frames = _frames(truth, clip_s, dataset)
     total, scored = Sums(), 0
     for done, number in enumerate(frames, 1):
         sums = Sums.of(probe(cloud, truth, number))
@@ -144,7 +145,7 @@ def probe(cloud: GaussianCloud, truth: TrueVelocity, number: int) -> Frame:
     position = (cloud.position + dt[:, None] * cloud.velocity).astype(np.float32).astype(float)
     window = np.exp(-0.5 * np.clip(dt / cloud.t_sigma, -CLAMP, CLAMP) ** 2)
     opacity = (cloud.opacity * window).astype(np.float32)
-    scale, velocity = cloud.scale.astype(float), cloud.velocity.astype(float)
+    scale, velocity = cloud.scale.astype(float), cloud.moving_gas.astype(float)
     weight = np.where(cloud.dynamic, scale.prod(1) * opacity, 0.0)
     rows = _not_negligible(weight, weight * (velocity**2).sum(1))
     mean, inside = expected_velocity(truth, number, position[rows], scale[rows], cloud.rotation[rows])

@@ -11,6 +11,7 @@ from mathutils import Matrix, Vector
 
 from ..pure import bodies
 from ..pure.spec import SceneSpec
+from . import point_cloud
 from .backgrounds import blend_file
 
 SOLID = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
@@ -55,7 +56,7 @@ def _near(
     for instance in graph.object_instances:
         shown, owner = instance.object, (instance.parent or instance.object).original
         hidden = shown.original.hide_render or not instance.show_self
-        reconstruction = "gof_source" in owner  # imported by us
+        reconstruction = point_cloud.inputs(owner) is not None
         if owner not in things or shown.type not in SOLID or hidden or reconstruction:
             continue
         pose = to_ours @ instance.matrix_world

@@ -15,6 +15,7 @@ from mathutils import Matrix
 
 from ..pure.checked_json import SpecError
 from ..pure.description import CameraEntry
+from ..pure.io import FileFormatError
 from ..pure.rig import Pose, Rig
 from ..pure.spec import SceneSpec
 from . import captured, place, rig
@@ -46,7 +47,7 @@ def describe(camera: bpy.types.Object, scene: bpy.types.Scene, to_file: Matrix) 
         graph, x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y
     )
     k = ((p[0][0] * width / 2, 0.0, (1 - p[0][2]) * width / 2), (0.0, p[1][1] * height / 2, (1 + p[1][2]) * height / 2))
-    name = place.part_of(camera) or camera.name
+    name = place.part_of(camera) or camera.get(captured.NAME) or camera.name
     return CameraEntry(
         name=bpy.path.clean_name(name),
         width=width,
@@ -57,20 +58,47 @@ def describe(camera: bpy.types.Object, scene: bpy.types.Scene, to_file: Matrix) 
     )
 
 
-def add(entries: tuple[CameraEntry, ...], scene: bpy.types.Scene, to_scene: Matrix) -> list[bpy.types.Object]:
+def describe_all(cameras: list[bpy.types.Object], scene: bpy.types.Scene, to_file: Matrix) -> tuple[CameraEntry, ...]:
+    """Each camera's entry, under a name of its own: two may be alike without what no file name has.
+
+    Raises SpecError: see `describe`.
+    """
+    entries, taken = [], set()
+    for entry in (describe(camera, scene, to_file) for camera in cameras):
+        name, number = entry.name, 1
+        while name in taken:
+            number += 1
+            name = f"{entry.name}_{number}"
+        taken.add(name)
+        entries.append(replace(entry, name=name))
+    return tuple(entries)
+
+
+def add(
+    entries: tuple[CameraEntry, ...], folder: Path, scene: bpy.types.Scene, to_scene: Matrix
+) -> list[bpy.types.Object]:
     """Add cameras of any lens; the scene's picture size becomes that of the first.
 
     Args:
-        to_scene: from the file's world to the scene's.
+        folder: where the entries' pictures lie.     to_scene: from the file's world to the scene's.
+    Raises:
+        FileFormatError: a picture is missing or cannot be read; then no camera is added.
     """
-    collection = place.collection(scene, "Imported Cameras")
+    collection, scale = place.collection(scene, "Imported Cameras"), scene.unit_settings.scale_length
     added = []
-    for entry in entries:
-        camera = captured.add_camera(entry, Path(), collection)
-        turned = to_scene @ camera.matrix_world
-        camera.matrix_world = Matrix.LocRotScale(turned.to_translation(), turned.to_quaternion(), None)
-        camera.data.display_size = 0.2 / scene.unit_settings.scale_length
-        added.append(camera)
+    try:
+        for entry in entries:
+            camera = captured.add_camera(entry, folder, collection, scale)
+            turned = to_scene @ camera.matrix_world
+            camera.matrix_world = Matrix.LocRotScale(turned.to_translation(), turned.to_quaternion(), None)
+            camera.data.display_size = 0.2 / scale
+            added.append(camera)
+    except FileFormatError:
+        for camera in added:
+            bpy.data.cameras.remove(camera.data)
+        if not collection.objects:
+            bpy.data.collections.remove(collection)
+        raise
     captured.set_picture(entries[0], scene.render)
     scene.camera = added[0]
     return added

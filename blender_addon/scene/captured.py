@@ -15,10 +15,12 @@ from mathutils import Matrix
 from ..pure.description import CameraEntry, DatasetDescription
 from ..pure.io import FileFormatError
 from ..pure.io.files import path_in
+from . import compat, paths
 
 FIRST_FRAME = 1  # Blender's frame at time 0
 SENSOR_MM = 36.0
 SAMPLES = 16
+NAME = "gof_camera"  # custom property: the camera's name in its file
 
 
 def scene(description: DatasetDescription, folder: Path) -> None:
@@ -57,8 +59,15 @@ def moment(description: DatasetDescription, time_s: float) -> float:
     return FIRST_FRAME + time_s * frames_per_second(description)
 
 
-def add_camera(entry: CameraEntry, folder: Path, collection: bpy.types.Collection) -> bpy.types.Object:
-    """A camera with the entry's pose and lens, and its plate behind what it sees."""
+def add_camera(
+    entry: CameraEntry, folder: Path, collection: bpy.types.Collection, metres_per_unit: float = 1.0
+) -> bpy.types.Object:
+    """A camera with the entry's pose and lens, and its plate behind what it sees.
+
+    Its pose is in metres; how far it sees is in the scene's units, as Blender takes it.
+    Raises FileFormatError: its plate is not in the folder, or no picture.
+    """
+    plate = _plate(entry, folder)
     data = bpy.data.cameras.new(entry.name)
     K = np.array(entry.K)
     data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
@@ -66,12 +75,13 @@ def add_camera(entry: CameraEntry, folder: Path, collection: bpy.types.Collectio
     # Shifts are in widths of the picture; heights of its pixels are those of `look_through`.
     data.shift_x = 0.5 - K[0, 2] / entry.width
     data.shift_y = (K[1, 2] - entry.height / 2) * (K[0, 0] / K[1, 1]) / entry.width
-    data.clip_start, data.clip_end = 0.01, 1000.0
-    if plate := _plate(entry, folder):
+    data.clip_start, data.clip_end = 0.01 / metres_per_unit, 1000.0 / metres_per_unit
+    if plate:
         data.show_background_images = True
         behind = data.background_images.new()
         behind.image, behind.alpha, behind.frame_method = plate, 1.0, "STRETCH"
     camera = bpy.data.objects.new(entry.name, data)
+    camera[NAME] = entry.name  # Blender cuts long names, and numbers those that are taken
     collection.objects.link(camera)
     camera.matrix_world = matrix_of(entry)
     return camera
@@ -92,7 +102,7 @@ def set_picture(entry: CameraEntry, render: bpy.types.RenderSettings) -> None:
 def look_through(entry: CameraEntry) -> None:
     """Make a camera the scene's: its picture size, and its plate as what is behind everything in renders."""
     current = bpy.context.scene
-    current.camera = bpy.data.objects[entry.name]
+    current.camera = next(thing for thing in current.objects if thing.get(NAME) == entry.name)
     set_picture(entry, current.render)
     current.world = bpy.data.worlds.new("Plate")
     behind = current.camera.data.background_images
@@ -105,18 +115,21 @@ def _plate(entry: CameraEntry, folder: Path) -> bpy.types.Image | None:
         return None
     file = path_in(folder, entry.static)
     if not file.is_file():
-        raise FileFormatError(f"{file}: no such file, though {folder.name}'s camera {entry.name} names it")
+        raise FileFormatError(f"{file}: no such file, though camera {entry.name} of {folder.resolve().name} names it")
     image = bpy.data.images.load(str(file))
-    image.name = f"Plate of {entry.name}"
+    if not image.size[0]:
+        bpy.data.images.remove(image)
+        raise FileFormatError(f"{file}: is no picture that Blender can read")
     image.pack()
+    image.name = f"Plate of {entry.name}"
+    paths.forget_folder(image)
     return image
 
 
 def _show(world: bpy.types.World, plate: bpy.types.Image | None) -> None:
     """Fill the camera's frame with the plate; black without one."""
-    if hasattr(world, "use_nodes"):  # always on since Blender 5
-        world.use_nodes = True
-    nodes, links = world.node_tree.nodes, world.node_tree.links
+    tree = compat.add_nodes(world)
+    nodes, links = tree.nodes, tree.links
     nodes.clear()
     output, light = nodes.new("ShaderNodeOutputWorld"), nodes.new("ShaderNodeBackground")
     links.new(light.outputs["Background"], output.inputs["Surface"])

@@ -10,6 +10,19 @@ EEVEE_DRAWS_POINTS = "surface_render_method" in bpy.types.Material.bl_rna.proper
 LINEAR_COLOR_SPACES = ("Linear Rec.709", "Linear")  # the second up to 3.6
 
 
+def has_function(kind: str, name: str) -> bool:
+    """Whether things of a type, such as "PointCloud", have a function. Their class itself never shows Blender's own."""
+    rna = getattr(getattr(bpy.types, kind, None), "bl_rna", None)
+    return rna is not None and name in rna.functions
+
+
+def add_nodes(block: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree:
+    """The node tree of a material or a world that was just made."""
+    if block.node_tree is None:  # from Blender 5 on each is made with one, and `use_nodes` is to go
+        block.use_nodes = True
+    return block.node_tree
+
+
 def add_socket(tree: bpy.types.NodeTree, name: str, kind: str, output: bool = False) -> bpy.types.bpy_struct:
     """A new input (or output) of a node group; `kind` such as "NodeSocketFloat"."""
     if hasattr(tree, "interface"):
@@ -76,7 +89,7 @@ def see_through(material: bpy.types.Material) -> None:
 
 def splat_type() -> tuple[str, str] | None:
     """Property of a point cloud and its value that make Gaussian splats of it, as Blender 5.3 has; None before."""
-    if not hasattr(getattr(bpy.types, "PointCloud", None), "resize"):
+    if not has_function("PointCloud", "resize"):
         return None
     for prop in bpy.types.PointCloud.bl_rna.properties:
         for item in prop.enum_items if prop.type == "ENUM" else ():

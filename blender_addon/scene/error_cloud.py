@@ -15,6 +15,7 @@ from mathutils import Vector
 from ..pure.io.velocity_reader import TrueVelocity
 from . import gaussian_nodes, point_cloud
 
+VIEW_OF = "gof_view_of"  # custom property: the cloud, which may be renamed
 ARROWS = 3000  # of one view; more are a thicket
 
 
@@ -35,7 +36,9 @@ def add_truth(thing: bpy.types.Object, truth: TrueVelocity) -> CentreError:
     mesh = thing.data
     velocity, t_mu = point_cloud.column(mesh, "gs_gas_velocity", 3), point_cloud.column(mesh, "gs_t_mu", 1)[:, 0]
     true, inside = truth.sample(positions(mesh), t_mu)
-    compared = inside & (velocity != 0).any(1)
+    # Gas that was found to rest where its light moves is compared, too: that is an error like any other.
+    moving = (velocity != 0).any(1) | (point_cloud.column(mesh, "gs_velocity", 3) != 0).any(1)
+    compared = inside & moving
     true[~compared] = velocity[~compared]
     point_cloud.add_column(mesh, "gs_true_velocity", true)
     error = np.linalg.norm(velocity - true, axis=1)[compared].astype(float)
@@ -54,12 +57,18 @@ def positions(mesh: bpy.types.Mesh) -> np.ndarray:
     return out.reshape(-1, 3)
 
 
+def seen_by(view: bpy.types.Object) -> bpy.types.Object | None:
+    """The cloud that a view shows; None where it is gone."""
+    of = view[VIEW_OF]
+    return bpy.data.objects.get(of) if isinstance(of, str) else of  # older versions of the add-on kept its name
+
+
 def show(thing: bpy.types.Object) -> list[bpy.types.Object]:
     """Three views beside the cloud, of the same points: coloured by error; true velocity and error as arrows.
 
     Arrows have one length per m/s and colours one range in all of them. Views of an earlier call are replaced.
     """
-    for other in [other for other in bpy.data.objects if other.get("gof_view_of") == thing.name]:
+    for other in [other for other in bpy.data.objects if VIEW_OF in other and seen_by(other) == thing]:
         bpy.data.objects.remove(other)
     settings = point_cloud.inputs(thing)
     across = np.percentile(positions(thing.data)[:, 0], [1, 99])  # without the runaways
@@ -75,7 +84,7 @@ def show(thing: bpy.types.Object) -> list[bpy.types.Object]:
         1,
     ):
         view = point_cloud.add_view(thing.data, f"{thing.name} {name}")
-        view["gof_view_of"] = thing.name
+        view[VIEW_OF] = thing
         view.matrix_world = thing.matrix_world
         view.location = thing.matrix_world @ Vector((number * width, 0, 0))
         inputs = point_cloud.inputs(view)

@@ -74,13 +74,13 @@ def lines(name: str, attributes_of: str = "GEOMETRY") -> bpy.types.Material:
 
 def _new(name: str) -> tuple[bpy.types.Material, Nodes]:
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    material.node_tree.nodes.clear()
+    tree = compat.add_nodes(material)
+    tree.nodes.clear()
     compat.see_through(material)
     if hasattr(material, "cycles"):
         # A path towards each of thousands of small lights is slow and noisy; other surfaces still see the flame's glow.
         material.cycles.emission_sampling = "NONE"
-    return material, Nodes(material.node_tree)
+    return material, Nodes(tree)
 
 
 def _attribute(nodes: Nodes, name: str, of: str = "GEOMETRY") -> bpy.types.bpy_prop_collection:

@@ -101,7 +101,7 @@ def _write(nodes: Nodes) -> None:
     points = nodes.add(
         "GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}
     ).outputs[0]
-    points = _without(nodes, points, "gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light")
+    points = _without(nodes, points, "gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light", "gs_display")
     lines = gaussian_material.lines(f"{NAME} Lines"), gaussian_material.lines(f"{NAME} Line Instances", "INSTANCER")
     nodes.add(
         "NodeGroupOutput",

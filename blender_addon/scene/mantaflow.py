@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import importlib.abc
 import importlib.machinery
@@ -49,6 +50,12 @@ def enable() -> None:
         raise RuntimeError(f"no bpy library in {package}; reinstall it with: pip install --force-reinstall bpy")
     sys.modules.pop("manta", None)
     sys.meta_path.insert(0, _MantaFinder(library))
+    atexit.register(_forget_fires)
+
+
+def _forget_fires() -> None:
+    """Let go of every solver while Python still runs: the wheel aborts where one outlives it (return code 134)."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
 
 
 def wait_for_keys(item: bpy.types.Object) -> None:
@@ -66,8 +73,8 @@ def wait_for_keys(item: bpy.types.Object) -> None:
 def leave(status: int = 0) -> None:
     """End this process at once, with its output flushed.
 
-    After a bake the normal exit of the bpy wheel aborts ("can't clean grid cache", return code 134) and loses
-    buffered output, so workers leave here instead, also those that run in a Blender application without a window.
+    Workers leave here, in the wheel and in a Blender application without a window: whatever a bake has left behind,
+    Blender's own end cannot abort then and lose what was printed.
     """
     sys.stdout.flush()
     sys.stderr.flush()

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..pure.fuels import Fuel
 from ..pure.soot import Sheet
+from . import compat
 
 Colour = tuple[float, float, float]
 FLAME_EXPONENT = 1.3  # dense flame radiates more than in proportion, which leaves the fringe translucent
@@ -274,8 +275,8 @@ def print_work(name: str, paint: Colour, paper: Colour, ink: Colour, size: tuple
 
 def _new(name: str):
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
+    tree = compat.add_nodes(material)
+    nodes, links = tree.nodes, tree.links
     nodes.clear()
     output = nodes.new("ShaderNodeOutputMaterial")
     output.name = "Material Output"

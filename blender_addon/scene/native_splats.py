@@ -1,7 +1,6 @@
 """A cloud at one instant as Blender's own Gaussian splats, which 5.3 brings: a point cloud with certain attributes.
 
-Never run: no Blender 5.3 was to be had. Names and types are those of its release notes and of other people's add-ons;
-how the type is set is asked of the running Blender (`compat.splat_type`).
+How a point cloud becomes splats is asked of the running Blender (`compat.splat_type`).
 """
 
 from __future__ import annotations

@@ -91,7 +91,9 @@ def add_cameras(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object
     for camera, name in zip(added, spec.cameras.names, strict=True):
         camera[PART] = name
         camera.parent = place
-        camera.data.display_size = 0.2 / scene.unit_settings.scale_length
+        scale = scene.unit_settings.scale_length
+        camera.data.display_size = 0.2 / scale
+        camera.data.clip_start, camera.data.clip_end = camera.data.clip_start / scale, camera.data.clip_end / scale
     return added
 
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from ..pure.io.cloud import GaussianCloud
-from . import compat, display, gaussian_nodes
+from . import compat, display, gaussian_nodes, see_through
 
-TRANSPARENT_LAYERS = 1024  # surfaces a ray may pass, two per Gaussian; where it must stop the picture turns black
+DISPLAY = "gs_display"  # attribute: display values as in the file, which nothing draws and exports write
 LONGEST = np.finfo(np.float32).max
+DATUM = "gof_datum"  # custom property: x, y, z (m) and t (s) that places and times count from, where these are not 0
 
 
 class CloudInputs:
@@ -56,7 +58,7 @@ def inputs(thing: bpy.types.Object | None) -> CloudInputs | None:
 def add_point_cloud(
     cloud: GaussianCloud, start_frame: float, mode: str = "ellipsoids", name: str = "Flame Gaussians"
 ) -> bpy.types.Object:
-    """Add the reconstruction to the current scene.
+    """Add the reconstruction to the current scene, where it was filmed and as large as it was.
 
     Args:
         cloud: the Gaussians in the dataset's world frame.
@@ -70,13 +72,14 @@ def add_point_cloud(
     """
     if mode not in gaussian_nodes.MODES:
         raise ValueError(f"mode {mode!r}: choose one of {', '.join(gaussian_nodes.MODES)}")
-    scene = bpy.context.scene
     thing = add_view(_mesh(cloud, name), name)
+    thing.scale = (1 / bpy.context.scene.unit_settings.scale_length,) * 3  # its own coordinates are metres
     settings = inputs(thing)
     settings["Mode"], settings["Start Frame"] = gaussian_nodes.MODES.index(mode), start_frame
     settings["Line Time"] = _line_time(cloud)
-    if hasattr(scene, "cycles"):
-        scene.cycles.transparent_max_bounces = max(scene.cycles.transparent_max_bounces, TRANSPARENT_LAYERS)
+    if any(cloud.datum):
+        thing[DATUM] = cloud.datum
+    see_through.allow(bpy.context.scene)
     return thing
 
 
@@ -93,6 +96,54 @@ def add_view(mesh: bpy.types.Mesh, name: str) -> bpy.types.Object:
     compat.scene_variable(driver, "base", "render.fps_base", scene)
     driver.expression = "fps / base"  # a simple expression: runs even where Python in files is not allowed
     return thing
+
+
+def stand_on(thing: bpy.types.Object, cloud: GaussianCloud, spot: Vector) -> None:
+    """Move a cloud so that the foot of its flame is at a place of the scene."""
+    thing.location = spot - Vector([side * length for side, length in zip(thing.scale, foot(cloud), strict=True)])
+
+
+def foot(cloud: GaussianCloud) -> np.ndarray:
+    """(3,) m, amid the lowest tenth of what moves, and as low as that begins; of everything where nothing moves."""
+    places = cloud.position[cloud.dynamic if cloud.dynamic.any() else slice(None)].astype(np.float64)
+    low, high = np.percentile(places[:, 2], [1, 99])  # without the runaways
+    lowest = places[places[:, 2] <= low + 0.1 * (high - low)]
+    return np.array([*np.median(lowest[:, :2], axis=0), low])
+
+
+def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
+    """The Gaussians that an object shows, from its mesh; None for one of an older add-on, which kept no colors.
+
+    A Gaussian that rests and is always on counts as static.
+    """
+    mesh = thing.data
+    if DISPLAY not in mesh.attributes:
+        return None
+    position = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", position)
+    velocity, gas = column(mesh, "gs_velocity", 3), column(mesh, "gs_gas_velocity", 3)
+    inverse = column(mesh, "gs_inverse_t_sigma", 1)[:, 0]
+    with np.errstate(divide="ignore"):
+        t_sigma = 1 / inverse
+    given = {
+        field: column(mesh, name, 1)[:, 0]
+        for field, name in (("velocity_sd", "gs_velocity_sd"), ("begin", "gs_begin"), ("end", "gs_end"))
+        if name in mesh.attributes
+    }
+    return GaussianCloud(
+        position=position.reshape(-1, 3),
+        velocity=velocity,
+        t_mu=column(mesh, "gs_t_mu", 1)[:, 0],
+        t_sigma=t_sigma,
+        scale=column(mesh, "gs_scale", 3),
+        rotation=quaternions(column(mesh, "gs_euler", 3)),
+        opacity=column(mesh, "gs_opacity", 1)[:, 0],
+        color=column(mesh, DISPLAY, 3),
+        dynamic=(inverse > 0) | (velocity != 0).any(1) | (gas != 0).any(1) | ("begin" in given),
+        gas_velocity=gas,
+        datum=tuple(thing.get(DATUM, (0.0,) * 4)),
+        **given,
+    )
 
 
 def why_not_color(mesh: bpy.types.Mesh, color: str) -> str | None:
@@ -168,6 +219,7 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
     add_column(mesh, "gs_euler", euler_angles(cloud.rotation))
     add_column(mesh, "gs_opacity", cloud.opacity)
     add_column(mesh, "gs_light", light)
+    add_column(mesh, DISPLAY, cloud.color)
     if cloud.velocity_sd is not None:
         # No infinity enters the node graph: where nobody says how sure a velocity is, it may be wrong by all of itself.
         speed = np.linalg.norm(cloud.moving_gas, axis=1)
@@ -188,6 +240,15 @@ def euler_angles(rotation: np.ndarray) -> np.ndarray:
     yaw = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
     roll = np.where(locked, np.arctan2(2 * (w * x - y * z), 1 - 2 * (x * x + z * z)), roll)
     return np.column_stack([roll, np.arcsin(sine), np.where(locked, 0.0, yaw)])
+
+
+def quaternions(euler: np.ndarray) -> np.ndarray:
+    """Quaternions wxyz (N, 4) float32 of XYZ Euler angles (N, 3)."""
+    half = euler.astype(np.float64) / 2
+    (cx, cy, cz), (sx, sy, sz) = np.cos(half).T, np.sin(half).T
+    w, x = cx * cy * cz + sx * sy * sz, sx * cy * cz - cx * sy * sz
+    y, z = cx * sy * cz + sx * cy * sz, cx * cy * sz - sx * sy * cz
+    return np.column_stack([w, x, y, z]).astype(np.float32)
 
 
 def _line_time(cloud: GaussianCloud) -> float:

@@ -16,7 +16,7 @@ from ..pure.layout import Layout, leaving
 from ..pure.presets import PRESETS
 from ..pure.sense import require_sense
 from ..pure.spec import BACKGROUND, BlendFile, SceneSpec
-from ..scene import bodies, place
+from ..scene import bodies, compat, place
 from ..scene.backgrounds import blend_file
 from ..scene.view import require_display
 from . import scene_spec
@@ -373,7 +373,7 @@ def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
 
 def _draw_job(layout, context, job: Job) -> None:
     box = layout.box()
-    if hasattr(bpy.types.UILayout, "progress"):  # since Blender 4.0
+    if compat.has_function("UILayout", "progress"):  # since Blender 4.0
         box.progress(factor=job.fraction, text=f"{100 * job.fraction:.0f} %")
     else:
         filled = round(20 * job.fraction)

@@ -37,8 +37,7 @@ class GOF_OT_export_cameras(bpy.types.Operator, ExportHelper):
                 exchange.write(cameras, path, scene.frame_current, scene.frame_current)
             elif path.suffix.lower() == ".json" or path.name in camera_files.COLMAP:
                 to_file = camera_exchange.world_of_files(scene, self.from_fire)
-                entries = tuple(camera_exchange.describe(camera, scene, to_file) for camera in cameras)
-                camera_files.write(path, entries)
+                camera_files.write(path, camera_exchange.describe_all(cameras, scene, to_file))
             else:
                 raise SpecError(
                     f"{path.name}: the name must be images.txt, or end in .json, .usd, .usdc, .usda or .abc"
@@ -73,7 +72,7 @@ class GOF_OT_import_cameras(bpy.types.Operator, ImportHelper):
             if self.rig and place.find(scene, place.PLACE) is not None:
                 added = self._as_rig(scene, entries, to_file)
             else:
-                added = camera_exchange.add(entries, scene, to_file.inverted())
+                added = camera_exchange.add(entries, path.parent, scene, to_file.inverted())
         except FAILURES as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -88,7 +87,7 @@ class GOF_OT_import_cameras(bpy.types.Operator, ImportHelper):
             cameras = [thing for thing in things if thing.type == "CAMERA"]
             if not cameras:
                 raise FileFormatError(f"{path}: holds no cameras")
-            return tuple(camera_exchange.describe(camera, scene, to_file) for camera in cameras)
+            return camera_exchange.describe_all(cameras, scene, to_file)
 
     @staticmethod
     def _as_rig(scene, entries: tuple[CameraEntry, ...], to_file) -> list[bpy.types.Object]:

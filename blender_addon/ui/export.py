@@ -10,7 +10,7 @@ import numpy as np
 from bpy_extras.io_utils import ExportHelper
 
 from ..pure import points, voxels
-from ..pure.io import FileFormatError, gaussians_file, usd_points, vdb_file
+from ..pure.io import FileFormatError, usd_points, vdb_file
 from ..pure.io.cloud import GaussianCloud
 from ..scene import alembic_points, point_cloud
 from .panel import number
@@ -31,12 +31,16 @@ class Recording:
 
     @classmethod
     def of(cls, scene: bpy.types.Scene, thing: bpy.types.Object) -> "Recording":
-        """Read the cloud's file again. Raises FileFormatError, OSError or MemoryError where it cannot be."""
-        rate = scene.render.fps / scene.render.fps_base
-        clock = gaussians_file.Clock(thing.get("gof_fps", rate), thing["gof_time_unit"] or None)
-        settings = point_cloud.inputs(thing)
+        """Of what the .blend holds: no file is asked. Raises FileFormatError: it holds too little."""
+        rate, settings, cloud = scene.render.fps / scene.render.fps_base, point_cloud.inputs(thing), None
+        if thing.type == "MESH":
+            cloud = point_cloud.cloud_of(thing)
+        if cloud is None:
+            raise FileFormatError(
+                f"{thing.name}: imported by an older version of the add-on, which kept too little; import it again"
+            )
         return cls(
-            gaussians_file.load(Path(thing["gof_source"]), clock),
+            cloud,
             np.arange(scene.frame_start, scene.frame_end + 1),
             settings["Start Frame"],
             rate,
@@ -59,7 +63,7 @@ class _CloudExport(ExportHelper):
 
     @classmethod
     def poll(cls, context):
-        return point_cloud.inputs(context.object) is not None and "gof_source" in context.object
+        return point_cloud.inputs(context.object) is not None
 
     def invoke(self, context, event):
         """Ask for a name, where this Blender can write any such file."""

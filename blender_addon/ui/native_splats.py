@@ -18,8 +18,7 @@ class GOF_OT_native_splats(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        there = compat.splat_type() is not None and point_cloud.inputs(context.object) is not None
-        return there and "gof_source" in context.object
+        return compat.splat_type() is not None and point_cloud.inputs(context.object) is not None
 
     def execute(self, context):
         scene, thing = context.scene, context.object

@@ -7,7 +7,7 @@ import bpy
 from bpy_extras.io_utils import ImportHelper
 
 from ..pure.io import FileFormatError, gaussians_file
-from ..scene import clip_in_scene, compat, gaussian_nodes, point_cloud
+from ..scene import clip_in_scene, compat, gaussian_nodes, place, point_cloud, result_file, see_through
 from .panel import SidebarPanel, number, write_lines
 
 MANY = 2_000_000  # Gaussians; from here on an import asks back
@@ -16,19 +16,19 @@ SECONDS_EACH, BYTES_EACH, FRAME_SECONDS_EACH = 4e-6, 250, 0.1e-6  # measured: be
 MODES = [
     ("points", "Points", "Round points: quick"),
     ("ellipsoids", "Ellipsoids", "The Gaussians' true shapes"),
-    ("arrows", "Arrows", "Velocity arrows"),
+    ("arrows", "Arrows", "Velocity of the gas"),
     ("streaks", "Streaks", "The way just travelled, as sparks leave it"),
 ]
 COLORS = [
     ("image", "Image Color", "As in the footage"),
-    ("speed", "Speed", "m/s"),
+    ("speed", "Speed", "Of the gas, m/s"),
     ("age", "Age", "Seconds since its brightest moment"),
     ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
     ("error", "Velocity Error", "m/s against the true velocity; score first (panel Score, Show Errors)"),
     ("doubt", "Velocity Doubt", "m/s, standard deviation of a component, where the file says it"),
 ]
 VECTORS = [
-    ("velocity", "Velocity", "As reconstructed"),
+    ("velocity", "Velocity", "Of the gas, as reconstructed"),
     ("true velocity", "True Velocity", "At the Gaussian's centre"),
     ("error", "Error", "Reconstructed minus true"),
 ]
@@ -85,6 +85,15 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     mode: bpy.props.EnumProperty(name="Show As", items=MODES, default=gaussian_nodes.QUICK)
+    spot: bpy.props.EnumProperty(
+        name="Place",
+        description="Where the flame stands",
+        items=[
+            ("FILMED", "Where It Was Filmed", "As its cameras see it: places count from the scene's origin"),
+            ("CURSOR", "At the Cursor", "Its foot at the 3D cursor"),
+            ("OBJECT", "On the Object", "Its foot on top of the active object"),
+        ],
+    )
     start_frame: bpy.props.FloatProperty(
         name="Start Frame", default=1.0, precision=3, description="Scene frame that is time 0 of the reconstruction"
     )
@@ -124,8 +133,8 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
     def draw(self, context):
         layout = self.layout
         layout.use_property_split = True
-        layout.prop(self, "mode")
-        layout.prop(self, "fit")
+        for name in ("mode", "spot", "fit"):
+            layout.prop(self, name)
         for name in ("start_frame", "step"):
             number(layout, self, name)
         layout.prop(self, "everything")
@@ -134,7 +143,13 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
             number(layout, self, name)
 
     def execute(self, context):
-        started = time.perf_counter()
+        started, spot = time.perf_counter(), None
+        if self.spot != "FILMED":
+            under = context.active_object
+            if self.spot == "OBJECT" and under is None:
+                self.report({"ERROR"}, "there is no active object to stand on: click one, or choose At the Cursor")
+                return {"CANCELLED"}
+            spot = place.on_top_of(under) if self.spot == "OBJECT" else context.scene.cursor.location.copy()
         render = context.scene.render
         clock = gaussians_file.Clock(self.fps or render.fps / render.fps_base, self.clip_seconds or None)
         try:
@@ -153,9 +168,10 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         thing = point_cloud.add_point_cloud(
             cloud, self.start_frame, self.mode, source[0].stem if len(source) == 1 else source[0].parent.name
         )
-        thing["gof_source"] = str(source[0] if len(source) == 1 else source[0].parent)
+        if spot is not None:
+            point_cloud.stand_on(thing, cloud, spot)
+        result_file.keep(thing, source)
         thing["gof_time_unit"] = self.clip_seconds if len(source) == 1 else 1 / clock.fps  # for `gof evaluate`
-        thing["gof_fps"] = clock.fps
         clip_in_scene.keep(thing, cloud)
         if self.fit == "fit" or (self.fit == "new" and clip_in_scene.is_new(context.scene)):
             clip_in_scene.fit(context.scene, thing)
@@ -166,6 +182,10 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         said = f"{thing.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s"
         if clip := clip_in_scene.line(context.scene, thing):
             said += f". {clip}"
+        if any(cloud.datum):  # Blender knows seven digits: the datum's place is the origin here
+            said += ". The origin is x {:.10g}, y {:.10g}, z {:.10g} m of its world, and time 0 is {:.10g} s".format(
+                *cloud.datum
+            )
         if _shows_no_colors(context):
             said += f". {GREY}: press Show Colors in the panel"
         self.report({"INFO"}, said)
@@ -297,10 +317,12 @@ def _menu(menu, context):
 
 
 def register() -> None:
+    see_through.watch()
     bpy.types.TOPBAR_MT_file_import.append(_menu)
 
 
 def unregister() -> None:
+    see_through.unwatch()
     bpy.types.TOPBAR_MT_file_import.remove(_menu)
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import bpy
 
 from ..pure.io import FileFormatError, velocity_reader
-from ..pure.score_process import Evaluation, EvaluationError
-from ..scene import error_cloud, point_cloud
+from ..pure.score_process import Evaluation
+from ..scene import error_cloud, point_cloud, result_file
 from . import preferences
 from .job_operator import JobOperator, blender
 from .panel import SidebarPanel, write_lines
@@ -19,6 +19,12 @@ class GOF_PG_score(bpy.types.PropertyGroup):
 
     dataset: bpy.props.StringProperty(
         name="Dataset", subtype="DIR_PATH", description="Folder of the dataset with the true velocity"
+    )
+    result: bpy.props.StringProperty(
+        name="Result",
+        subtype="FILE_PATH",
+        description="The file that the reconstruction was imported from, where the add-on does not find it: a .blend "
+        "keeps its name and not its folder",
     )
     python: bpy.props.StringProperty(
         name="Python",
@@ -33,8 +39,8 @@ class GOF_PG_score(bpy.types.PropertyGroup):
 def _cloud(context) -> bpy.types.Object | None:
     """The cloud in question: the active object, or the cloud that it is a view of."""
     thing = context.object
-    if thing is not None and "gof_view_of" in thing:
-        thing = bpy.data.objects.get(thing["gof_view_of"])
+    if thing is not None and error_cloud.VIEW_OF in thing:
+        thing = error_cloud.seen_by(thing)
     return thing if point_cloud.inputs(thing) else None
 
 
@@ -57,9 +63,7 @@ class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
     def begin(self, context) -> Evaluation:
         settings, thing = context.scene.gof.score, _cloud(context)
         python = settings.python or preferences.python()
-        if "gof_source" not in thing:
-            raise EvaluationError(f"{thing.name}: not imported from a file; import the reconstruction again")
-        result, dataset = Path(thing["gof_source"]), Path(bpy.path.abspath(settings.dataset))
+        result, dataset = result_file.find(thing, settings.result), Path(bpy.path.abspath(settings.dataset))
         unit_s = thing.get("gof_time_unit", 0.0)
         if python:
             return Evaluation.by_gof(Path(bpy.path.abspath(python)), result, dataset, unit_s)
@@ -81,7 +85,8 @@ class GOF_OT_show_errors(_ScoreOperator, bpy.types.Operator):
     def execute(self, context):
         settings, thing = context.scene.gof.score, _cloud(context)
         try:
-            truth = velocity_reader.of_dataset(Path(bpy.path.abspath(settings.dataset)))
+            datum = tuple(thing.get(point_cloud.DATUM, (0.0,) * 4))
+            truth = velocity_reader.of_dataset(Path(bpy.path.abspath(settings.dataset)), datum)
             found = error_cloud.add_truth(thing, truth)
         except (FileFormatError, OSError) as error:
             self.report({"ERROR"}, str(error))
@@ -105,6 +110,8 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
         thing = _cloud(context)
         write_lines(layout, context, f"Of {thing.name}" if thing else "Select a reconstruction", "POINTCLOUD_DATA")
         layout.prop(settings, "dataset")
+        if settings.result or (thing and not result_file.known(thing)):
+            layout.prop(settings, "result")
         if settings.python or not preferences.python():
             layout.prop(settings, "python")
         job = GOF_OT_score.job

@@ -184,12 +184,11 @@ def _describe(spec: SceneSpec, layout: Layout) -> DatasetDescription:
 def _save_blend(layout: Layout) -> None:
     import bpy
 
+    from ..scene import paths
+
     bpy.context.preferences.filepaths.save_version = 0  # no .blend1 beside it
-    bpy.context.scene.render.filepath = "//"
-    for screen in bpy.data.screens:
-        for space in (space for area in screen.areas for space in area.spaces if space.type == "FILE_BROWSER"):
-            if space.params:
-                space.params.directory = b"//"  # it would name the user's home
+    paths.overwrite(bpy.context.scene.render, "filepath", "//")
+    paths.forget_browsed()
     bpy.ops.wm.save_as_mainfile(filepath=str(layout.blend), check_existing=False)
 
 

@@ -137,6 +137,9 @@ def save_blend(path: Path) -> None:
     """Save the open scene to `path`, atomically."""
     import bpy
 
+    from ..scene import paths
+
+    paths.forget_browsed()
     with atomic_path(path) as draft:
         bpy.ops.wm.save_as_mainfile(filepath=str(draft), copy=True, compress=True, check_existing=False)
 

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.dataset import Dataset
+from gof.dataset import CameraEntry, Dataset, DatasetDescription, Splits
+from gof.datum import Datum
 from gof.evaluate.sequence import dve_sequence
 from gof.gaussians import TransientGaussians
 from gof.rotations import rotation_matrices
@@ -25,14 +26,34 @@ def centres() -> np.ndarray:
     return ORIGIN + CELL * (np.stack(np.meshgrid(*map(np.arange, CELLS), indexing="ij"), -1) + 0.5)
 
 
-def write_truth(path: Path, field, times=TIMES) -> None:
+def write_truth(path: Path, field, times=TIMES, origin=ORIGIN) -> None:
     """``field(points, time_s)`` at the centres of the cells, float32."""
     matrix = np.diag([CELL, CELL, CELL, 1.0])
-    matrix[:3, 3] = ORIGIN
+    matrix[:3, 3] = origin
     writer = VelocityWriter(path, CELLS, matrix, times, CELL, "float32")
     for frame, time_s in enumerate(times):
-        writer.write_frame(frame, field(centres(), time_s).__getitem__)
+        writer.write_frame(frame, field(centres() - ORIGIN + origin, time_s).__getitem__)
     writer.finish()
+
+
+def still_dataset(path: Path, field, origin=ORIGIN, begin: float = 0.0) -> Path:
+    """A dataset that has a true velocity and no pictures, its clock beginning at a time in seconds."""
+    times = begin + TIMES
+    entry = CameraEntry.of(arc(1)[0], rgb="rgb/{frame:06d}.png", static="static.png")
+    splits = Splits(tuple(range(len(times))), ())
+    path.mkdir()
+    DatasetDescription("still", tuple(times.tolist()), (entry,), splits, velocity="v.zarr").write(path)
+    write_truth(path / "v.zarr", field, times, origin)
+    return path
+
+
+def inner_gaussians(n: int) -> TransientGaussians:
+    """Moving ones, always lit, in the middle of the box."""
+    gaussians = random_gaussians(n)
+    gaussians.dynamic[:], gaussians.t_mu[:], gaussians.t_sigma[:] = True, TIMES[2], np.inf
+    gaussians.position[:] = np.random.default_rng(1).uniform([-0.3, -0.2, 0.9], [0.3, 0.2, 1.5], (n, 3))
+    gaussians.scale[:] = np.minimum(gaussians.scale, 0.05)
+    return gaussians
 
 
 def linear(points, time_s):
@@ -77,6 +98,7 @@ def test_it_is_gofs_own_score(folder, tmp_path, seed):
     gaussians.t_sigma[::2] = 0.01
     gaussians.opacity[::7] *= 1e-12
     gaussians.velocity[5] = 0
+    gaussians.gas_velocity = np.random.default_rng(9).normal(0, 1, (400, 3)).astype(np.float32) if seed else None
     ours = scored(cloud_of(gaussians, tmp_path / "result.npz"), folder)
     theirs = dve_sequence(gaussians, Dataset.open(folder).velocity)
     assert ours.dve.l2 == pytest.approx(theirs.l2, abs=1e-6)
@@ -84,6 +106,32 @@ def test_it_is_gofs_own_score(folder, tmp_path, seed):
     assert ours.dve.weight_outside == pytest.approx(theirs.pooled.weight_outside, abs=1e-6)
     assert ours.controls.constant.l2 == pytest.approx(theirs.controls["constant"].l2, abs=1e-6)
     assert ours.dve.frames_scored == len(TIMES)
+
+
+@pytest.mark.parametrize("name", ["result.npz", "result.ply"])
+def test_the_gas_is_scored_and_not_the_light(tmp_path, name):
+    """Gas 10 % too fast in a uniform flow, its light going the other way: L2 0.1 and CosSim 1, by the definition."""
+    flow = np.array([0.5, 0.0, 2.0], np.float32)
+    dataset = still_dataset(tmp_path / "data", lambda x, t: np.broadcast_to(flow, x.shape))
+    gaussians = inner_gaussians(30)
+    gaussians.velocity[:], gaussians.gas_velocity = -flow, np.tile(np.float32(1.1) * flow, (30, 1))
+    found = scored(cloud_of(gaussians, tmp_path / name), dataset)
+    assert (found.dve.l2, found.dve.cos_sim) == pytest.approx((0.1, 1.0), abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["result.npz", "result.ply"])
+def test_a_result_far_from_zero_is_scored_where_it_is(tmp_path, name):
+    """A turning flow 4,500 km from the origin at a time of 2026: the velocity at the centres is right, so L2 is 0."""
+    place, moment = np.array([4.5e6, -3.25e5, 120.0]), 1.79e9
+    flow = lambda x, t: (x - place) @ A.T + B  # noqa: E731
+    dataset = still_dataset(tmp_path / "data", flow, origin=ORIGIN + place, begin=moment)
+    gaussians = inner_gaussians(30)
+    gaussians.velocity[:] = 0
+    gaussians.gas_velocity = (gaussians.position @ A.T + B).astype(np.float32)
+    gaussians.datum = Datum(tuple(place.tolist()), moment)
+    found = scored(cloud_of(gaussians, tmp_path / name), dataset)
+    assert found.dve.frames_scored == len(TIMES)
+    assert found.dve.l2 == pytest.approx(0, abs=1e-4) and found.dve.weight_outside == 0
 
 
 def test_a_linear_flow_is_its_value_at_the_centre(tmp_path):

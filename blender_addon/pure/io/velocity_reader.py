@@ -14,12 +14,15 @@ from .grid_reader import StoredGrid
 from .trilinear import trilinear
 
 
-def of_dataset(dataset: Path) -> TrueVelocity:
-    """The true velocity of a dataset folder. Raises: FileFormatError where there is none, or no dataset."""
+def of_dataset(dataset: Path, datum: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> TrueVelocity:
+    """The true velocity of a dataset folder, its places and times counted from a datum: x, y, z (m) and t (s).
+
+    Raises: FileFormatError where there is none, or no dataset.
+    """
     name = DatasetDescription.read(dataset).velocity
     if not name:
         raise FileFormatError(f"{dataset}: the dataset has no true velocity (a real capture?); choose a generated one")
-    return TrueVelocity(path_in(dataset, name))
+    return TrueVelocity(path_in(dataset, name), datum)
 
 
 @dataclass(frozen=True)
@@ -51,15 +54,18 @@ class TrueVelocity:
     """Velocity in m/s on a grid over time; chunks are read when points ask for them.
 
     Attributes:
-        time_s: (T,) seconds on the dataset clock.
+        time_s: (T,) seconds on the dataset clock, from the datum.
 
     Raises:
         FileFormatError: not a velocity store, or one compressed in another way.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, datum: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)):
+        """Places and times count from the datum, x, y, z (m) and t (s), as those of a result far from zero do."""
         self._stored = StoredGrid(path, "velocity", "m/s")
-        self.time_s = self._stored.time_s
+        self.time_s = self._stored.time_s - datum[3]
+        self._to_index = self._stored.world_to_index.copy()
+        self._to_index[:3, 3] += self._to_index[:3, :3] @ datum[:3]
 
     def sample(self, points: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Velocity (N, 3) float32 at world points (N, 3) and times (N,), and whether the points lie in the domain (N,).
@@ -67,7 +73,7 @@ class TrueVelocity:
         Linear in time between stored frames (the first or last one's outside of them), tri-linear between cell
         centres; in the outer half cell the nearest centre's; 0 outside the domain.
         """
-        to_index = self._stored.world_to_index
+        to_index = self._to_index
         index = np.asarray(points, float) @ to_index[:3, :3].T + to_index[:3, 3]
         inside = ((index >= 0) & (index <= self._stored.grid)).all(1)
         frame = np.interp(time_s, self.time_s, np.arange(len(self.time_s)))
@@ -87,7 +93,7 @@ class TrueVelocity:
         Raises:
             FileFormatError: a chunk is damaged.
         """
-        to_index, grid = self._stored.world_to_index, self._stored.grid
+        to_index, grid = self._to_index, self._stored.grid
         corners = np.where(np.array(list(np.ndindex(2, 2, 2))), high, low) @ to_index[:3, :3].T + to_index[:3, 3]
         start = np.clip(np.floor(corners.min(0) - 0.5), 0, np.array(grid) - 1).astype(int)
         stop = np.clip(np.floor(corners.max(0) - 0.5) + 2, start + 1, grid).astype(int)

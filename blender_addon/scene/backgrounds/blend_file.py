@@ -17,7 +17,7 @@ from mathutils import Matrix
 from ...pure.checked_json import SpecError
 from ...pure.io.files import atomic_path
 from ...pure.spec import SceneSpec
-from .. import place
+from .. import paths, place
 from . import foreign
 
 
@@ -64,7 +64,7 @@ def save(collection: bpy.types.Collection, path: Path) -> None:
     surroundings = bpy.data.scenes.new("Surroundings")
     surroundings.collection.children.link(collection)
     surroundings.world = bpy.context.scene.world
-    surroundings.render.filepath = "//"
+    paths.overwrite(surroundings.render, "filepath", "//")
     surroundings.view_layers[0].update()  # Blender 5.2 crashes where it writes a scene that was never looked at
     with atomic_path(path) as draft:
         bpy.data.libraries.write(str(draft), {surroundings}, path_remap="NONE", fake_user=True, compress=True)

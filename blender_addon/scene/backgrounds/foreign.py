@@ -10,6 +10,7 @@ from pathlib import Path
 import bpy
 
 from ...pure.checked_json import SpecError
+from .. import paths
 
 PICTURES = {".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".tga", ".bmp", ".webp", ".jp2", ".dds", ".psd"}
 
@@ -56,9 +57,7 @@ def take_pictures(source: Path) -> None:
         if image.source not in ("GENERATED", "VIEWER"):
             if not image.packed_files:
                 _pack(image, source)
-            image.filepath_raw = f"//{Path(image.filepath).name}"
-            for packed in image.packed_files:
-                packed.filepath = image.filepath_raw
+            paths.forget_folder(image)
     for name in bpy.utils.blend_paths(absolute=False, packed=False, local=True):
         if not name.startswith("//") and Path(name).exists():
             raise SpecError(

@@ -6,6 +6,8 @@ import math
 
 import bpy
 
+from .. import compat
+
 
 def light(collection, location, watts: float, size: float, colour, aim=(0.0, 0.6, 0.6)) -> None:
     """A square area light that shines at a place."""
@@ -20,8 +22,7 @@ def light(collection, location, watts: float, size: float, colour, aim=(0.0, 0.6
 
 def sky(colour, strength: float) -> None:
     world = bpy.data.worlds.new("World")
-    world.use_nodes = True
-    shade = world.node_tree.nodes["Background"]
+    shade = compat.add_nodes(world).nodes["Background"]
     shade.inputs["Color"].default_value = (*colour, 1.0)
     shade.inputs["Strength"].default_value = strength
     bpy.context.scene.world = world

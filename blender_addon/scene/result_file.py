@@ -1,0 +1,81 @@
+"""Which file a cloud was imported from. A .blend says its name and no folder but those below its own.
+
+Whoever gets the .blend learns nothing of the disk of its author, and what is found is that very file: one of the same
+name that holds something else is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import bpy
+
+from ..pure.io import FileFormatError, gaussians_file
+
+FILE, SUM = "gof_source", "gof_source_sum"  # custom properties of a cloud
+END = 2**16  # bytes at either end of a file that are looked at
+_here: dict[str, Path] = {}  # where the files are that this process has imported, by their sums
+
+
+def keep(thing: bpy.types.Object, source: list[Path]) -> None:
+    """Note what a cloud was made of: a file, or the numbered files of one folder."""
+    path = (source[0] if len(source) == 1 else source[0].parent).resolve()
+    thing[SUM] = _sum(source)
+    _here[thing[SUM]] = path
+    home = _home()
+    thing[FILE] = path.relative_to(home).as_posix() if home and path.is_relative_to(home) else path.name
+
+
+def known(thing: bpy.types.Object) -> bool:
+    """Whether there is a file where a cloud's was; quick, for panels."""
+    return any(path.exists() for path in _places(thing))
+
+
+def find(thing: bpy.types.Object, chosen: str = "") -> Path:
+    """The file, or the folder, that a cloud was imported from.
+
+    Args:
+        chosen: by the user; "" looks where it was imported from in this session, and from the .blend on.
+    Raises:
+        FileFormatError: it is not there, or another one is.
+    """
+    if FILE not in thing:
+        raise FileFormatError(f"{thing.name}: not imported from a file; import the reconstruction again")
+    places = [Path(bpy.path.abspath(chosen)).absolute()] if chosen else _places(thing)
+    there = [path for path in places if path.exists()]
+    if not there:
+        where = places[0] if chosen else f"{Path(thing[FILE]).name}, which {thing.name} was imported from"
+        raise FileFormatError(f"{where}: no such file here; choose it as Result in the panel Score")
+    for path in there:
+        if SUM not in thing or _sum(gaussians_file.files_of(path)) == thing[SUM]:
+            return path
+    raise FileFormatError(
+        f"{there[0]}: has changed since {thing.name} was imported, or is another file; import it again, or choose the "
+        "right one as Result"
+    )
+
+
+def _places(thing: bpy.types.Object) -> list[Path]:
+    found = [_here[thing[SUM]]] if thing.get(SUM) in _here else []
+    file = Path(thing.get(FILE, ""))
+    if file.name and (_home() or file.is_absolute()):  # older versions of the add-on kept the whole path
+        found.append((_home() or Path()) / file)
+    return found
+
+
+def _home() -> Path | None:
+    """The folder of the .blend, once it has been saved."""
+    return Path(bpy.data.filepath).resolve().parent if bpy.data.filepath else None
+
+
+def _sum(files: list[Path]) -> str:
+    """Of the sizes and both ends of files: a result that was written again differs everywhere."""
+    found = hashlib.sha256()
+    for path in files:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            found.update(f"{size} ".encode() + file.read(END))
+            file.seek(max(size - END, 0))
+            found.update(file.read(END))
+    return found.hexdigest()[:32]
