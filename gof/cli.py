@@ -32,6 +32,8 @@ usage: gof COMMAND [OPTIONS]        gof COMMAND --help explains one command
 
 {commands}
 
+start without Blender: gof sample unpacks a fire with its truth, a result, a submission and three films.
+
 the whole loop, step by step:
   gof generate demo --out data/fire                 a dataset: pictures, cameras, velocity in m/s
   gof reconstruct data/fire --out out/fire          out/fire/result.ply and result.npz

@@ -1,12 +1,12 @@
-"""Every command that README, `gof --help` and the help of each command print: run as printed, in order, on a small fire.
+"""Every command that README, `gof --help` and the help of each command print is run as printed, in its order.
 
-What a reader has by then is `gof sample` and what the commands before made. Sizes are made small (`SMALL`); nothing else
-is changed. What is not run stands in `NOT_RUN` with the reason.
+What a reader has by then is `gof sample`, and what the commands before made. Sizes are made small (`SMALL`), nothing
+else is changed. What is not run stands in `NOT_RUN` with the reason. What errors and notes name exists.
 """
 
+import ast
 import contextlib
 import io
-import os
 import re
 import shlex
 import shutil
@@ -23,12 +23,13 @@ from gof.sample import unpack_sample
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 GROUPS = ("benchmark", "capture", "figure", "study")  # `gof GROUP PART`: each part has options of its own
-LINE = re.compile(r"^\s*(?:\S+: )?(gof [a-z]+ .*?)(?:\s{3,}.*)?$", re.MULTILINE)  # what it makes stands three blanks after
+LINE = re.compile(
+    r"^\s*(?:\S+: )?(gof [a-z]+ .*?)(?:\s{3,}.*)?$", re.MULTILINE
+)  # what it makes stands three blanks after
 
 SERVER, HOURS, HARDWARE = "serves pages until it is stopped", "takes hours", "needs the board, or printed targets"
 OTHERS = "needs other people's code or files"
 NOT_RUN = {  # words that the command begins with: why
-    "gof COMMAND": "stands for any command",
     "gof capture PART": "stands for any part",
     "gof figure PART": "stands for any part",
     "gof benchmark PART": "stands for any part",
@@ -123,8 +124,52 @@ CHEAP = [(page, [x for x in lines if not reason(x) and not x.startswith(BLENDER)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("page, lines", [pair for pair in CHEAP if pair[1]], ids=lambda v: v if isinstance(v, str) else "")
+@pytest.mark.parametrize(
+    "page, lines", [pair for pair in CHEAP if pair[1]], ids=lambda v: v if isinstance(v, str) else ""
+)
 def test_what_a_page_prints_runs_in_its_order(page, lines, world):
     for line in lines:
         done = run(line, world)
         assert done.returncode == 0, f"{page}: {line}\n{done.stdout[-1500:]}\n{done.stderr[-1500:]}"
+
+
+# ---------------------------------------------------------------- what messages name
+
+SOURCES = [*ROOT.glob("gof/**/*.py"), *ROOT.glob("blender_addon/**/*.py")]
+SOURCES += [path for path in ROOT.glob("benchmark/**/*.py") if path.parts[-2] not in ("evidence", "reliability")]
+NAMED = re.compile(rf"\bgof ((?:{'|'.join(sorted(commands()))})(?: [a-z]+)?)((?: [^\s'\"`;,()]+)*)")
+
+
+def texts(path: Path) -> list[tuple[int, str]]:
+    """(line, text) of every string of a file; what is put into it by braces is X."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    inner = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            words = [part.value if isinstance(part, ast.Constant) else "X" for part in node.values]
+            found.append((node.lineno, "".join(map(str, words))))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in inner:
+            found.append((node.lineno, node.value))
+    return found
+
+
+@pytest.mark.checkout
+@pytest.mark.long
+def test_every_option_that_a_message_names_exists():
+    helps: dict[tuple[str, ...], str] = {}
+    wrong, seen = [], 0
+    for path in SOURCES:
+        for line, text in texts(path):
+            for name, rest in NAMED.findall(text):
+                words = tuple(name.split()) if name.split()[0] in GROUPS else (name.split()[0],)
+                options = re.findall(r"(?<!\S)(--[a-z][\w-]*)", f"{name}{rest}")
+                if not options or words[0] == "baseline":
+                    continue
+                if words not in helps:
+                    helps[words] = help_of(*words)
+                seen += 1
+                missing = [o for o in options if not re.search(rf"{re.escape(o)}(?![\w-])", helps[words])]
+                wrong += [f"{path.relative_to(ROOT)}:{line}: gof {' '.join(words)} has no {o}" for o in missing]
+    assert seen > 30
+    assert not wrong, "\n".join(wrong)
