@@ -46,9 +46,9 @@ def main() -> int:
     shutil.rmtree(sample, ignore_errors=True)
     keep_fire(work / "fire", sample / "fire")
     keep_clip(work / "clip", sample / "clip")
-    run("reconstruct", sample / "fire", "--out", work / "result", "--gaussians", "12000")
+    run("reconstruct", work / "fire", "--out", work / "result", "--gaussians", "12000")
     keep_result(work / "result", sample / "result")
-    run("reconstruct", sample / "fire", "--out", work / "paper", "--method", "paper", "--scene", "plates",
+    run("reconstruct", work / "fire", "--out", work / "paper", "--method", "paper", "--scene", "plates",
         "--iterations", "1500", "--gaussians", "6000", "--no-flow-prior")  # fmt: skip
     keep_submission(work / "paper", sample)
     size = write_archive(sample, options.out)
