@@ -49,7 +49,7 @@ def main(argv: list[str]) -> int:
     if config.board_points is not None and not config.footage:
         raise GofError("--board-points: are pixels of the videos as stored; give these with --footage")
     frames = first_frames(config.footage) if config.footage else training_frames(dataset)
-    template = require_strips(recognise(config.board, frames, config.board_points), "a mask")
+    template = require_strips(recognise(config.board, frames), "a mask")
     if config.board_points is not None:
         names = distinct_names(config.footage)
         marked = read_board_points(config.board_points, template, names)
