@@ -70,14 +70,14 @@ def annotate(
             notes[camera.name] = f"no board mask: {e}" + ("" if footage else " Small pictures? Give the --footage")
             continue
         name = f"cameras/{camera.name}/board_mask.png"
-        covered = float((mask > 127).mean())
+        path, covered = path_in(dataset.path, name), float((mask > 127).mean())
         if covered > MOST_COVERED:
             notes[camera.name] = (
                 f"no board mask: what was taken for the board covers {covered:.0%} of the picture, and the flame with "
                 "it: is it the right board (--board), whole and sharp?"
             )
             continue
-        share = _write_mask(mask, (camera.width, camera.height), path_in(dataset.path, name))
+        share = _write_mask(mask, (camera.width, camera.height), path)
         entries[camera.name] = replace(entry, board_mask=name)
         if not footage:
             made_from[name] = tuple(dataset.train_frames[:LOOK_AT])

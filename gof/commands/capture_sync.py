@@ -96,7 +96,10 @@ def main(argv: list[str]) -> int:
     require_different(config.videos)
     board = recognise(config.board, first_frames(config.videos))
     if board is None:
-        raise GofError(f"{', '.join(names)}: no camera shows the marker of a known LED board: {NO_MARKER}. {WAYS_OUT}")
+        raise GofError(
+            f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there: {NO_MARKER}. "
+            f"{WAYS_OUT}"
+        )
     points = None
     if config.board_points is not None:
         if isinstance(board, RingBoard):
