@@ -97,8 +97,8 @@ def main(argv: list[str]) -> int:
     board = recognise(config.board, first_frames(config.videos))
     if board is None:
         raise GofError(
-            f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there: {NO_MARKER}. "
-            f"{WAYS_OUT}"
+            f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there: "
+            f"{NO_MARKER}. {WAYS_OUT}"
         )
     points = None
     if config.board_points is not None:
