@@ -115,8 +115,8 @@ def _first_frame(
             "--board, --tick-us)?"
         )
         raise GofError(
-            f"{where}the videos do not overlap in time{late} ({spans}): are they of one take, are their times of one clock?"
-            f"{board if where else ' See --start.'}"
+            f"{where}the videos do not overlap in time{late} ({spans}): are they of one take, and their times of one "
+            f"clock?{board if where else ' See --start.'}"
         )
     return int(np.abs(clocks[slowest] - reference[together[0]]).argmin())
 
