@@ -22,6 +22,7 @@ from gof.lens import ROLL_DEG, Lens, Turn, prepare, read_cameras
 from gof.pictures import write_picture
 
 LOOK_AT = 160  # frames in which the board is looked for
+MUCH_COVERED, MOST_COVERED = 0.25, 0.6  # of the picture; the published clips have 0.08 to 0.15
 TURNS: dict[int, Turn] = {roll: turn for turn, roll in ROLL_DEG.items()}
 
 
@@ -69,11 +70,19 @@ def annotate(
             notes[camera.name] = f"no board mask: {e}" + ("" if footage else " Small pictures? Give the --footage")
             continue
         name = f"cameras/{camera.name}/board_mask.png"
-        share = _write_mask(mask, (camera.width, camera.height), path_in(dataset.path, name))
+        path, covered = path_in(dataset.path, name), float((mask > 127).mean())
+        if covered > MOST_COVERED:
+            notes[camera.name] = (
+                f"no board mask: what was taken for the board covers {covered:.0%} of the picture, and the flame with "
+                "it: is it the right board (--board), whole and sharp?"
+            )
+            continue
+        share = _write_mask(mask, (camera.width, camera.height), path)
         entries[camera.name] = replace(entry, board_mask=name)
         if not footage:
             made_from[name] = tuple(dataset.train_frames[:LOOK_AT])
-        notes[camera.name] = f"board mask, {share:.1%} of the picture"
+        much = "; that is much: look at it, it hides what is behind it from scores" if share > MUCH_COVERED else ""
+        notes[camera.name] = f"board mask, {share:.1%} of the picture{much}"
     replace(dataset.description, cameras=tuple(entries.values()), made_from=made_from).write(dataset.path)
     return notes
 

@@ -10,6 +10,7 @@ from gof.errors import GofError
 
 PAPERS_MM = {"A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841)}
 POINTS_PER_MM = 72 / 25.4
+MOST_MM = 10_000.0  # of a square
 MINIMUM_CORNERS = 8  # of a view; a homography needs 4
 OWN_DICTIONARY = "DICT_4X4_50"
 DICTIONARIES = (OWN_DICTIONARY, *(f"DICT_{n}X{n}_1000" for n in (5, 6, 7, 4)), "DICT_ARUCO_ORIGINAL")  # of bought ones
@@ -44,6 +45,8 @@ class Charuco:
         """
         import cv2
 
+        if not self.square_mm <= MOST_MM:
+            raise GofError(f"--square-mm: {self.square_mm:g} mm is more than {MOST_MM:g}")
         if not (self.columns >= 3 and self.rows >= 3 and 0 < self.marker_mm < self.square_mm):
             raise GofError("a ChArUco target needs at least 3 x 3 squares, and markers smaller than its squares")
         if self.columns * self.rows // 2 > 50:

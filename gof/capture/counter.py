@@ -18,6 +18,8 @@ MOST_UNEVEN = 3.0  # periods: what a step of the count may cost, however long th
 MIN_AGREEMENT = 0.97  # of the LEDs with the count; sharp footage has above 0.99
 MOST_WRONG = 0.75  # LEDs' worth of readings that may contradict the count: one that is hidden makes half an LED, a
 MOST_WRONG_SHARE = 0.15  # wrong board, or two LEDs that are swapped, a whole one; and of all readings
+QUICK_BITS, CHANGES = 4, 0.2  # lowest LEDs, and the standard deviation of their brightness: these change often
+ALIKE = 0.005  # of their readings: lags that fit as well
 COUNTER_BITS = 15  # of the firmware, see firmware/core/gof_board.h; a board may have fewer LEDs
 
 
@@ -182,6 +184,33 @@ def vote(
     if found.is_contradicted:
         raise NotDecodable(contradiction(template.name, found))
     return found
+
+
+def lag(
+    template: BoardTemplate, on: np.ndarray, known: np.ndarray, led_time: np.ndarray, period: float, exposure: float
+) -> float | None:
+    """How many periods after their time the LEDs change, -0.5 to 0.5: 0 where strips and LEDs belong together. None
+    where no LED changes often enough to tell.
+
+    Args:
+        on: (T, L) brightness 0..1.   led_time: (T, L) mid-exposure board time of each LED in each frame, us.
+        exposure: us.
+    """
+    quick = known & (template.led_bit < QUICK_BITS) & (on.std(0) > CHANGES)
+    if not quick.any():
+        return None
+    seen, bits = on[:, quick], template.led_bit[quick]
+    moments = led_time[:, quick, None] / period + exposure / period * np.linspace(-0.5, 0.5, 11)
+    lags = np.linspace(-0.5, 0.5, 101)
+    cost = []
+    for late in lags:
+        at = moments - late
+        count = np.floor(at).astype(np.int64)
+        parity = np.floor(at + template.disambiguation_lead).astype(np.int64) & 1
+        shown = np.where(bits[:, None] < 0, parity, gray(count) >> np.maximum(bits, 0)[:, None] & 1)
+        cost.append(float(np.abs(seen - shown.mean(2)).sum()))
+    alike = lags[np.array(cost) <= min(cost) + ALIKE * seen.size]  # frames that meet few phases leave a range open
+    return float(alike[np.abs(alike).argmin()])
 
 
 def contradiction(board: str, vote: CountVote) -> str:

@@ -14,6 +14,7 @@ from gof.capture.strips import NotDecodable, StripFit, StripReadings
 from gof.capture.template import BoardTemplate
 
 MIN_WEIGHT = 0.05  # in the robust line; frames below are outliers
+MOST_LAG = 0.1  # periods between strips and counter; half a strip's slot
 MIN_BITS = 3  # of the counter, to count with: a cycle of 16 periods
 MIN_SPAN_PX = 60  # of a strip along the readout, to measure the row time from
 CLEAR_DELAY_US = 40.0  # along a strip: two bins of the learned curves, enough to tell a direction
@@ -138,6 +139,16 @@ def _decode_shown(signals: Signals, template: BoardTemplate, options: DecodeOpti
     exposure = strips.estimate_exposure(fit.curve, fit.slots, options.period_us)
     led_time = fused.time_us[:, None] + fit.row_time * led_position
     vote = _vote(template, counter_read, led_time, exposure, options.period_us)
+
+    exposed = exposure[0] if exposure else USUAL_EXPOSURE * options.period_us
+    own_time = led_time + vote.candidates[0] * options.period_us
+    late = counter.lag(template, counter_read.on, counter_read.known, own_time, options.period_us, exposed)
+    if late is not None and abs(late) > MOST_LAG:
+        raise NotDecodable(
+            f"the counter's LEDs change {abs(late) * options.period_us:.0f} us or more "
+            f"{'after' if late > 0 else 'before'} the strips say so: are the strips wired in the order that board "
+            f"'{template.name}' has them in?"
+        )
 
     residual = (fused.measured_us - fused.time_us)[fused.used] if options.steady else np.zeros(1)
     sigma = line_sigma(index, fused.used, residual, len(index)) if options.steady else fit.sigma

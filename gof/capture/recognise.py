@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
-from gof.capture.board_points import BoardPoints, read_board_points
 from gof.capture.locate import (
     MARKER_CORNERS,
     BoardNotFound,
@@ -26,7 +24,7 @@ from gof.capture.locate import (
 from gof.capture.ring_board import RING_BOARDS, RingBoard, load_board
 from gof.capture.ring_signals import find_board, read_frame
 from gof.capture.template import BUILT_IN, BoardTemplate
-from gof.errors import DataFormatError, GofError
+from gof.errors import GofError
 
 AUTO = "auto"
 LOOK_AT = 160  # frames
@@ -67,15 +65,12 @@ def known_boards() -> list[Board]:
     return [load_board(name) for name in (*BUILT_IN, *RING_BOARDS)]
 
 
-def recognise(
-    choice: str, footage: Mapping[str, Iterable[np.ndarray]], points: Path | None = None, rings: bool = True
-) -> Board | None:
-    """The board that the footage shows.
+def recognise(choice: str, footage: Mapping[str, Iterable[np.ndarray]], rings: bool = True) -> Board | None:
+    """The board that the footage shows, by the cameras that see its whole marker.
 
     Args:
         choice: "auto", or the name or file of a board that is said to be there.
         footage: each camera's frames, RGB or grey, by its name; the first ones are looked at.
-        points: file of points of the board that a user marked where the marker is hidden, see `read_board_points`.
         rings: whether to look for ring boards too.
     Returns:
         None where the choice is "auto" and no camera shows a board.
@@ -88,11 +83,10 @@ def recognise(
     boards = [board for board in known_boards() if rings or isinstance(board, BoardTemplate)]
     if chosen is not None:
         boards = [chosen, *(board for board in boards if board.name != chosen.name)]
-    marked = {board.name: _marked_points(points, board, list(footage)) for board in boards}
     likeness: dict[str, dict[str, _Likeness]] = {}
     for camera, frames in footage.items():
         try:
-            likeness[camera] = _compare(frames, boards, {name: found.get(camera) for name, found in marked.items()})
+            likeness[camera] = _compare(frames, boards)
         except GofError:  # who reads the footage to its end says what is wrong with it
             likeness[camera] = {}
     verdicts = {camera: _verdict(found, boards) for camera, found in likeness.items()}
@@ -112,19 +106,7 @@ def recognise(
     return found
 
 
-def _marked_points(path: Path | None, board: Board, names: list[str]) -> dict[str, BoardPoints]:
-    """Of a board that has all the LEDs that were marked; none of another."""
-    if path is None or isinstance(board, RingBoard):
-        return {}
-    try:
-        return read_board_points(path, board, names)
-    except DataFormatError:
-        return {}
-
-
-def _compare(
-    frames: Iterable[np.ndarray], boards: list[Board], points: dict[str, BoardPoints | None]
-) -> dict[str, _Likeness]:
+def _compare(frames: Iterable[np.ndarray], boards: list[Board]) -> dict[str, _Likeness]:
     """One camera's footage with every board whose marker it shows, by the board's name."""
     summary, pictures = Summary(), []
     for count, frame in enumerate(islice(frames, LOOK_AT)):
@@ -140,10 +122,10 @@ def _compare(
         if isinstance(board, RingBoard):
             likeness = _ring_likeness(pictures, board)
         else:
-            marked = points[board.name]
-            if marked is None and marker not in markers:
+            if marker not in markers:
                 markers[marker] = _corners(summary, board)
-            likeness = _strip_likeness(summary, board, markers.get(marker), marked)
+            corners = markers[marker]
+            likeness = None if corners is None else _strip_likeness(summary, board, corners)
         if likeness is not None:
             found[board.name] = likeness
     return found
@@ -156,22 +138,11 @@ def _corners(summary: Summary, board: BoardTemplate) -> np.ndarray | None:
         return None
 
 
-def _strip_likeness(
-    summary: Summary, board: BoardTemplate, corners: np.ndarray | None, marked: BoardPoints | None
-) -> _Likeness | None:
+def _strip_likeness(summary: Summary, board: BoardTemplate, corners: np.ndarray) -> _Likeness:
     """What blinks beside the marker, against the template's LEDs."""
     import cv2
 
-    if marked is not None:
-        try:
-            H = marked.homography()
-        except DataFormatError:
-            return None
-        corners = project(H, MARKER_CORNERS)
-    elif corners is not None:
-        H, _ = cv2.findHomography(MARKER_CORNERS, corners)
-    else:
-        return None
+    H, _ = cv2.findHomography(MARKER_CORNERS, corners)
     side = float(np.sqrt(abs(cv2.contourArea(corners.astype(np.float32)))))
     blinks = cv2.GaussianBlur(summary.high - summary.low, (0, 0), max(0.5, side / 60)).astype(np.float32)
     places = project(H, board.led_xy)

@@ -9,12 +9,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from gof.capture.template import BUILT_IN, BoardTemplate, MarkerEntry, Point
+from gof.capture.template import BUILT_IN, BoardTemplate, MarkerEntry, Point, require_places
 from gof.errors import DataFormatError
 from gof.files import read_json
 from gof.records import read_record
 
 RING_BOARDS = ("rocsync",)
+MOST_LEDS = 1000
+FARTHEST_MM = 10_000.0
+LEAST_STEP_US, MOST_STEP_US = 1.0, 1e6
 DARK_RING = 0.9  # of the ring's radius: bare board, beside which an LED is bright or not
 DARK_ROW = -1.0  # of the counter's spacing, across its row, away from the marker
 
@@ -64,8 +67,20 @@ class RingBoardFile:
     def __post_init__(self):
         if not self.marker.side_m or self.marker.side_m <= 0:
             raise DataFormatError("'marker.side_m' must be above 0: places are in millimetres")
-        if self.ring.count < 8 or self.ring.radius <= 0 or self.ring.step_us <= 0:
-            raise DataFormatError("'ring' must have 8 LEDs or more, and a radius and a step_us above 0")
+        ring = self.ring
+        if not 8 <= ring.count <= MOST_LEDS:
+            raise DataFormatError(f"'ring.count' must be 8 to {MOST_LEDS}; it is {ring.count}")
+        if not (0 < ring.radius <= FARTHEST_MM and LEAST_STEP_US <= ring.step_us <= MOST_STEP_US):
+            raise DataFormatError(
+                f"'ring.radius' must be above 0 and at most {FARTHEST_MM:g} mm, 'ring.step_us' {LEAST_STEP_US:g} to "
+                f"{MOST_STEP_US:g}"
+            )
+        places = (self.marker_corner, ring.centre, self.counter.highest, self.counter.step)
+        require_places("marker_corner, ring.centre and counter", places, FARTHEST_MM)
+        require_places("corners", self.corners, FARTHEST_MM)
+        require_places("outline", self.outline, FARTHEST_MM)
+        if len(self.outline) < 3:
+            raise DataFormatError("'outline' must have three places or more")
         if not 1 <= self.counter.bits <= 24:
             raise DataFormatError("'counter.bits' must be 1 to 24")
 

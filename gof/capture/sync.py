@@ -12,7 +12,7 @@ import numpy as np
 
 from gof.capture.board_points import BoardPoints
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
-from gof.capture.doubts import MOST_US, doubts
+from gof.capture.doubts import MOST_US, doubts, refusal
 from gof.capture.flame_clock import estimate_times, read_light
 from gof.capture.plot import plot_camera
 from gof.capture.ring_board import RingBoard
@@ -20,6 +20,7 @@ from gof.capture.ring_decode import decode_ring
 from gof.capture.ring_signals import read_ring_signals
 from gof.capture.sensors import Sensor
 from gof.capture.signals import read_signals
+from gof.capture.strips import NotDecodable
 from gof.capture.template import BoardTemplate
 from gof.capture.times import (
     CounterReading,
@@ -88,7 +89,7 @@ def synchronise(
         cameras = _estimate_missing(cameras)
     warnings = [
         *settled,
-        *doubts(cameras, RING_MOST * template.step_us if ring else MOST_US),
+        *doubts(cameras, _most_us(template), period_us),
         *chain.from_iterable(map(_said, cameras)),
     ]
     return FrameTimesFile(template.name, period_us, tuple(cameras), _nearest(cameras), tuple(warnings))
@@ -122,6 +123,10 @@ def _estimate_missing(cameras: list[SyncedVideo]) -> list[SyncedVideo]:
 RING_MOST = 0.1  # of a ring's step: an rms or systematic error above it is worth a look
 
 
+def _most_us(board: BoardTemplate | RingBoard) -> float:
+    return RING_MOST * board.step_us if isinstance(board, RingBoard) else MOST_US
+
+
 @dataclass(frozen=True)
 class _Decoded:
     """A video's times, its size (width, height), the marker's mean side in px, and the seconds it took to read and to
@@ -152,6 +157,10 @@ def _decode_video(
     if known:  # sensors are wider than high: their rows are the shorter side, whichever way it is turned
         options = replace(options, row_time_us=known.image_row_time_us(min(signals.image_size)))
     times = (decode_ring if ring else decode)(signals, template, options)
+    outliers = int((~times.used).sum()) - int((np.diff(times.clock_index) == 0).sum()) - times.hidden
+    shown = len(times.used) - times.hidden
+    if why := refusal(times.rms_us, times.systematic_us, outliers, shown, _most_us(template)):
+        raise NotDecodable(why)
     return _Decoded(times, signals.image_size, signals.marker_px, read - start, time.perf_counter() - read)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import ClassVar
+from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -13,10 +15,23 @@ from gof.errors import DataFormatError
 from gof.records import read_record
 
 BUILT_IN = ("paper_rig", "gof_board")
+MOST_BITS = 24
 DISAMBIGUATION = -1  # instead of a Gray bit
 
 
 Point = tuple[float, float]
+
+
+MARKERS = 50  # of DICT_4X4_50
+FARTHEST = 1000.0  # marker sides: places beyond are a slip
+SIDES_M = 1e-3, 100.0
+
+
+def require_places(what: str, places: Iterable[Point], farthest: float = FARTHEST) -> None:
+    """Raises DataFormatError: a place of a board lies beyond any board."""
+    for place in places:
+        if not all(abs(value) <= farthest for value in place):
+            raise DataFormatError(f"'{what}' has a place {farthest:g} or more away: {list(place)}")
 
 
 @dataclass(frozen=True)
@@ -26,6 +41,13 @@ class MarkerEntry:
     id: int
     inverted: bool
     side_m: float | None = None
+
+    def __post_init__(self):
+        if not 0 <= self.id < MARKERS:
+            raise DataFormatError(f"'marker.id' must be 0 to {MARKERS - 1} (DICT_4X4_50); it is {self.id}")
+        least, most = SIDES_M
+        if self.side_m is not None and not least <= self.side_m <= most:
+            raise DataFormatError(f"'marker.side_m' must be {least:g} to {most:g} metres; it is {self.side_m:g}")
 
 
 @dataclass(frozen=True)
@@ -65,6 +87,15 @@ class TemplateFile:
         bits = sorted(led.bit for led in self.leds if led.bit is not None)
         if not bits or bits != list(range(len(bits))):
             raise DataFormatError("'leds' must hold each Gray bit from 0 up once")
+        if len(bits) > MOST_BITS:
+            raise DataFormatError(f"'leds' must hold {MOST_BITS} Gray bits at most")
+        if not 0 < self.disambiguation_lead < 1:
+            raise DataFormatError("'disambiguation_lead' must be between 0 and 1, of a period")
+        require_places("leds", (led.xy for led in self.leds))
+        require_places("strips", (end for strip in self.strips for end in strip.ends))
+        require_places("outline", self.outline)
+        if len(self.outline) < 3:
+            raise DataFormatError("'outline' must have three places or more")
 
 
 @dataclass(frozen=True)
@@ -143,7 +174,7 @@ def draw_svg(template: BoardTemplate, marker_side_mm: float) -> str:
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.2f}mm" height="{height:.2f}mm" '
         f'viewBox="0 0 {width:.2f} {height:.2f}" font-family="sans-serif">',
-        f"<title>LED board {template.name}, marker side {marker_side_mm:g} mm</title>",
+        f"<title>LED board {escape(template.name)}, marker side {marker_side_mm:g} mm</title>",
         '<polygon points="'
         + " ".join(f"{x:.2f},{y:.2f}" for x, y in mm(template.outline))
         + f'" fill="{dark if template.inverted else light}"/>',

@@ -49,7 +49,12 @@ def main(argv: list[str]) -> int:
     if config.board_points is not None and not config.footage:
         raise GofError("--board-points: are pixels of the videos as stored; give these with --footage")
     frames = first_frames(config.footage) if config.footage else training_frames(dataset)
-    template = require_strips(recognise(config.board, frames, config.board_points), "a mask")
+    board = recognise(config.board, frames)
+    if board is None and not config.footage:
+        raise GofError(
+            f"{config.dataset}: no picture shows a known LED board; they may be too small: give the --footage"
+        )
+    template = require_strips(board, "a mask")
     if config.board_points is not None:
         names = distinct_names(config.footage)
         marked = read_board_points(config.board_points, template, names)

@@ -14,6 +14,9 @@ from gof.capture.protocol import State, Status
 from gof.files import write_json
 from gof.options import require_number
 
+MOST_JITTER_US = 20.0  # of a tick: the order of what cameras' times are read to
+MOST_DAMAGED = 10
+
 
 @dataclass(frozen=True)
 class BoardConfig:
@@ -47,7 +50,7 @@ def main(argv: list[str]) -> int:
     outcome = _find() if config.action == "find" and config.port is None else _act(config)
     if config.json:
         write_json(config.json, outcome)
-    return 0
+    return 1 if outcome.get("bad_outputs") else 0
 
 
 def _find() -> dict:
@@ -98,7 +101,20 @@ def _act(config: BoardConfig) -> dict:
         outcome["status"] = asdict(status) | {"state": status.state.name}
         if config.action not in ("find", "monitor", "self-test"):
             print(describe(status))
+        for text in judge(status):
+            print(f"warning: {text}")
     return outcome
+
+
+def judge(status: Status) -> list[str]:
+    """What about a board's own figures a person should look at."""
+    found = []
+    worst = max(abs(status.earliest_ns), abs(status.latest_ns)) / 1000
+    if status.ticks and worst > MOST_JITTER_US:
+        found.append(f"a tick was up to {worst:.0f} us off: times read from the board are as wrong as that")
+    if status.bad_frames > MOST_DAMAGED:
+        found.append(f"{status.bad_frames} damaged requests reached the board: is the cable long or loose?")
+    return found
 
 
 def describe(status: Status) -> str:

@@ -11,7 +11,9 @@ import tyro
 from gof.capture.template import BoardTemplate, draw_svg
 from gof.commands.board_option import renamed
 from gof.files import atomic_path, write_json
-from gof.options import require_positive
+from gof.options import require_number
+
+MOST_MM = 10_000.0
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class DrawConfig:
 def main(argv: list[str]) -> int:
     """Write the SVG of a template."""
     config = tyro.cli(DrawConfig, prog="gof capture draw", args=renamed(argv))
-    require_positive("--marker-mm", config.marker_mm)
+    require_number("--marker-mm", config.marker_mm, above=0, most=MOST_MM)
     template = BoardTemplate.load(config.board)
     with atomic_path(config.out) as temporary:
         temporary.write_text(draw_svg(template, config.marker_mm))

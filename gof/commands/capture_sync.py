@@ -26,7 +26,7 @@ from gof.records import write_record
 
 NO_MARKER = (
     "is it whole, lit, and at least about 20 pixels wide? A board of your own wants --board FILE; where its marker is "
-    "partly hidden all through the take, mark four points of it: --board-points"
+    "partly hidden all through the take, name the board (--board gof_board) and mark four points of it: --board-points"
 )
 WAYS_OUT = (
     "Without a board, give gof ingest the cameras' rate, and a frame of each that shows one moment: "
@@ -94,9 +94,12 @@ def main(argv: list[str]) -> int:
     decoding = options(config)
     names = distinct_names(config.videos)
     require_different(config.videos)
-    board = recognise(config.board, first_frames(config.videos), config.board_points)
+    board = recognise(config.board, first_frames(config.videos))
     if board is None:
-        raise GofError(f"{', '.join(names)}: no camera shows the marker of a known LED board: {NO_MARKER}. {WAYS_OUT}")
+        raise GofError(
+            f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there: "
+            f"{NO_MARKER}. {WAYS_OUT}"
+        )
     points = None
     if config.board_points is not None:
         if isinstance(board, RingBoard):

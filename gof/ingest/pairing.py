@@ -112,10 +112,14 @@ def _first_frame(
         spans = ", ".join(
             f"{name} {clock[0]:.3f} to {clock[-1]:.3f} s" for name, clock in zip(names, clocks, strict=True)
         )
+        late = f" from frame {start} of {names[0]} on" if start else ""
+        board = (
+            " Was the LED board restarted between them, or is it not the one that it was read as (gof capture sync "
+            "--board, --tick-us)?"
+        )
         raise GofError(
-            f"{where}the videos do not overlap in time ({spans}): are they of one take, are their times of one clock? "
-            "Was the LED board restarted between them, or is it not the one that it was read as (gof capture sync "
-            "--board)?"
+            f"{where}the videos do not overlap in time{late} ({spans}): are they of one take, and their times of one "
+            f"clock?{board if where else ' See --start.'}"
         )
     return int(np.abs(clocks[slowest] - reference[together[0]]).argmin())
 

@@ -6,6 +6,7 @@ import select
 import struct
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -13,7 +14,16 @@ from hypothesis import strategies as st
 
 from gof.capture import controller
 from gof.capture.controller import Board, BoardError
-from gof.capture.protocol import FrameReader, Identity, ProtocolError, Request, State, encode_frame, encode_request
+from gof.capture.protocol import (
+    FrameReader,
+    Identity,
+    ProtocolError,
+    Request,
+    State,
+    Status,
+    encode_frame,
+    encode_request,
+)
 from gof.cli import main as gof
 from gof.commands import capture_board
 
@@ -52,6 +62,14 @@ def test_bridged_strips_are_named(start_emulator):
     _, port = start_emulator("--bridge", 1, 2)
     with Board(port) as board:
         assert board.self_test() == ["strip 1", "strip 2"]
+    assert gof(["capture", "board", "self-test", "--port", port]) == 1  # a script must see it
+
+
+def test_a_boards_own_figures_are_judged():
+    good = Status(State.RUNNING, 0, 1, 1, 400, 100, -2000, 9000, 900, 0)
+    assert capture_board.judge(good) == []
+    late = capture_board.judge(replace(good, latest_ns=4_830_000, bad_frames=40))
+    assert "up to 4830 us off" in late[0] and "40 damaged requests" in late[1]
 
 
 def test_command_line_session(start_emulator, tmp_path, capsys):

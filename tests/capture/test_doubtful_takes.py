@@ -12,7 +12,7 @@ import pytest
 from gof.capture import clock, counter
 from gof.capture.aligned import align, place
 from gof.capture.decode import DecodeOptions, decode
-from gof.capture.doubts import doubts
+from gof.capture.doubts import doubts, refusal
 from gof.capture.flame_clock import FlameLight, NoFlameClock, estimate_times, find_offset, read_light
 from gof.capture.hidden import positions
 from gof.capture.signals import make_signals, read_signals
@@ -125,6 +125,43 @@ def test_what_stands_out_is_named():
     assert "2 before frame 20, 1 before frame 57" in doubts([camera("a", dropped_before={"20": 2, "57": 1})])[0]
     assert "different rates" in doubts([camera("a"), camera("b", fps=200.0)])[0]
     assert "read left" in "\n".join(doubts([camera("a"), camera("b", readout="left"), camera("c")]))
+
+
+def with_figures(figures: dict) -> SyncedVideo:
+    good = camera("a")
+    return replace(good, times=replace(good.times, **figures))
+
+
+def test_every_figure_has_a_limit():
+    """Closed form: a tick of 410 us read as 400 us makes 400 fps of 410."""
+    for figures, said in (
+        (dict(fps=410.0), "410.00 fps, a rate that few cameras have"),
+        (dict(fps=246.0, container_fps=240.0), "246.00 fps, its file says 240.00"),
+        (dict(marker_px=18.0), "the marker is 18 pixels wide"),
+        (dict(count=CounterReading(1, 1.0, 9)), "only 9 readings"),
+        (dict(exposure_us=3900.0), "its exposure, about 3900 us"),
+    ):
+        found = doubts([with_figures(figures)], period_us=4000.0)
+        assert len(found) == 1 and found[0].startswith("a: ") and said in found[0]
+    for fine in (dict(fps=239.76, container_fps=30.0), dict(fps=29.97, container_fps=29.97), dict(exposure_us=3000.0)):
+        assert doubts([with_figures(fine)], period_us=4000.0) == []
+    assert refusal(5.0, 2.0, 3, 100) is None
+    assert "rms is 140 us" in refusal(140.0, 2.0, 0, 100) and "systematic error is 101 us" in refusal(
+        5.0, 101.0, 0, 100
+    )
+    assert "60 of 100 frames" in refusal(5.0, 2.0, 60, 100)
+    assert "nan" in refusal(float("nan"), 2.0, 0, 100)
+
+
+@pytest.mark.long
+def test_a_tick_that_is_not_the_boards_is_said(tmp_path, capsys):
+    shot = SyntheticShot(width=330, height=440, marker_px=38, centre=(0.5, 0.7), row_time=6.0, fps=240, period=4100.0)
+    write_video(tmp_path / "a.mp4", render(shot, BOARD, 64))
+    sync = ["capture", "sync", str(tmp_path / "a.mp4"), "--out"]
+    assert gof([*sync, str(tmp_path / "wrong")]) == 0
+    assert "246.00 fps, a rate that few cameras have" in capsys.readouterr().out
+    assert gof([*sync, str(tmp_path / "right"), "--tick-us", "410"]) == 0
+    assert "few cameras" not in capsys.readouterr().out
 
 
 # ---------------------------------------------------------------- a hidden board

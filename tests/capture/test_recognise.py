@@ -106,13 +106,15 @@ def test_boards_that_are_mixed_up(tmp_path, capsys):
 
 
 def test_a_board_of_ones_own_is_taken_by_its_file_and_refused_where_it_is_not(tmp_path, capsys):
-    """LEDs in another order: their places are right, the code is not. LEDs elsewhere: no built-in board fits."""
+    """LEDs or strips in another order: their places are right, the code is not. LEDs elsewhere: no own board fits."""
     content = json.loads((files("gof.capture") / "gof_board.json").read_text())
     (tmp_path / "copy.json").write_text(json.dumps(content | {"name": "copy"}))
     swapped = [led | {"bit": {4: 13, 13: 4}.get(led["bit"], led["bit"])} for led in content["leds"]]
     (tmp_path / "swapped.json").write_text(json.dumps(content | {"name": "swapped", "leds": swapped}))
     moved = [led | {"xy": [1.25 * (x - 0.5) + 0.5 for x in led["xy"]]} for led in content["leds"]]
     (tmp_path / "moved.json").write_text(json.dumps(content | {"name": "moved", "leds": moved}))
+    turned = [strip | {"slot": (strip["slot"] + 1) % 5} for strip in content["strips"]]
+    (tmp_path / "turned.json").write_text(json.dumps(content | {"name": "turned", "strips": turned}))
     videos = film(tmp_path, "gof_board", 80.2e6)
     out = tmp_path / "out"
     sync = ["capture", "sync", *videos, "--out", str(out), "--no-report", "--overwrite", "--board"]
@@ -122,6 +124,7 @@ def test_a_board_of_ones_own_is_taken_by_its_file_and_refused_where_it_is_not(tm
     for name, why in (
         ("swapped", "no count of board 'swapped' explains its LEDs"),
         ("moved", "shows board 'gof_board'"),
+        ("turned", "us or more after the strips say so"),
     ):
         assert gof([*sync, str(tmp_path / f"{name}.json")]) == 1
         assert why in capsys.readouterr().err and not (out / "times.json").exists()

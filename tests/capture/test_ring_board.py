@@ -28,7 +28,7 @@ def shoot(shot, frames=40, change=None):
         picture = change(k, picture) if change else picture
         red = np.ascontiguousarray(picture[..., 0])
         homography = ring_signals.find_board(picture, red, BOARD, homography)
-        found.append(None if homography is None else ring_signals._read_frame(red, BOARD, homography))
+        found.append(None if homography is None else ring_signals.read_frame(red, BOARD, homography))
     return ring_signals._gathered(found, BOARD, red.shape[::-1])
 
 

@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.capture.ring_board import load_board
 from gof.capture.template import BoardTemplate, draw_svg
+from gof.cli import main as gof
 from gof.errors import DataFormatError
 
 
@@ -47,6 +49,16 @@ def test_drawn_marker_is_the_one_that_is_looked_for():
         (lambda d: d["strips"].pop(), "five"),
         (lambda d: d["leds"].pop(3), "each Gray bit"),
         (lambda d: d.update(schema="x"), "gof-led-board"),
+        (lambda d: d["marker"].update(id=2**40), "'marker.id' must be 0 to 49"),
+        (lambda d: d["marker"].update(id=2**70), "id"),
+        (lambda d: d["marker"].update(id=-1), "'marker.id' must be 0 to 49"),
+        (lambda d: d["marker"].update(side_m=1e-320), "'marker.side_m' must be"),
+        (lambda d: d["marker"].update(side_m=-0.06), "'marker.side_m' must be"),
+        (lambda d: d["leds"][3].update(xy=[1e308, 0]), "'leds' has a place"),
+        (lambda d: d["strips"][0].update(ends=[[0, 0], [0, -1e9]]), "'strips' has a place"),
+        (lambda d: d.update(outline=[[0, 0], [1, 0]]), "'outline' must have three"),
+        (lambda d: d.update(disambiguation_lead=3.0), "'disambiguation_lead' must be"),
+        (lambda d: d["leds"].extend({"bit": b, "xy": [0, 0]} for b in range(15, 40)), "24 Gray bits at most"),
     ],
 )
 def test_malformed_templates_are_refused(tmp_path, change, message):
@@ -55,3 +67,38 @@ def test_malformed_templates_are_refused(tmp_path, change, message):
     (tmp_path / "t.json").write_text(json.dumps(d))
     with pytest.raises(DataFormatError, match=message):
         BoardTemplate.load(tmp_path / "t.json")
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda d: d["ring"].update(count=10**9), "'ring.count' must be 8 to 1000"),
+        (lambda d: d["ring"].update(count=7), "'ring.count' must be 8 to 1000"),
+        (lambda d: d["ring"].update(radius=1e308), "'ring.radius' must be"),
+        (lambda d: d["ring"].update(step_us=1e-300), "'ring.step_us'"),
+        (lambda d: d["ring"].update(centre=[1e308, 0]), "has a place"),
+        (lambda d: d["counter"].update(step=[1e308, 0]), "has a place"),
+        (lambda d: d.update(marker_corner=[-1e308, 0]), "has a place"),
+        (lambda d: d.update(corners=[[0, 1e300]]), "'corners' has a place"),
+        (lambda d: d["marker"].update(side_m=5e-324), "'marker.side_m' must be"),
+    ],
+)
+def test_malformed_ring_boards_are_refused(tmp_path, change, message):
+    d = json.loads((files("gof.capture") / "rocsync.json").read_text())
+    change(d)
+    (tmp_path / "t.json").write_text(json.dumps(d))
+    with pytest.raises(DataFormatError, match=message):
+        load_board(tmp_path / "t.json")
+
+
+def test_odd_names_and_sizes_make_a_whole_drawing_or_none(tmp_path):
+    d = json.loads((files("gof.capture") / "gof_board.json").read_text())
+    (tmp_path / "t.json").write_text(json.dumps(d | {"name": "a<b>&c"}))
+    draw = ["capture", "draw", str(tmp_path / "t.svg"), "--board", str(tmp_path / "t.json")]
+    assert gof(draw) == 0
+    title = next(e for e in ET.fromstring((tmp_path / "t.svg").read_text()) if e.tag.endswith("title"))
+    assert title.text.startswith("LED board a<b>&c, marker side 60 mm")
+    for size in ("1e308", "nan", "0", "-3"):
+        assert gof([*draw, "--marker-mm", size]) == 1
+    assert gof(["capture", "target", str(tmp_path / "t.pdf"), "--square-mm", "1e308", "--marker-mm", "1e307"]) == 1
+    assert not (tmp_path / "t.pdf").exists()

@@ -143,6 +143,18 @@ def test_far_clocks_lose_nothing():
     assert frames[0].tolist() == list(range(1, 20)) and frames[1].tolist() == list(range(19))
 
 
+def test_times_that_do_not_overlap_are_named_with_their_likely_cause():
+    """34.8 s apart: what another board's template made of two cameras that filmed together."""
+    names, clocks = ["left", "right"], [49.51 + 0.0025 * np.arange(40), 14.70 + 0.0025 * np.arange(40)]
+    with pytest.raises(GofError) as error:
+        pair(names, clocks, 0, None, "times.json")
+    said = str(error.value)
+    assert "left 49.510 to 49.607 s, right 14.700 to 14.797 s" in said
+    assert "times.json" in said and "LED board" in said and "--board" in said
+    with pytest.raises(GofError, match=r"do not overlap in time .*--start"):
+        pair(names, clocks, 0, None)
+
+
 def test_errors_of_measured_times_say_what_to_do(tmp_path):
     path = tmp_path / "times.json"
     record = times_file(path, [clock(), clock(100)])
