@@ -281,6 +281,8 @@ def require_different(paths: Iterable[Path]) -> None:
         if Path(path).suffix.lower() in {*PICTURES, *UNREAD} and not Path(path).is_dir():
             raise DataFormatError(f"{path}: is a single picture; give a video, or the folder of a camera's pictures")
         contents = fingerprint(path)
+        if Path(path).is_file() and not Path(path).stat().st_size:
+            raise DataFormatError(f"{path}: holds nothing; copy it from the camera again")
         if contents in known:
             other = known[contents]
             what = "is given twice" if path.samefile(other) else f"is the same footage as {other}"
