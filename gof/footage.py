@@ -398,7 +398,9 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
                 if not stamps and info.stated_fps:
                     start = max(video.get(cv2.CAP_PROP_PTS), 0.0) / info.stated_fps
                 if len(stamps) in wanted:
-                    seen[len(stamps)] = video.retrieve()[1]
+                    there, picture = video.retrieve()
+                    if there:
+                        seen[len(stamps)] = picture
                 stamps.append(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
                 if progress:
                     progress(len(stamps), max(len(stamps), info.stated_frames or 0))
