@@ -281,6 +281,8 @@ def require_different(paths: Iterable[Path]) -> None:
         if Path(path).suffix.lower() in {*PICTURES, *UNREAD} and not Path(path).is_dir():
             raise DataFormatError(f"{path}: is a single picture; give a video, or the folder of a camera's pictures")
         contents = fingerprint(path)
+        if Path(path).is_file() and not Path(path).stat().st_size:
+            raise DataFormatError(f"{path}: holds nothing; copy it from the camera again")
         if contents in known:
             other = known[contents]
             what = "is given twice" if path.samefile(other) else f"is the same footage as {other}"
@@ -396,7 +398,9 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
                 if not stamps and info.stated_fps:
                     start = max(video.get(cv2.CAP_PROP_PTS), 0.0) / info.stated_fps
                 if len(stamps) in wanted:
-                    seen[len(stamps)] = video.retrieve()[1]
+                    there, picture = video.retrieve()
+                    if there:
+                        seen[len(stamps)] = picture
                 stamps.append(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
                 if progress:
                     progress(len(stamps), max(len(stamps), info.stated_frames or 0))

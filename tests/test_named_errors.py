@@ -177,7 +177,7 @@ def test_a_picture_is_as_large_as_its_camera_before_it_is_decoded(tiny_dataset, 
         background(dataset, 0, tmp_path)
     huge_png(tmp_path / "cam_0.png")
     with pytest.raises(DataFormatError, match=r"cam_0\.png"):
-        read_plate(tmp_path, "cam_0", Lens(36, 64, np.eye(3)))
+        read_plate(tmp_path / "cam_0.png", Lens(36, 64, np.eye(3)))
 
 
 def lying_npy(path: Path):

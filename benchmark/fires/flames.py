@@ -16,6 +16,7 @@ from gof.dataset import Dataset
 from gof.errors import DataFormatError
 from gof.flame_mask import flame_mask
 from gof.footage import stored_frames
+from gof.numbered import is_hidden
 from gof_benchmark.fires import measures
 from gof_benchmark.solvers.grids import FireGrids, FireHistory, Hearth
 from gof_blender.pure.checked_json import SpecError
@@ -115,7 +116,7 @@ def flame_of(path: Path, clip_rate_hz: float = 0.0) -> Flame:
         return of_grids(FireGrids.open(path))
     if (path / "dataset.json").exists():
         return of_dataset(Dataset.open(path))
-    if videos := sorted(path.glob("*.mp4")):
+    if videos := sorted(video for video in path.glob("*.mp4") if not is_hidden(video)):
         return of_clips(f"{path.parent.name}/{path.name}", videos, clip_rate_hz)
     raise DataFormatError(
         f"{path}: neither a fire's grids (fire.json), nor a dataset (dataset.json), nor videos (*.mp4)"

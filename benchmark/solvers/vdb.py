@@ -20,7 +20,7 @@ import tyro
 
 from gof import extras
 from gof.errors import DataFormatError, GofError
-from gof.numbered import missing_numbers, number_files
+from gof.numbered import missing_numbers, number_files, usual_step
 from gof.terminal import console
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, write_fire
 from gof_blender.pure.soot import black_body
@@ -105,6 +105,8 @@ class Sequence:
         self.time_s = tuple((number - numbers[0]) / config.rate_hz for number in numbers)
         count, which = missing_numbers(numbers)
         self.notes = [f"{count} files are missing ({which}): a gap in the fire's clock"] if count else []
+        if (step := usual_step(numbers)) > 1:
+            self.notes.append(f"the files' numbers go in steps of {step}: {step / config.rate_hz:g} s apart")
         there = {path: self._names_in(path) for path in self.files}
         self.velocity = self._parts_of_velocity(there[self.files[0]])
         self.glow = config.emission or config.flame

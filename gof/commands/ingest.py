@@ -25,7 +25,7 @@ from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
 from gof.ingest.pipeline import Ingested, make_dataset, require_new
-from gof.ingest.plates import MOST_FIRE_LEFT
+from gof.ingest.plates import MOST_FIRE_LEFT, find_plates
 from gof.ingest.published import PublishedFootage, is_published
 from gof.ingest.up import UpChoice
 from gof.lens import Turn
@@ -66,7 +66,8 @@ class IngestConfig:
     """The files' own time stamps are true seconds (a phone's variable rate, not slow motion): take the times from
     them."""
     plates: Path | None = None
-    """Folder with fire-free pictures cam_0.png ... as stored; else they are made from the footage."""
+    """Folder with a fire-free picture or film of each camera, cam_0.png or cam_0.mp4 ..., as stored; else made from
+    the footage."""
     plate: PlateKind = "steady"
     """How a plate is made: "minimum" over time, or "steady": that where fire passed, the temporal median elsewhere."""
     plate_frames: int | None = None
@@ -126,6 +127,9 @@ def ingest(config: IngestConfig) -> Ingested:
     timing = Timing(config.times, config.fps, config.stamps, config.start, config.frames)
     if not is_published(config.videos):
         timing.require_one_way()  # now: reading the footage may take minutes
+    plate = PlateOptions(config.plate, config.plates, config.plate_frames)
+    if config.plates is not None and not is_published(config.videos):  # now, as the times are
+        find_plates(config.plates, [f"cam_{c}" for c in range(len(config.videos))])
     footage = open_footage(config)
     pose_options = PoseOptions(
         solver=config.poses,
@@ -142,7 +146,7 @@ def ingest(config: IngestConfig) -> Ingested:
         footage,
         timing,
         pose_options,
-        PlateOptions(config.plate, config.plates, config.plate_frames),
+        plate,
         width=config.width,
         depth=config.depth,
         depth_weights=config.depth_weights,

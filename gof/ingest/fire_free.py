@@ -23,7 +23,7 @@ class PlateOptions:
     Attributes:
         kind: when there is no `folder`: "minimum" over time, or "steady", that where fire passed and the temporal
             median elsewhere.
-        folder: pictures cam_0.png ... as stored, filmed without fire.
+        folder: pictures or films cam_0 ... as stored, filmed without fire.
         frames: of each camera's video, around the clip, that show what stands behind the fire; None: the clip's own.
 
     Raises:
@@ -129,7 +129,9 @@ def _left(pictures: list[np.ndarray], fire: list[np.ndarray]) -> list[float]:
 
 def read_plates(folder: Path, footage: Footage) -> list[np.ndarray]:
     """(H, W, 3) uint8 per camera, filmed without fire."""
+    found = plates.find_plates(folder, footage.names)
+    tags = [info.rotation_deg for info in footage.infos] or [0] * len(found)
     return [
-        footage.preparation(c)(plates.read_plate(folder, name, lens))
-        for c, (name, lens) in enumerate(zip(footage.names, footage.lenses, strict=True))
+        footage.preparation(c)(plates.read_plate(path, lens, tag))
+        for c, (path, lens, tag) in enumerate(zip(found, footage.lenses, tags, strict=True))
     ]

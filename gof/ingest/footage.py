@@ -120,11 +120,17 @@ class Footage:
         return cls(tuple(videos), lenses, turn, _poses(known), tuple(infos), tuple(notes))
 
     def other(self, videos: list[Path]) -> Footage:
-        """Another clip by the same cameras. Raises DataFormatError: a video cannot be read, or has another size."""
+        """Another clip by the same cameras. Raises DataFormatError: a video cannot be read, or is stored otherwise."""
         infos = [_read(video) for video in videos]
         for info, mine in zip(infos, self.infos, strict=True):
             if (info.width, info.height) != (mine.width, mine.height):
                 raise DataFormatError(f"{info.path}: has another size than {mine.path}; is it by the same camera?")
+            if (info.rotation_deg, info.pixel_aspect) != (mine.rotation_deg, mine.pixel_aspect):
+                raise DataFormatError(
+                    f"{info.path}: is tagged as turned by {info.rotation_deg} degrees, with pixels "
+                    f"{info.pixel_aspect:.4g} times as wide as high; {mine.path} by {mine.rotation_deg}, with "
+                    f"{mine.pixel_aspect:.4g}; is it by the same camera?"
+                )
         return replace(self, videos=tuple(videos), infos=tuple(infos))
 
     def all_clips(self) -> list[Clip]:

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import binary_fill_holes
 
 from gof.errors import DataFormatError
+from gof.footage import read_info
+from gof.ingest.footage import Clip
 from gof.ingest.over_time import LUMA, median
 from gof.lens import Lens
-from gof.pictures import read_picture
+from gof.numbered import is_hidden
+from gof.pictures import read_picture, read_rotation
 
 WARM = 12  # display steps of 255 by which red outgrows blue where fire or its light passed
 GROW_PX = 3  # margin around these places
 MOST_RISE = 20  # levels of 255 by which the median may outshine the minimum: more is light that is on most of the time
 FIRE_RED, FIRE_WARM = 150, 70  # colour of flame in a picture: red of 255, and how far above blue
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")  # of plates that somebody brings
+FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".mpg", ".lrv", ".360")
+WANTED = (
+    "--plates wants of each camera a picture or a film without fire, as its footage is stored, with the cameras' "
+    "names: cam_0.png or cam_0.mp4 for the first one, cam_1 ... for the next"
+)
+MOST_LOOKED_AT = 60  # frames of such a film
 MOST_FIRE_LEFT = 0.01  # share of the picture above which plates filmed without fire are needed
 
 
@@ -84,16 +93,48 @@ def uncovered(low: np.ndarray, reached: np.ndarray, others: list[np.ndarray]) ->
     return best
 
 
-def read_plate(folder: Path, name: str, lens: Lens) -> np.ndarray:
-    """(H, W, 3) uint8 RGB: a plate filmed without fire, folder/NAME.png or another of `SUFFIXES`, as stored.
+def find_plates(folder: Path, names: Iterable[str]) -> list[Path]:
+    """Each camera's plate filmed without fire: folder/NAME with an ending of `SUFFIXES` or `FILMS`.
 
     Raises:
-        DataFormatError: there is none, or it has another size than the footage.
+        DataFormatError: no such folder, none or several for a camera; says what there is instead.
+    """
+    if not folder.is_dir():
+        raise DataFormatError(f"{folder}: no such folder; {WANTED}")
+    there = sorted(path for path in folder.iterdir() if not is_hidden(path))
+    found = []
+    for name in names:
+        # the benchmark's scenes have an EXR beside it
+        mine = [p for p in there if p.stem.lower() == name and p.suffix.lower() in (*SUFFIXES, *FILMS)]
+        if len(mine) > 1:
+            raise DataFormatError(f"{mine[0]}: and {mine[1].name} are both plates of {name}; keep one")
+        if not mine:
+            listed = ", ".join(p.name for p in there[:4]) + (", ..." if len(there) > 4 else "") or "nothing"
+            raise DataFormatError(f"{folder}: no picture {name}.png there, but {listed}; {WANTED}")
+        found += mine
+    return found
+
+
+def read_plate(path: Path, lens: Lens, rotation_deg: int = 0) -> np.ndarray:
+    """(H, W, 3) uint8 RGB: a plate as stored; of a film, the median of its frames.
+
+    Args:
+        rotation_deg: by which players turn the footage, by its tag.
+    Raises:
+        DataFormatError: it cannot be read, has another size than the footage, or its tag turns it otherwise.
     """
     import cv2
 
-    named = sorted(folder.glob(f"{name}.*")) if folder.is_dir() else []
-    files = [path for path in named if path.suffix.lower() in SUFFIXES]  # the benchmark's scenes have an EXR beside it
-    if not files:
-        raise DataFormatError(f"{folder}: no picture {name}.png there")
-    return cv2.cvtColor(read_picture(files[0], size=(lens.width, lens.height)), cv2.COLOR_BGR2RGB)
+    size = (lens.width, lens.height)
+    if path.suffix.lower() in SUFFIXES:
+        picture, tag = cv2.cvtColor(read_picture(path, size=size), cv2.COLOR_BGR2RGB), read_rotation(path)
+    else:
+        info = read_info(path)
+        numbers = np.unique(np.linspace(0, info.frames - 1, MOST_LOOKED_AT).astype(int))
+        picture, tag = median(Clip(path, size, tuple(numbers.tolist()), np.asarray)), info.rotation_deg
+    if tag not in (0, rotation_deg):
+        raise DataFormatError(
+            f"{path}: by its orientation tag it is turned by {tag} degrees, its camera's footage by {rotation_deg}; "
+            "save it as the footage is stored, without the tag"
+        )
+    return picture

@@ -31,6 +31,7 @@ VIEW_DEG = (0.5, 170.0), (3.0, 130.0)  # of a picture: impossible outside the fi
 ANGLE_DEG = 0.5, 3.0  # at the flame between the two cameras farthest apart: too little to place it, little
 READOUT = 3.0, 1.05  # of a frame's time, that a picture's lines may take
 COVERED = 0.5, 0.75  # share of a mask that has something standing in front of it
+DARK = 5e-4, 0.02  # share of a picture, and of what is usual, below which it shows no flame
 SPREAD = 0.0, 0.8  # correlation of light over the planes
 WINDOW_ROOM = 1.3  # times the flame's box in a few pictures: what it reaches in others, and room around
 CHANGE = 0.4  # correlation of its change over time; good captures have 0.90 and more
@@ -69,7 +70,9 @@ def doubts(dataset: Dataset) -> list[Doubt]:
         return found
     views = _views(dataset)
     wrong_plates = list(_plates(views))
-    return [*found, *wrong_plates, *(_poses(views) if not wrong_plates else ())]
+    dark = {} if wrong_plates else _dark(views)  # judged first: they would put the blame on those that see the flame
+    bright = [view for view in views if view.camera.name not in dark]
+    return [*found, *wrong_plates, *dark.values(), *(_poses(bright) if not wrong_plates else ())]
 
 
 def window_share(dataset: Dataset) -> float:
@@ -203,6 +206,22 @@ def _plates(views: list[_View]) -> Iterator[Doubt]:
 
 def _difference(view: _View, plate: np.ndarray, outside: np.ndarray) -> float:
     return float(np.median(np.abs(view.image - plate).mean(-1)[:, outside]))
+
+
+def _dark(views: list[_View]) -> dict[str, Doubt]:
+    """By name the cameras that show no flame, or hardly any, while others do."""
+    shares = {view.camera.name: float(view.mask.mean()) for view in views}
+    usual = float(np.median([share for share in shares.values() if share > 0] or [0.0]))
+    dark = [name for name, share in shares.items() if share < min(DARK[0], DARK[1] * usual) or (share == 0 < usual)]
+    others = ", ".join(f"'{name}' {share:.2%}" for name, share in shares.items() if name not in dark)
+    return {
+        name: Doubt(
+            f"camera '{name}' shows no flame ({shares[name]:.2%} of its picture; {others}): is its film HDR that was "
+            "read as SDR, too dark, or is the flame in its plate or outside its picture? Ingest without it, or mend it",
+            True,
+        )
+        for name in dark
+    }
 
 
 def _poses(views: list[_View]) -> Iterator[Doubt]:

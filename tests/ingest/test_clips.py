@@ -19,6 +19,7 @@ from gof.ingest.over_time import LUMA, darkest, largest_change, median
 from gof.ingest.sfm import PoseError
 from gof.lens import Lens, prepare
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
+from tests.videos import tag_rotation, write_video
 
 pytestmark = pytest.mark.long
 
@@ -44,10 +45,30 @@ def test_a_plate_that_is_brought_is_the_picture_not_what_lies_beside_it(tmp_path
     picture = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
     (tmp_path / "cam_0.exr").write_bytes(b"no picture of OpenCV's")
     lens = Lens.from_fov(32, 24, 60)
-    with pytest.raises(DataFormatError, match=r"no picture cam_0\.png"):
-        plates.read_plate(tmp_path, "cam_0", lens)
+    with pytest.raises(DataFormatError, match=r"no picture cam_0\.png there, but cam_0\.exr; --plates wants"):
+        plates.find_plates(tmp_path, ["cam_0"])
     cv2.imwrite(str(tmp_path / "cam_0.png"), picture[..., ::-1])
-    np.testing.assert_array_equal(plates.read_plate(tmp_path, "cam_0", lens), picture)
+    (tmp_path / "._cam_0.png").write_bytes(b"AppleDouble")
+    assert plates.find_plates(tmp_path, ["cam_0"]) == [tmp_path / "cam_0.png"]
+    np.testing.assert_array_equal(plates.read_plate(tmp_path / "cam_0.png", lens), picture)
+    (tmp_path / "cam_0.JPG").write_bytes(b"another one")
+    with pytest.raises(DataFormatError, match=r"cam_0\.JPG: and cam_0\.png are both plates of cam_0"):
+        plates.find_plates(tmp_path, ["cam_0"])
+
+
+def test_a_film_without_fire_is_a_plate(tmp_path):
+    """The median of its frames: sparks and passers-by of single frames are not in it."""
+    still = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (64, 96, 3), np.uint8), (0, 0), 4)
+    frames = [still.copy() for _ in range(9)]
+    frames[4][20:30, 20:30] = 255
+    path = write_video(tmp_path / "cam_0.mp4", frames)
+    assert plates.find_plates(tmp_path, ["cam_0"]) == [path]
+    found = plates.read_plate(path, Lens.from_fov(96, 64, 60))
+    assert np.abs(found.astype(int) - still).mean() < 4 and np.abs(found.astype(int) - still).max() < 40
+    with pytest.raises(DataFormatError, match=r"cam_0\.mp4: frame 0 is 96x64, the lens is given for 90x64"):
+        plates.read_plate(path, Lens.from_fov(90, 64, 60))
+    with pytest.raises(DataFormatError, match="turned by 90 degrees, its camera's footage by 0"):
+        plates.read_plate(tag_rotation(path, 90), Lens.from_fov(96, 64, 60))
 
 
 def test_plates_remove_fire_and_steady_has_no_noise_bias():

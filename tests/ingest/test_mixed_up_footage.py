@@ -87,6 +87,13 @@ def test_the_same_footage_twice_is_refused_before_anything_is_read(tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+def test_empty_files_are_not_called_the_same_footage(tmp_path):
+    for name in ("a.mp4", "b.mp4"):
+        (tmp_path / name).touch()
+    with pytest.raises(DataFormatError, match=r"a\.mp4: holds nothing"):
+        require_different([tmp_path / "a.mp4", tmp_path / "b.mp4"])
+
+
 def test_sync_refuses_a_video_that_is_not_there_and_writes_nothing(tmp_path):
     videos = [str(path) for path in folders(tmp_path, 2)]
     with pytest.raises(DataFormatError, match="lost.mp4: no such video"):

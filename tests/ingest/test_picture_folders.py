@@ -8,6 +8,7 @@ import pytest
 
 from gof import cli
 from gof.footage import stored_frames
+from tests.videos import write_video
 
 WIDTH, HEIGHT, STEP = 128, 96, 5
 APPLE = bytes.fromhex("00051607000200004d6163204f5320582020202020202020") + bytes(60)
@@ -153,3 +154,24 @@ def test_pictures_that_need_no_order_are_read_in_any(tmp_path):
     for name in ("IMG_2001.png", "board.png", "left3.png"):
         cv2.imwrite(str(tmp_path / name), picture(0, 1))
     assert len(list(stored_frames(tmp_path, in_time=False))) == 3
+
+
+def test_plates_are_a_picture_or_a_film_of_each_camera(tmp_path, capsys):
+    """The film's frame is the scene, to what Motion JPEG loses; a folder of other names is said before any reading."""
+    given = [*rig(tmp_path, [f"{k:04d}" for k in range(8)], range(8)), "--plates", str(tmp_path / "still")]
+    (tmp_path / "still").mkdir()
+    write_video(tmp_path / "still/GX010003.avi", [picture(0, 30)[..., ::-1]] * 3)
+    assert cli.main(given) == 1
+    said = words(capsys)
+    assert (
+        "no picture cam_0.png there, but GX010003.avi; --plates wants of each camera" in said and "read c0" not in said
+    )
+    (tmp_path / "still/GX010003.avi").rename(tmp_path / "still/cam_0.avi")
+    cv2.imwrite(str(tmp_path / "still/cam_1.png"), picture(1, 30))
+    assert cli.main(given) == 0
+    for c, near in ((0, 5), (1, 0)):
+        plate, wanted = (
+            cv2.cvtColor(p, cv2.COLOR_BGR2GRAY).astype(int)
+            for p in (cv2.imread(str(tmp_path / f"ds/static/cam_{c}.png")), picture(c, 30))
+        )
+        assert np.abs(plate - wanted).mean() <= near

@@ -18,7 +18,7 @@ from gof.containers import codes_fields, video_tracks
 from gof.errors import DataFormatError
 from gof.footage import read_info, stored_frames
 from gof.ingest.footage import Footage
-from tests.videos import join_tracks, number_of, numbered, set_date, tag_fields, tag_pixels, write_video
+from tests.videos import join_tracks, number_of, numbered, set_date, tag_fields, tag_pixels, tag_rotation, write_video
 
 
 def ask(capsys, *videos, more=("--fov", "60")):
@@ -233,6 +233,18 @@ def test_orientations_that_differ_or_cannot_be_kept_are_named(tmp_path, capsys, 
     change(tmp_path)
     other = tmp_path / ("d1" if (tmp_path / "d1").exists() else "c1")
     assert said in ask(capsys, tmp_path / "c0", other)
+
+
+def test_another_clip_of_the_rig_lies_as_this_one(tmp_path):
+    """--with-clip: its films are turned and undistorted as this clip's are, so their tags must be the same."""
+    one, two = rig(tmp_path)
+    footage = Footage.open([one, two], "auto", None, 60.0)
+    (tmp_path / "more").mkdir()
+    more = rig(tmp_path / "more")
+    assert footage.other(more).videos == tuple(more)
+    tag_rotation(more[1], 180)
+    with pytest.raises(DataFormatError, match=r"more/cam_1\.mp4: is tagged as turned by 180 degrees"):
+        footage.other(more)
 
 
 # ---- one frame, parts, clocks ----------------------------------------------------------------------------------------

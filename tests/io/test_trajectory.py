@@ -137,7 +137,9 @@ def test_a_sequence_of_plys_has_the_clock_of_its_numbers(tmp_path):
         lookalikes.splat_ply(path, raw | {"xyz": raw["xyz"] + np.float32(k)})
         (tmp_path / f"._{path.name}").write_bytes(bytes.fromhex("0005160700020000") + bytes(60))
     (tmp_path / ".DS_Store").write_bytes(b"\0\0\0\1Bud1")
-    got = read_result(tmp_path, ImportOptions(time_unit_s=0.1)).gaussians
+    read = read_result(tmp_path, ImportOptions(time_unit_s=0.1))
+    assert any("1 numbers are missing (3)" in note for note in read.notes)
+    got = read.gaussians
     assert got.time_s == pytest.approx([0.1 * k for k in numbers])
     moved = np.asarray(got.position)[:, 0] - raw["xyz"][0]
     assert moved == pytest.approx(np.array(numbers)[:, None] * np.ones(3), abs=1e-5)

@@ -71,6 +71,19 @@ def test_an_upside_down_camera_is_named(flame, tmp_path):
     assert "STOP" in text and "upside down" in text and "'cam_1'" in text.partition("spread otherwise")[2]
 
 
+@pytest.mark.parametrize("left", [0.0, 0.08], ids=["no flame at all", "hardly any"])
+def test_a_camera_that_shows_no_flame_is_named_and_the_others_are_not_blamed(flame, tmp_path, capsys, left):
+    """Its pictures are its plate, or its light above the plate is weak, as that of HDR footage read as SDR."""
+    folder = shutil.copytree(flame, tmp_path / "dark")
+    plate = cv2.imread(str(folder / "static/cam_1.png")).astype(float)
+    turn(folder, "cam_1", lambda p: np.uint8(np.rint(plate + left * (p - plate))), kinds=("rgb",))
+    text = said(folder)
+    assert text.startswith("STOP camera 'cam_1' shows no flame (0.00% of its picture; 'cam_0' ")
+    assert "camera 'cam_0'" not in text and "camera 'cam_2'" not in text and "can be where" not in text
+    assert main(["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--preset", "preview"]) == 1
+    assert "camera 'cam_1' shows no flame" in " ".join(capsys.readouterr().err.split())
+
+
 def test_plates_of_other_cameras_are_named(flame, tmp_path):
     folder = shutil.copytree(flame, tmp_path / "swapped")
     first, second = (folder / f"static/cam_{c}.png" for c in (0, 1))

@@ -10,7 +10,7 @@ import numpy as np
 
 from gof.errors import DataFormatError
 from gof.io.importers.source import Imported, ImportOptions, Source, require_unit
-from gof.numbered import frame_of, is_hidden, number_files
+from gof.numbered import frame_of, is_hidden, missing_numbers, number_files, usual_step
 from gof.ply import Ply
 from gof.trajectory import Trajectory
 
@@ -28,7 +28,9 @@ def read(source: Source, options: ImportOptions) -> Imported:
     unit = options.time_unit_s or options.frame_time_s
     if not unit:
         raise DataFormatError(f"{source.path}: give --time-unit, the seconds between two numbers of this PLY sequence")
-    offsets = unit * np.array([number for number, _ in files], np.float64)
+    numbers = [number for number, _ in files]
+    count, which = missing_numbers(numbers)
+    offsets = unit * np.array(numbers, np.float64)
     require_unit(offsets, options, source.path)
     states = [_state(path) for _, path in files]
     counts = {len(s["position"]) for s in states}
@@ -52,7 +54,8 @@ def read(source: Source, options: ImportOptions) -> Imported:
         source.path,
         [
             *difference_notes(trajectory),
-            f"{len(files)} PLYs {unit:g} s apart; colours of the middle one",
+            f"{len(files)} PLYs {unit * usual_step(numbers):g} s apart; colours of the middle one",
+            *([f"{count} numbers are missing ({which}): gaps in time"] if count else []),
             "4DGS (Wu et al.) writes opacities without their deformation into such PLYs",
         ],
     )
