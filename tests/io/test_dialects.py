@@ -215,6 +215,44 @@ def test_whole_numbers_keep_their_digits(tmp_path, door):
     assert door(tmp_path / "x.json") == {"a": [2**64 + 1, -(10**300), 0]}
 
 
+def test_json_is_read_in_one_place_a_side():
+    """So that no reader meets a number that is none, or one that no float can hold."""
+    found = [
+        path.as_posix()
+        for folder in ("gof", "blender_addon", "benchmark")
+        for path in sorted(Path(__file__).parents[2].joinpath(folder).rglob("*.py"))
+        if "evidence" not in path.parts
+        and re.search(r"json\.loads?\([^\n]*read_(text|bytes)|json\.load\(", path.read_text())
+    ]
+    assert not found
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_a_number_beyond_floats_is_refused_by_commands(tmp_path, capsys, digits):
+    """Where a Python integer became a float, so that the commands ended in an OverflowError."""
+    from gof.cli import main
+
+    number = "1" + "0" * digits
+    (tmp_path / "poses.json").write_text('{"cam_0": [[' + number + "]]}")
+    (tmp_path / "spec.json").write_text('{"schema": "gof-scene", "version": 2, "name": "a", "fps": ' + number + "}")
+    (tmp_path / "transforms.json").write_text('{"w": ' + number + ', "frames": []}')
+    assert main(["generate", str(tmp_path / "spec.json"), "--out", str(tmp_path / "out")]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "spec.json" in said and "'fps'" in said and len(said) < 500
+    with pytest.raises(DataFormatError, match=r"poses\.json.*'cam_0\[0\]\[0\]'"):
+        read_cameras(tmp_path / "poses.json")
+    with pytest.raises(FileFormatError, match=r"transforms\.json.*'w'"):
+        camera_files.read(tmp_path / "transforms.json")
+
+
+def test_a_number_beyond_floats_in_a_spec_of_a_script():
+    from gof_blender.pure.spec import SceneSpec, SpecError
+
+    with pytest.raises(SpecError, match="frames|fps|number") as refusal:
+        SceneSpec.from_dict({"schema": "gof-scene", "version": 2, "name": "a", "fps": 10**5000})
+    assert len(str(refusal.value)) < 200
+
+
 # ---------------------------------------------------------------- transforms.json
 
 

@@ -90,8 +90,8 @@ def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) 
         worst = names[int(angle.argmax())]
         raise GofError(
             f"alignment: cameras of the same name stand otherwise in both worlds: the best fit leaves "
-            f"{position_rms:.2g} m (rms, of {reach:.2g} m) and {angle.max():.2g} degrees ('{worst}'); are names swapped, "
-            "or are poses camera-to-world or in OpenGL's axes?"
+            f"{position_rms:.2g} m (rms, of {reach:.2g} m) and {angle.max():.2g} degrees ('{worst}'); are names "
+            "swapped, or are poses camera-to-world or in OpenGL's axes?"
         )
     return Alignment(matrix, s, position_rms, float(angle.max()), reach)
 
