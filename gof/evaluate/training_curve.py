@@ -52,7 +52,7 @@ class TrainingCurve:
                 above zero.
         """
         try:
-            with path.open(newline="", encoding="utf-8") as file:
+            with path.open(newline="", encoding="utf-8-sig") as file:
                 rows = [(int(r["step"]), float(r["processor_seconds"]), float(r["loss"])) for r in csv.DictReader(file)]
             numbers = np.array(rows, np.float64)
         except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError, OverflowError) as e:
