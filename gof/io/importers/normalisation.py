@@ -106,8 +106,8 @@ def world_from_training(path: Path, by: WorldBy | None, position: np.ndarray) ->
     if away[best] < NEAR and away[second] > CLEARLY * away[best]:
         name, matrix = found[best]
         return matrix, (
-            f"scene normalisation of {name} undone with {name_model(path)}; the COLMAP points then lie {away[best]:.2g} of their "
-            "spread from the Gaussians"
+            f"scene normalisation of {name} undone with {name_model(path)}; the COLMAP points then lie "
+            f"{away[best]:.2g} of their spread from the Gaussians"
         )
     if by is None:
         raise DataFormatError(
@@ -116,8 +116,8 @@ def world_from_training(path: Path, by: WorldBy | None, position: np.ndarray) ->
             f"gsplat, or give {JSON}"
         )
     return found[0][1], (
-        f"scene normalisation of {by} undone with {name_model(path)}; its Gaussians do not lie on the COLMAP points, so a turn by "
-        "180 degrees would not be noticed: a JSON file with the transform is safer"
+        f"scene normalisation of {by} undone with {name_model(path)}; its Gaussians do not lie on the COLMAP points, "
+        "so a turn by 180 degrees would not be noticed: a JSON file with the transform is safer"
     )
 
 
