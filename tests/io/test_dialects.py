@@ -156,8 +156,9 @@ def test_pictures_of_one_name_that_stand_apart(tmp_path):
 def test_a_binary_model_in_the_add_on(tmp_path):
     _colmap(tmp_path, PAIRS)
     (tmp_path / "images.txt").rename(tmp_path / "images.bin")
-    with pytest.raises(FileFormatError, match="model_converter"):
-        _by_the_addon(tmp_path)
+    for name in ("images.txt", "cameras.txt", "images.bin", "cameras.bin"):
+        with pytest.raises(FileFormatError, match=f"{name}: a binary COLMAP model.*model_converter"):
+            camera_files.read(tmp_path / name)
 
 
 def test_the_model_with_most_pictures_is_read(tmp_path):
@@ -554,6 +555,39 @@ def test_a_trajectory_with_a_misspelt_field_is_refused(tmp_path):
     np.savez(tmp_path / "mine.npz", schema="gof-trajectory/1", **states)
     with pytest.raises(DataFormatError, match=r"mine\.npz: \['velocities'\] are no fields"):
         read_result(tmp_path / "mine.npz")
+
+
+@pytest.mark.parametrize("door", ["gof", "add-on"])
+@pytest.mark.parametrize(
+    "suffix, spoil, words",
+    [
+        (".npz", lambda fields: fields | {"gas_velocity": fields["v"]}, "'gas_velocity'"),
+        (".npz", lambda fields: fields | {"sh": np.zeros((3, 1, 3), "f4")}, "'rgb', 'sh'"),
+        (".ply", lambda names: [*names, "gas_vx", "gas_vy"], "gas_vz"),
+        (".ply", lambda names: [*names, "v_gas_x"], "v_gas_x"),
+    ],
+)
+def test_fields_of_results_that_nobody_reads_are_refused(tmp_path, door, suffix, spoil, words):
+    """A misspelt gas velocity: the light's was scored in its place."""
+    from gof.io.importers import read_result
+    from gof_blender.pure.io.gaussians_file import load
+    from tests.conftest import random_gaussians
+    from tests.plys import read_ply, write_ply
+
+    path = random_gaussians(3).save(tmp_path / f"result{suffix}")
+    if suffix == ".npz":
+        with np.load(path) as data:
+            fields = dict(data)
+        np.savez(path, **spoil(fields))
+    else:
+        vertex, comments = read_ply(path)
+        names = spoil(list(vertex.dtype.names))
+        wide = np.zeros(3, [(name, vertex.dtype[name] if name in vertex.dtype.names else "f4") for name in names])
+        for name in vertex.dtype.names:
+            wide[name] = vertex[name]
+        write_ply(path, wide, comments=comments)
+    with pytest.raises((DataFormatError, FileFormatError), match=rf"result{re.escape(suffix)}.*{words}"):
+        (read_result if door == "gof" else load)(path)
 
 
 @pytest.mark.parametrize("door", ["gof", "add-on"])
