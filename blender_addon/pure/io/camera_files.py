@@ -214,7 +214,7 @@ def _is_observations(line: str) -> bool:
 
 def _are_numbers(words: list[str]) -> bool:
     try:
-        return all(math.isfinite(float(word)) for word in words)
+        return "_" not in "".join(words) and all(math.isfinite(float(word)) for word in words)
     except ValueError:
         return False
 
