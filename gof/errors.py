@@ -1,5 +1,7 @@
 """Errors a user can act on. Every message names the file or parameter, what is wrong, and what to do."""
 
+LONGEST = 4000  # characters of a message
+
 
 def printable(text: str) -> str:
     """The text with a replacement for every character that is not seen but acts: on terminals, or on reading order."""
@@ -9,11 +11,12 @@ def printable(text: str) -> str:
 class GofError(Exception):
     """Base of every error this package raises on purpose; command lines print it without a traceback.
 
-    Its text may quote files: it is `printable`.
+    Its text may quote files: it is `printable`, and cut in the middle where a file would fill the terminal.
     """
 
     def __str__(self) -> str:
-        return printable(super().__str__())
+        text = printable(super().__str__())
+        return text if len(text) <= LONGEST else f"{text[: LONGEST - 400]} ... {text[-400:]}"
 
 
 class DataFormatError(GofError):

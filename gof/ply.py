@@ -64,9 +64,13 @@ class Ply:
             refuse_activated(sizes, opacity, self.path)
         return self.without_scale() | {"scale": activate_scale(sizes, self.path)}
 
-    def refuse_unread(self) -> None:
-        """Raises DataFormatError: a plain 3DGS PLY has properties that nobody reads; some change what others mean."""
-        unread = [n for n in self.vertex.dtype.names if n not in PLAIN and not re.fullmatch(r"f_rest_[0-9]{1,4}", n)]
+    def refuse_unread(self, *known: str) -> None:
+        """Raises DataFormatError: there are properties beside those of 3DGS and `known` ones, which nobody reads.
+
+        Some change what the others mean; one may be a misspelt name.
+        """
+        read = PLAIN.union(known)
+        unread = [n for n in self.vertex.dtype.names if n not in read and not re.fullmatch(r"f_rest_[0-9]{1,4}", n)]
         if unread:
             raise DataFormatError(
                 f"{self.path}: properties {unread[:6]} are not read, and may change what the others mean (as "

@@ -243,6 +243,8 @@ def _numbers(words: list[str], element: Element) -> tuple:
 
 
 def _number(word: str, kind: str) -> float:
+    if "_" in word:  # Python's own way to write thousands
+        raise ValueError(f"'{word[:40]}' is no number")
     if kind[0] == "f":
         return float(word)
     value, limits = int(word), np.iinfo(kind)

@@ -105,6 +105,12 @@ def _load_npz(path: Path) -> tuple[Arrays, Datum | None]:
     missing = [key for key in needed if key not in data]
     if missing:
         raise DataFormatError(f"{path}: fields {missing} are missing")
+    unread = sorted(set(data) - {*_NPZ_FIELDS, "rgb", "sh", "datum", "v_gas", "v_sd", "schema", "source"})
+    if unread or {"rgb", "sh"} <= set(data):
+        raise DataFormatError(
+            f"{path}: fields {unread or ['rgb', 'sh']} are not read"
+            + ("; remove them (a misspelt name?)" if unread else " together; keep one of them")
+        )
     known = {name: data[key] for key, name in (("v_gas", "gas_velocity"), ("v_sd", "velocity_sd")) if key in data}
     arrays = {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]} | known
     return arrays, Datum.from_numbers(data["datum"], path) if schema == NPZ_MEASURED else None
@@ -153,11 +159,14 @@ def _load_ply(path: Path) -> tuple[Arrays, Datum | None]:
             f"{path}: PLY properties {missing} are missing; a plain 3DGS PLY has no time or velocity and cannot be "
             "read as transient Gaussians"
         )
+    ply.refuse_unread("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic", "v_sd", *_GAS)
+    if any(map(ply.has, _GAS)) and not ply.has(*_GAS):
+        raise DataFormatError(f"{path}: of the PLY properties {list(_GAS)} some are missing; export the file again")
     splats = ply.splats()
     if splats["color"].shape[1] == 1:
         splats["color"] = plain_color(splats["color"])
     known = {"velocity_sd": ply.columns("v_sd")[:, 0]} if ply.has("v_sd") else {}
-    if all(ply.has(name) for name in _GAS):
+    if ply.has(*_GAS):
         known["gas_velocity"] = ply.columns(*_GAS)
     arrays = (
         splats

@@ -45,6 +45,11 @@ def test_messages_hold_nothing_that_acts_on_a_terminal():
     assert str(DataFormatError("plain ü 左")) == "plain ü 左"
 
 
+def test_messages_do_not_fill_the_terminal():
+    said = str(GofError("result.npz: " + "x" * 10**6 + "; write it again"))
+    assert len(said) < 5000 and said.startswith("result.npz: ") and said.endswith("; write it again")
+
+
 def test_a_commands_tables_hold_nothing_that_acts(tmp_path, capsys):
     from gof.terminal import console
 

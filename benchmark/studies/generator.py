@@ -108,7 +108,7 @@ def main(argv: list[str]) -> int:
     if config.json:
         write_json(config.json, asdict(figures))
     _report(figures, config.out)
-    print((config.out / "study.md").read_text())
+    print((config.out / "study.md").read_text(encoding="utf-8"))
     return 0
 
 

@@ -52,7 +52,7 @@ class VariantStudy:
         write_json(self.out / f"{name}.json", rows)
         if self.json:
             write_json(self.json, rows)
-        print((self.out / f"{name}.md").read_text())
+        print((self.out / f"{name}.md").read_text(encoding="utf-8"))
 
 
 def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, Setting]) -> Row:

@@ -14,7 +14,6 @@ shows what is left when a solver's fires are not trained on.
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
@@ -26,7 +25,7 @@ import tyro
 
 from gof.dataset import Dataset
 from gof.errors import GofError
-from gof.files import atomic_path
+from gof.files import atomic_path, read_json
 from gof.progress import progress_bar
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
@@ -147,7 +146,7 @@ class Clip:
     def of(cls, path: Path) -> Clip:
         dataset = open_small(path)
         field = preview_field(observe(dataset))
-        fire = json.loads((path / "spec.json").read_text(encoding="utf-8"))["fire"]
+        fire = read_json(path / "spec.json")["fire"]
         solver = "openfoam" if "grids" in fire else "mantaflow"
         burns = Path(fire["grids"]).parent.name if "grids" in fire else path.name
         truth = np.stack([dataset.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames])

@@ -236,7 +236,8 @@ class SceneSpec:
         data = dict(data)
         schema, version = data.pop("schema", None), data.pop("version", None)
         if schema != SCHEMA or version not in (1, VERSION):
-            raise SpecError(f'expected "schema": "{SCHEMA}", "version": {VERSION}, got {schema!r}, version {version!r}')
+            found = f"{str(schema)[:40]!r}, version {str(version)[:40]}"
+            raise SpecError(f'expected "schema": "{SCHEMA}", "version": {VERSION}, got {found}')
         if version == 1:
             data = from_version_1(data)
         effects = data.pop("effects", [])

@@ -52,13 +52,13 @@ class TrainingCurve:
                 above zero.
         """
         try:
-            with path.open(newline="", encoding="utf-8") as file:
+            with path.open(newline="", encoding="utf-8-sig") as file:
                 rows = [(int(r["step"]), float(r["processor_seconds"]), float(r["loss"])) for r in csv.DictReader(file)]
-        except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError) as e:
+            numbers = np.array(rows, np.float64)
+        except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError, OverflowError) as e:
             raise DataFormatError(f"{path}: no training curve with columns step, processor_seconds, loss ({e})") from e
         if not rows:
             raise DataFormatError(f"{path}: holds no point; was the training stopped at once?")
-        numbers = np.array(rows)
         rising = (np.diff(numbers[:, 0]) > 0).all() and (np.diff(numbers[:, 1]) >= 0).all()
         if not (np.isfinite(numbers).all() and rising and (numbers > 0).all()):
             raise DataFormatError(f"{path}: steps and seconds must rise, and all numbers be above zero")

@@ -141,7 +141,7 @@ def _are_whole(words: list[str]) -> bool:
 
 def _are_numbers(words: list[str]) -> bool:
     try:
-        return bool(np.isfinite([float(word) for word in words]).all())
+        return "_" not in "".join(words) and bool(np.isfinite([float(word) for word in words]).all())
     except ValueError:
         return False
 

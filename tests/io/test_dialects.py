@@ -51,6 +51,7 @@ IMAGES = {
     "names that may be observations": ("\n".join(ROWS).replace("cam_", "1 2 ").replace(".png", ""), "line 2 may be"),
     "one name twice": (PAIRS.replace("cam_2", "cam_1"), "cam_1"),
     "no number": (PAIRS.replace("2 1 0 0 0", "2 1 0 x 0"), "line 3"),
+    "underscores": (PAIRS.replace("2 1 0 0 0", "2 1_0 0 0 0"), "line 3"),
     "cut off": (PAIRS[: PAIRS.index("cam_3") - 3], "line 5"),
     "NaN": (PAIRS.replace("2 1 0 0 0", "2 1 0 nan 0"), "line 3"),
     "observations twice": (f"{ROWS[0]}\n1 2 -1\n3 4 -1\n", "line 3"),
@@ -156,8 +157,9 @@ def test_pictures_of_one_name_that_stand_apart(tmp_path):
 def test_a_binary_model_in_the_add_on(tmp_path):
     _colmap(tmp_path, PAIRS)
     (tmp_path / "images.txt").rename(tmp_path / "images.bin")
-    with pytest.raises(FileFormatError, match="model_converter"):
-        _by_the_addon(tmp_path)
+    for name in ("images.txt", "cameras.txt", "images.bin", "cameras.bin"):
+        with pytest.raises(FileFormatError, match=f"{name}: a binary COLMAP model.*model_converter"):
+            camera_files.read(tmp_path / name)
 
 
 def test_the_model_with_most_pictures_is_read(tmp_path):
@@ -213,6 +215,53 @@ def test_json_of_editors_and_programs(tmp_path, door, data, words):
 def test_whole_numbers_keep_their_digits(tmp_path, door):
     (tmp_path / "x.json").write_text(json.dumps({"a": [2**64 + 1, -(10**300), 0]}))
     assert door(tmp_path / "x.json") == {"a": [2**64 + 1, -(10**300), 0]}
+
+
+def test_json_is_read_in_one_place_a_side():
+    """So that no reader meets a number that is none, or one that no float can hold."""
+    found = [
+        path.as_posix()
+        for folder in ("gof", "blender_addon", "benchmark")
+        for path in sorted(Path(__file__).parents[2].joinpath(folder).rglob("*.py"))
+        if "evidence" not in path.parts
+        and re.search(r"json\.loads?\([^\n]*read_(text|bytes)|json\.load\(", path.read_text())
+    ]
+    assert not found
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_a_number_beyond_floats_is_refused_by_commands(tmp_path, capsys, digits):
+    """Where a Python integer became a float, so that the commands ended in an OverflowError."""
+    from gof.cli import main
+
+    number = "1" + "0" * digits
+    (tmp_path / "poses.json").write_text('{"cam_0": [[' + number + "]]}")
+    (tmp_path / "spec.json").write_text('{"schema": "gof-scene", "version": 2, "name": "a", "fps": ' + number + "}")
+    (tmp_path / "transforms.json").write_text('{"w": ' + number + ', "frames": []}')
+    assert main(["generate", str(tmp_path / "spec.json"), "--out", str(tmp_path / "out")]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "spec.json" in said and "'fps'" in said and len(said) < 500
+    with pytest.raises(DataFormatError, match=r"poses\.json.*'cam_0\[0\]\[0\]'"):
+        read_cameras(tmp_path / "poses.json")
+    with pytest.raises(FileFormatError, match=r"transforms\.json.*'w'"):
+        camera_files.read(tmp_path / "transforms.json")
+
+
+def test_a_broken_brightness_is_named_by_its_file(tmp_path):
+    from gof_blender.pure.brightness import Brightness
+    from gof_blender.pure.checked_json import SpecError
+
+    (tmp_path / "brightness.json").write_text('{"flame": "much", "clipped": 0, "dark": 0}')
+    with pytest.raises(SpecError, match=r"brightness\.json: "):
+        Brightness.read(tmp_path / "brightness.json")
+
+
+def test_a_number_beyond_floats_in_a_spec_of_a_script():
+    from gof_blender.pure.spec import SceneSpec, SpecError
+
+    with pytest.raises(SpecError, match="frames|fps|number") as refusal:
+        SceneSpec.from_dict({"schema": "gof-scene", "version": 2, "name": "a", "fps": 10**5000})
+    assert len(str(refusal.value)) < 200
 
 
 # ---------------------------------------------------------------- transforms.json
@@ -348,6 +397,7 @@ PLYS = {
     "no turn": (_binary(_rows(rot_0={1: 0})), r"rows \[1\]"),
     "activated": (_binary(_rows(**{f"scale_{i}": dict.fromkeys(range(5), 0.05) for i in range(3)})), "activated"),
     "opacities activated": (_binary(_rows(200, opacity={k: k / 199 for k in range(200)})), "activated"),
+    "underscores": (_text(_rows()).replace(b"-3.0", b"-3_0"), "line "),
     "decimal commas": (_text(_rows()).replace(b"-3.0", b"-3,0"), "line "),
     "cut off": (_binary(_rows())[:-3], "truncated"),
     "text cut off": (_text(_rows())[:-60], "truncated|line "),
@@ -516,6 +566,39 @@ def test_a_trajectory_with_a_misspelt_field_is_refused(tmp_path):
     np.savez(tmp_path / "mine.npz", schema="gof-trajectory/1", **states)
     with pytest.raises(DataFormatError, match=r"mine\.npz: \['velocities'\] are no fields"):
         read_result(tmp_path / "mine.npz")
+
+
+@pytest.mark.parametrize("door", ["gof", "add-on"])
+@pytest.mark.parametrize(
+    "suffix, spoil, words",
+    [
+        (".npz", lambda fields: fields | {"gas_velocity": fields["v"]}, "'gas_velocity'"),
+        (".npz", lambda fields: fields | {"sh": np.zeros((3, 1, 3), "f4")}, "'rgb', 'sh'"),
+        (".ply", lambda names: [*names, "gas_vx", "gas_vy"], "gas_vz"),
+        (".ply", lambda names: [*names, "v_gas_x"], "v_gas_x"),
+    ],
+)
+def test_fields_of_results_that_nobody_reads_are_refused(tmp_path, door, suffix, spoil, words):
+    """A misspelt gas velocity: the light's was scored in its place."""
+    from gof.io.importers import read_result
+    from gof_blender.pure.io.gaussians_file import load
+    from tests.conftest import random_gaussians
+    from tests.plys import read_ply, write_ply
+
+    path = random_gaussians(3).save(tmp_path / f"result{suffix}")
+    if suffix == ".npz":
+        with np.load(path) as data:
+            fields = dict(data)
+        np.savez(path, **spoil(fields))
+    else:
+        vertex, comments = read_ply(path)
+        names = spoil(list(vertex.dtype.names))
+        wide = np.zeros(3, [(name, vertex.dtype[name] if name in vertex.dtype.names else "f4") for name in names])
+        for name in vertex.dtype.names:
+            wide[name] = vertex[name]
+        write_ply(path, wide, comments=comments)
+    with pytest.raises((DataFormatError, FileFormatError), match=rf"result{re.escape(suffix)}.*{words}"):
+        (read_result if door == "gof" else load)(path)
 
 
 @pytest.mark.parametrize("door", ["gof", "add-on"])

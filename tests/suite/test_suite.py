@@ -135,6 +135,14 @@ def test_a_dataset_of_another_spec_is_refused(made):
         made_scenes(folder.parent)
 
 
+@pytest.mark.parametrize("text", ["{", "", "[]", '{"schema": "gof-scene", "version": 2}'])
+def test_a_spec_that_is_none_is_named(made, text):
+    _, folder = made
+    Layout(folder).spec.write_text(text)
+    with pytest.raises(DataFormatError, match=r"spec\.json"):
+        made_scenes(folder.parent)
+
+
 def test_what_is_no_suites_folder(made, tmp_path):
     for folder, why in ((tmp_path, "not the folder of a size"), (tmp_path / "paper", "no finished scene")):
         with pytest.raises(DataFormatError, match=why):

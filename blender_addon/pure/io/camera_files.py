@@ -25,6 +25,7 @@ DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye", "dis
 STRAIGHT = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "FULL_OPENCV", "RADIAL", "SIMPLE_RADIAL")  # without distortion
 PICTURES = frozenset("avif bmp dng exr gif hdr heic heif jp2 jpeg jpg jxl pgm png ppm raw tga tif tiff webp".split())
 COLMAP = ("cameras.txt", "images.txt")
+BINARY = ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
 LENSES = {"SIMPLE_PINHOLE": (0, 0, 1, 2), "PINHOLE": (0, 1, 2, 3)}  # where fx, fy, cx and cy are in the parameters
 MOST = 10_000  # cameras
 
@@ -39,6 +40,10 @@ def read(path: Path) -> tuple[CameraEntry, ...]:
         return DatasetDescription.read(path.parent).cameras
     if path.suffix.lower() == ".json":
         found = list(_of_transforms(path))
+    elif path.name in BINARY or (path.name in COLMAP and _is_binary(path.parent)):
+        raise FileFormatError(
+            f"{path}: a binary COLMAP model; make text of it: colmap model_converter --output_type TXT"
+        )
     elif path.name in COLMAP:
         found = list(_of_colmap(path.parent))
     else:
@@ -115,11 +120,11 @@ def _of_transforms(path: Path) -> Iterator[CameraEntry]:
         yield _with_role(entry, frame.get("role"))
 
 
+def _is_binary(folder: Path) -> bool:
+    return not (folder / COLMAP[1]).is_file() and (folder / BINARY[1]).is_file()
+
+
 def _of_colmap(folder: Path) -> Iterator[CameraEntry]:
-    if not (folder / COLMAP[1]).is_file() and (folder / "images.bin").is_file():
-        raise FileFormatError(
-            f"{folder}: a binary COLMAP model; make text of it: colmap model_converter --output_type TXT"
-        )
     lenses = _lenses(folder / COLMAP[0])
     path = folder / COLMAP[1]
     pictures = _pictures(path)
@@ -209,7 +214,7 @@ def _is_observations(line: str) -> bool:
 
 def _are_numbers(words: list[str]) -> bool:
     try:
-        return all(math.isfinite(float(word)) for word in words)
+        return "_" not in "".join(words) and all(math.isfinite(float(word)) for word in words)
     except ValueError:
         return False
 

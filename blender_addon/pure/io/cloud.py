@@ -113,9 +113,13 @@ def name_kind(names: Collection[str]) -> str | None:
     return None
 
 
-def refuse_unread(ply: PlyVertices) -> None:
-    """Raises FileFormatError: a plain 3DGS PLY has properties that nobody reads; some change what others mean."""
-    unread = [name for name in ply.names if name not in PLAIN and not name.startswith("f_rest_")]
+def refuse_unread(ply: PlyVertices, *known: str) -> None:
+    """Raises FileFormatError: there are properties beside those of 3DGS and `known` ones, which nobody reads.
+
+    Some change what the others mean; one may be a misspelt name.
+    """
+    read = PLAIN.union(known)
+    unread = [name for name in ply.names if name not in read and not name.startswith("f_rest_")]
     if unread:
         raise FileFormatError(
             f"{ply.path}: properties {unread[:6]} are not read, and may change what the others mean (as "

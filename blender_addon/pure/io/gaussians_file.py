@@ -120,6 +120,12 @@ def _read_npz(path: Path, step: int) -> dict[str, np.ndarray]:
         missing.append("rgb or sh")
     if missing:
         raise FileFormatError(f"{path}: fields {missing} are missing")
+    unread = sorted(set(found) - {*NPZ_NAMES.values(), "rgb", "sh", "datum", GAS[0], UNSURE, "schema", "source"})
+    if unread or {"rgb", "sh"} <= set(found):
+        raise FileFormatError(
+            f"{path}: fields {unread or ['rgb', 'sh']} are not read"
+            + ("; remove them (a misspelt name?)" if unread else " together; keep one of them")
+        )
     if "rgb" in found:
         color = found["rgb"]
     elif found["sh"].ndim == 3 and found["sh"].shape[1]:
@@ -170,13 +176,13 @@ def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:
         }
     if ply.has(UNSURE):
         values["velocity_sd"] = columns(rows, UNSURE)[:, 0]
-    if all(ply.has(name) for name in GAS[1]):
+    if ply.has(*GAS[1]):
         values["gas_velocity"] = columns(rows, *GAS[1])
     said = [comment.removeprefix(PLY_DATUM).split() for comment in ply.comments if comment.startswith(PLY_DATUM)]
     if said:
         values["datum"] = _datum(said[0], path)
     try:
-        return values | {
+        values |= {
             "velocity": columns(rows, "vx", "vy", "vz"),
             "t_mu": columns(rows, "t_mu")[:, 0],
             "t_sigma": columns(rows, "t_sigma")[:, 0],
@@ -187,3 +193,7 @@ def _read_ply(path: Path, clock: Clock, step: int) -> dict[str, np.ndarray]:
             f"{path}: properties {error.args[0]} are missing; the other properties of a transient "
             "reconstruction are there, so write the file again"
         ) from None
+    refuse_unread(ply, *OWN_PROPERTIES, UNSURE, *GAS[1])
+    if any(map(ply.has, GAS[1])) and not ply.has(*GAS[1]):
+        raise FileFormatError(f"{path}: of the properties {list(GAS[1])} some are missing; export the file again")
+    return values

@@ -151,6 +151,8 @@ def _vertex_layout(lines: list[str], order: str, path: Path) -> tuple[list[tuple
 
 
 def _number(word: str, kind: np.dtype) -> float | int:
+    if "_" in word:  # Python's own way to write thousands
+        raise ValueError(f"'{word[:40]}' is no number")
     if kind.kind == "f":
         return float(word)
     value, limits = int(word), np.iinfo(kind)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from gof.errors import DataFormatError
 from gof.files import read_json
-from gof.io.colmap import Poses, read_colmap
+from gof.io.colmap import Poses, name_model, read_colmap
 from gof.io.importers.source import WorldBy
 
 NEAR, CLEARLY = 0.1, 2.0  # of the points' spread: what lies on them; how much nearer than any other reading
@@ -106,8 +106,8 @@ def world_from_training(path: Path, by: WorldBy | None, position: np.ndarray) ->
     if away[best] < NEAR and away[second] > CLEARLY * away[best]:
         name, matrix = found[best]
         return matrix, (
-            f"scene normalisation of {name} undone with {path}; the COLMAP points then lie {away[best]:.2g} of their "
-            "spread from the Gaussians"
+            f"scene normalisation of {name} undone with {name_model(path)}; the COLMAP points then lie "
+            f"{away[best]:.2g} of their spread from the Gaussians"
         )
     if by is None:
         raise DataFormatError(
@@ -116,8 +116,8 @@ def world_from_training(path: Path, by: WorldBy | None, position: np.ndarray) ->
             f"gsplat, or give {JSON}"
         )
     return found[0][1], (
-        f"scene normalisation of {by} undone with {path}; its Gaussians do not lie on the COLMAP points, so a turn by "
-        "180 degrees would not be noticed: a JSON file with the transform is safer"
+        f"scene normalisation of {by} undone with {name_model(path)}; its Gaussians do not lie on the COLMAP points, "
+        "so a turn by 180 degrees would not be noticed: a JSON file with the transform is safer"
     )
 
 
