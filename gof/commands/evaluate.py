@@ -193,8 +193,15 @@ def picture_table(scores: Scores) -> Table:
         own = getattr(scores, key)
         plate = getattr(scores, f"{key}_plate", None)
         if own is not None or plate is not None:
-            table.add_row(label, _number(own, digits), _number(plate, digits))
+            table.add_row(label + _counted(scores, key), _number(own, digits), _number(plate, digits))
     return table
+
+
+def _counted(scores: Scores, key: str) -> str:
+    """How many pictures a mean is of, where not all have the figure: of a flame where there is none, say."""
+    pictures = scores.images.pictures if scores.images else ()
+    count = sum(getattr(picture, key, None) is not None for picture in pictures)
+    return f", {count} of {len(pictures)} pictures" if 0 < count < len(pictures) else ""
 
 
 def published_table(scores: Scores) -> Table:

@@ -1,6 +1,7 @@
 """`gof evaluate` on a synthetic flame: truth pictures drawn from known Gaussians in a known flow."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -217,3 +218,19 @@ def test_nobodys_empty_scene_is_given_our_plates(flame, tmp_path):
     assert scores.import_.method == "trajectory" and scores.psnr == pytest.approx(np.mean(black), abs=0.01)
     drawn_over = evaluate(tmp_path / "method.npz", dataset, flame_only=True)
     assert drawn_over.psnr == pytest.approx(scores.psnr_plate, abs=0.01) and drawn_over.psnr > scores.psnr + 1
+
+
+def test_perfect_pictures_count_in_the_mean(flame, tmp_path, capsys):
+    """A camera that saw no fire, and a result that draws nothing: 100 dB there, and the mean is of all pictures."""
+    folder, _, truth = flame
+    shutil.copytree(folder / "data", tmp_path / "data")
+    dataset = Dataset.open(tmp_path / "data")
+    for frame in dataset.test_frames:
+        shutil.copy(dataset.file(0, "static"), dataset.file(0, "rgb", frame))
+    changed(truth, opacity=0 * truth.opacity + 1e-6).save(tmp_path / "nothing.npz")
+    out = tmp_path / "scores.json"
+    assert main([str(tmp_path / "nothing.npz"), "--truth", str(tmp_path / "data"), "--json", str(out)]) == 0
+    scores = Scores.read(out)
+    psnr = [picture.psnr for picture in scores.images.pictures]
+    assert [p for p, picture in zip(psnr, scores.images.pictures, strict=True) if picture.camera == "cam_0"] == [100.0]
+    assert scores.psnr == pytest.approx(np.mean(psnr)) and None not in psnr and len(psnr) == scores.images.count

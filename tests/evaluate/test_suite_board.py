@@ -315,3 +315,21 @@ def test_a_shared_rank_says_how_far_it_reaches():
     assert [remark(figures[name], 1) for name in "abc"] == ["rank 1 to 2", "rank 1 to 2", "rank 3"]
     assert marks_of(figures, "l2") == {"a": "best", "b": "first"}, "the mean decides who is bold, not who is shaded"
     assert marks_of({"a": figures["a"]}, "l2") == {"a": "first"}, "one alone is best of nobody"
+
+
+@pytest.mark.parametrize("wild", [1e7, 1e200, 1e308])
+def test_figures_beyond_sense_spoil_nobody_elses_row(wild, tmp_path):
+    """The mean of squares of 1e200 is no number, and a board with one could not be written."""
+    alone = board("t", methods("a", "b"), [scene("a", a=0, b=0.2)])
+    found = board("t", methods("a", "b", "wild"), [scene("a", a=0, b=0.2, wild=wild)])
+    write_record(tmp_path / "board.json", found)
+    assert rows(found)["a"] == rows(alone)["a"] and rows(found)["b"] == rows(alone)["b"]
+    assert not rows(found)["wild"].competes and "no flame is so far off" in rows(found)["wild"].refused[0]
+
+
+@pytest.mark.parametrize("row", ["1,1,1e308", "1,1,5e-324", "1,1e300,1", f"{10**400},1,1", "1,1,nan", "1,inf,1"])
+def test_numbers_that_no_training_has_are_refused(tmp_path, row):
+    path = tmp_path / "curve.csv"
+    path.write_text(f"step,processor_seconds,loss\n{row}\n")
+    with pytest.raises(DataFormatError, match=r"curve\.csv: all numbers must be above zero, from 1e-30 to 1e30"):
+        TrainingCurve.read(path)
