@@ -21,7 +21,7 @@ from gof.evaluate.scores import Scores
 from gof.evaluate.scoring import evaluate
 from gof.evaluate.statistics import over_frames
 from gof.evaluate.submission import Run, Shown, Submission, draw, picture_file, read_again
-from gof.evaluate.suite_board import beyond_sense
+from gof.evaluate.suite_board import beyond_sense, too_good
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.gaussians import MovingGaussians
@@ -120,6 +120,8 @@ def _run(
     again = scored(run, dataset)
     if unlikely := beyond_sense(again):
         yield Finding(name, "scores are those of a flame", "refused", unlikely)
+    if suspicious := too_good(again):
+        yield Finding(name, "velocities are not the truth's", "hint", suspicious)
     yield from _scores(run, again, name)
 
 

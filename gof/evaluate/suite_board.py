@@ -26,6 +26,7 @@ CONTROLS = ("zero", "constant", "height_mean", "true_centre")
 WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, CosSim 0, by definition
 UNIFORM = ("zero", "constant")  # vorticity: L2 1, and no divergence
 POINTS = 40  # of a training's curve, at most
+TOO_GOOD = 0.05  # L2 of the velocities; no method from pictures has come near
 LARGEST = 1e6  # of a figure: squares, sums and ratios of such numbers are numbers
 NOT_SHOWN = ("flow_prior", "evaluate_s", "speed_ratio", "skill")
 
@@ -71,6 +72,8 @@ class BoardRow:
     `over_plates`: it is a flame alone, drawn over fire-free plates; None for a control, and where runs differ.
     `refused`: why the check refuses its submission; such a row competes with nobody.
     `control`: it is no method.
+    `alarm`: that its velocities are better than an honest method's can be; people must judge it.
+    `velocity`: whose was scored, the gas' or that of the Gaussians; "" where runs differ or none was.
     """
 
     name: str
@@ -84,6 +87,8 @@ class BoardRow:
     over_plates: bool | None = None
     refused: tuple[str, ...] = ()
     control: bool = False
+    alarm: str = ""
+    velocity: str = ""
 
 
 @dataclass(frozen=True)
@@ -194,7 +199,27 @@ def _row(
         prior=about.prior,
         figures={key: figure for key, figure in figures.items() if figure is not None},
         over_plates=_over_plates([run.scores for scene in here for run in scene.runs[name]]),
+        alarm=next((f"{s.name}: {said}" for s in here for run in s.runs[name] if (said := too_good(run.scores))), ""),
+        velocity=_velocity([run.scores for scene in here for run in scene.runs[name]]),
     )
+
+
+def too_good(scores: Scores) -> str:
+    """Why the velocities of a result look like the truth itself; "" where they do not."""
+    own, bound = scores.dve, scores.controls.get("true_centre")
+    if own is None or own.l2 is None:
+        return ""
+    if own.l2 < TOO_GOOD:
+        return f"L2 is {own.l2:.4f}: is it the truth itself?"
+    if bound is not None and bound.l2 is not None and own.l2 < bound.l2:
+        return f"L2 {own.l2:.4f} is below {bound.l2:.4f}, what the truth at each centre scores: was the truth used?"
+    return ""
+
+
+def _velocity(scores: Sequence[Scores]) -> str:
+    """A result that says another velocity for the gas has that of its Gaussians as a control."""
+    said = {"the gas, as the result says it" if "light" in s.controls else "its Gaussians" for s in scores if s.dve}
+    return said.pop() if len(said) == 1 else ""
 
 
 def _over_plates(scores: Sequence[Scores]) -> bool | None:

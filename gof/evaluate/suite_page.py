@@ -104,7 +104,9 @@ def to_markdown(board: SuiteBoard) -> str:
             figure = row.figures.get(key)
             text = " ".join(filter(None, (value(key, figure), _in_brackets(remark(figure, len(board.scenes))))))
             cells.append(f"**{text}**" if i == leaders[key] else text)
-        remarks = [_in_brackets(text) for text in (in_markdown(refusal(row)), partly(row, board))]
+        remarks = [
+            _in_brackets(text) for text in (in_markdown(refusal(row)), in_markdown(row.alarm), partly(row, board))
+        ]
         name = " ".join(filter(None, (name if row.competes else f"*{name}*", *remarks)))
         lines.append(f"| {name} | {given} | {knew} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
@@ -136,7 +138,13 @@ def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | N
             for key in keys
         ]
         given, knew = marks(row)
-        small = refusal(row), partly(row, board), given and f"given: {given}", knew and f"knew before: {knew}"
+        small = (
+            refusal(row),
+            row.alarm,
+            partly(row, board),
+            given and f"given: {given}",
+            knew and f"knew before: {knew}",
+        )
         about = {"name": row.name, "method": row.what, "competes": row.competes}
         table.append((about | {"small": [one for one in small if one]}, cells))
     charts, no_charts = _charts(board)

@@ -333,3 +333,35 @@ def test_numbers_that_no_training_has_are_refused(tmp_path, row):
     path.write_text(f"step,processor_seconds,loss\n{row}\n")
     with pytest.raises(DataFormatError, match=r"curve\.csv: all numbers must be above zero, from 1e-30 to 1e30"):
         TrainingCurve.read(path)
+
+
+def test_a_row_that_is_better_than_the_truth_allows_has_an_alarm():
+    """L2 near 0, or below that of the true velocity at each centre of its own Gaussians."""
+    honest, near_zero = result("honest", np.full(FRAMES, 0.4)), result("truth", np.full(FRAMES, 0.01))
+    bound = replace(GOLDEN.controls["constant"], l2=0.3, meaning="the truth at each centre")
+    low = result("low", np.full(FRAMES, 0.2))
+    runs = {
+        name: (replace(one, scores=replace(one.scores, controls=GOLDEN.controls | {"true_centre": bound})),)
+        for name, one in (("honest", honest), ("truth", near_zero), ("low", low))
+    }
+    here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
+    found = board("t", methods(*runs), [here])
+    assert rows(found)["honest"].alarm == ""
+    assert "is it the truth itself?" in rows(found)["truth"].alarm
+    assert "0.2000 is below 0.3000" in rows(found)["low"].alarm
+    for page in (to_html(found, {}), to_markdown(found)):
+        assert "is it the truth itself?" in page and "below 0.3000" in page
+
+
+def test_the_page_says_whose_velocity_was_scored():
+    honest = result("", np.full(FRAMES, 0.4))
+    gas = replace(GOLDEN, controls=GOLDEN.controls | {"light": GOLDEN.controls["constant"]})
+    light = replace(GOLDEN, controls={k: c for k, c in GOLDEN.controls.items() if k != "light"})
+    runs = {
+        name: (replace(honest, name=name, scores=replace(honest.scores, controls=scores.controls)),)
+        for name, scores in (("says gas", gas), ("moves", light))
+    }
+    here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
+    page = to_html(board("t", methods(*runs), [here]), {})
+    assert page.split("<b>says gas</b>")[1].split("</li>")[0].count("that of the gas, as the result says it") == 1
+    assert page.split("<b>moves</b>")[1].split("</li>")[0].count("that of its Gaussians") == 1
