@@ -37,11 +37,12 @@ start without Blender: gof sample unpacks a fire with its truth, a result, a sub
 the whole loop, step by step:
   gof generate demo --out data/fire                 a dataset: pictures, cameras, velocity in m/s
   gof reconstruct data/fire --out out/fire          out/fire/result.ply and result.npz
-  gof evaluate out/fire/result.npz --truth data/fire --out out/fire
+  gof evaluate out/fire/result.npz --truth data/fire    L2 and CosSim, and out/fire/scores.json
   gof import out/fire/result.npz --dataset data/fire --blend out/fire/result.blend
   gof report out/fire --dataset data/fire           out/fire/report.html
 
-Every command resumes what it finds half done, and writes its figures with --json FILE.
+Every command resumes what it finds half done, and all but view and baseline write their figures with --json FILE.
+Pages that texts name as docs/NAME.md are in the folder docs of the source, which packages do not hold.
 """
 
 

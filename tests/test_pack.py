@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import shlex
 import shutil
 import subprocess
 import tarfile
@@ -9,6 +10,7 @@ import tarfile
 import numpy as np
 import pytest
 
+from gof.cli import main
 from gof.commands import pack as pack_command
 from gof.commands import unpack as unpack_command
 from gof.dataset import Dataset
@@ -174,3 +176,22 @@ def test_a_truth_is_its_numbers(dataset, tmp_path):
     other = Truth("0" * 64, tuple(1.02 * speed for speed in found.rms_m_s))
     assert "1.96%" in found.differs(other)
     assert "frames" in found.differs(Truth("0" * 64, (1.0,)))
+
+
+@pytest.mark.parametrize(
+    ("given", "missing"),
+    [
+        ([], "--licence and --authors missing"),
+        (["--licence", "CC0-1.0"], "--authors missing"),
+        (["--authors", "A B"], "--licence missing"),
+        (["--authors", "A B", "--licence", " "], "--licence missing"),
+    ],
+)
+def test_all_that_is_missing_is_named_at_once_with_a_command_that_works(tiny_dataset, tmp_path, capsys, given, missing):
+    out = tmp_path / "packed here"
+    assert main(["pack", str(tiny_dataset), "--out", str(out), *given]) == 1
+    said = capsys.readouterr().err
+    assert missing in said and not out.exists()
+    program, *words = shlex.split(said.split("For example: ")[1])
+    assert program == "gof" and main(words) == 0
+    assert [path.suffix for path in sorted(out.iterdir())] == [".tar", ".sha256"]

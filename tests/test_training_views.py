@@ -2,6 +2,7 @@
 
 import json
 import struct
+import sys
 
 import cv2
 import numpy as np
@@ -170,3 +171,17 @@ def test_a_dataset_with_smaller_pictures(tmp_path):
         shrunk.shrink(root, out, 40)
     with pytest.raises(GofError, match="not larger than 80"):
         shrunk.shrink(root, tmp_path / "same", 80)
+
+
+def test_smaller_pictures_without_openexr_leave_nothing(tmp_path, monkeypatch, capsys):
+    """The plates' depth needs it, which comes last: nothing is written before it is known to be there."""
+    root = fire.dataset(tmp_path / "fire")
+    assert list(root.rglob("*.exr"))
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "OpenEXR", None)
+        assert shrunk.main([str(root), str(tmp_path / "small"), "--longest-side", "40"]) == 1
+    captured = capsys.readouterr()
+    said = captured.out + captured.err
+    assert "OpenEXR" in said and "Traceback" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["fire"]
+    assert shrunk.main([str(root), str(tmp_path / "small"), "--longest-side", "40"]) == 0, "the same command"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,12 +16,13 @@ from gof.dataset.leaks import FILE as MADE_FROM
 from gof.dataset.leaks import MadeFrom
 from gof.errors import DataFormatError, GofError
 from gof.evaluate import evaluate
-from gof.evaluate.submission import PICTURES, SCORES, Run, write_pictures
+from gof.evaluate.scores import Scores
+from gof.evaluate.submission import ADDING, PICTURES, SCORES, Run, write_pictures
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
-from gof.files import is_name
+from gof.files import is_name, only_run_in
 from gof.progress import progress_bar
-from gof_benchmark.suite.made import scene_of
+from gof_benchmark.suite.made import MadeScene, scene_of
 
 BESIDE = (MADE_FROM, "costs.json")  # of a reconstruction of ours, and its plates
 
@@ -61,10 +63,66 @@ def main(argv: list[str]) -> int:
         raise GofError(f"--run {config.run!r}: must be a plain name, as seed_0")
     made = scene_of(config.scene)
     folder = config.submission / made.scene.name / (config.run or "")
-    if (folder / SCORES).exists():
-        raise GofError(f"{folder}: holds a run already; remove it, or give --run another name")
+    require_new(config.result, folder, config.submission / made.scene.name)
     if config.curve is not None:
         TrainingCurve.read(config.curve)
+    if config.pictures is not None:
+        require_pictures(config.pictures, made.dataset)
+    place = config.submission / ADDING
+    with only_run_in(place):
+        draft = place / "run"
+        shutil.rmtree(draft, ignore_errors=True)  # what an attempt left that was stopped
+        draft.mkdir()
+        try:
+            put_together(config, made, draft)
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            if folder.is_dir():  # an empty one, as `require_new` saw
+                folder.rmdir()
+            os.replace(draft, folder)  # whole or not at all
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+    if config.json is not None:
+        Scores.read(folder / SCORES).write(config.json)
+    print(f"{folder}: added")
+    return 0
+
+
+def require_new(result: Path, folder: Path, scene: Path) -> None:
+    """Make sure that the run's folder is nobody's yet.
+
+    Raises:
+        DataFormatError: no such result, or it lies in the submission already, or around it.
+        GofError: the folder holds something; or the scene's folder is a run itself, which hides others.
+    """
+    if not result.exists():
+        raise DataFormatError(f"{result}: no such file or folder")
+    if folder.resolve() in (result.resolve(), result.parent.resolve()):
+        raise DataFormatError(f"{result}: lies in the submission already; give the result where it was made")
+    if result.is_dir() and not (result / "result.npz").is_file() and folder.resolve().is_relative_to(result.resolve()):
+        raise DataFormatError(f"{result}: the submission lies in it; give the folder of this one result")
+    if folder != scene and (scene / SCORES).exists():
+        raise GofError(f"{scene}: is a run itself, beside which no other is found; move it to {scene / 'seed_0'}")
+    if (folder / SCORES).exists():
+        raise GofError(f"{folder}: holds a run already; remove it, or give --run another name")
+    if os.path.lexists(folder) and not (folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())):
+        raise GofError(
+            f"{folder}: holds other things already, and they are left as they are; give another SUBMISSION, or a --run"
+        )
+
+
+def require_pictures(pictures: Path, dataset: Dataset) -> None:
+    """Raises DataFormatError: a held-out picture is not there."""
+    names = [f"{camera.name}/{frame:06d}.png" for camera in dataset.cameras for frame in dataset.test_frames]
+    missing = [name for name in names if not (pictures / name).is_file()]
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise DataFormatError(
+            f"{pictures}: has no {missing[0]}{more}; --pictures holds CAMERA/FRAME.png of held-out frames"
+        )
+
+
+def put_together(config: AddConfig, made: MadeScene, folder: Path) -> None:
+    """Everything of a run in a folder of its own."""
     result = copy(config.result, folder)
     if config.curve is not None:
         shutil.copyfile(config.curve, folder / CURVE)
@@ -74,31 +132,15 @@ def main(argv: list[str]) -> int:
         options = replace(options, world=_copied(options.world, folder))
     with progress_bar(made.scene.name) as progress:
         scores = evaluate(result, made.dataset, progress=progress, foreign=options, flame_only=config.flame_only)
-    scores.write(folder / SCORES)
     if config.pictures is not None:
         shutil.copytree(config.pictures, folder / PICTURES)
     else:
-        write_pictures(Run.open(folder, made.scene.name), made.dataset)
-    if config.json is not None:
-        scores.write(config.json)
-    print(f"{folder}: added")
-    return 0
+        write_pictures(Run(folder, made.scene.name, scores, result), made.dataset)
+    scores.write(folder / SCORES)
 
 
 def copy(result: Path, folder: Path) -> Path:
-    """Copy a result, and of a reconstruction of ours what is beside it; the copy.
-
-    Raises:
-        DataFormatError: it is not there, or lies where it would be copied to.
-    """
-    if not result.exists():
-        raise DataFormatError(f"{result}: no such file or folder")
-    if folder.resolve() in (result.resolve(), result.parent.resolve()):
-        raise DataFormatError(f"{result}: lies in the submission already; give the result where it was made")
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in BESIDE:  # what an attempt left that failed
-        (folder / name).unlink(missing_ok=True)
-    shutil.rmtree(folder / "plates", ignore_errors=True)
+    """Copy a result, and of a reconstruction of ours what is beside it; the copy."""
     ours = result / "result.npz" if result.is_dir() else result
     if not ours.is_file():
         return _copied(result, folder)
@@ -106,7 +148,7 @@ def copy(result: Path, folder: Path) -> Path:
         if (ours.parent / name).is_file():
             shutil.copyfile(ours.parent / name, folder / name)
     if (ours.parent / "plates").is_dir():
-        shutil.copytree(ours.parent / "plates", folder / "plates", dirs_exist_ok=True)
+        shutil.copytree(ours.parent / "plates", folder / "plates")
     return _copied(ours, folder)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,14 +12,15 @@ from typing import Annotated, Literal
 import tyro
 
 from gof import __version__
+from gof.dataset import Dataset
 from gof.errors import GofError
 from gof.evaluate.eddy_time import eddy_time
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.leaderboard_page import PageGrid
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
-from gof.evaluate.submission import Run, Submission
-from gof.evaluate.submission_check import score_again
+from gof.evaluate.submission import PICTURES, SCORES, Run, Submission
+from gof.evaluate.submission_check import OPACITY, ORDER, check, score_again
 from gof.evaluate.suite_board import ScoredScene, board
 from gof.evaluate.suite_page import to_html, to_markdown
 from gof.evaluate.training_curve import FILE as CURVE
@@ -37,7 +39,8 @@ class ScoreConfig:
     """Score submissions and write one page: means with intervals, ranks that are shared where nobody can tell, wins.
 
     Scores are computed from the results, whatever the submissions say, and kept in OUT/scores: the same result on the
-    same dataset is scored once. Development scenes are scored apart, with --split dev; no rank mixes the two.
+    same dataset is scored once. What `gof benchmark check` refuses is shown with its reason and not ranked.
+    Development scenes are scored apart, with --split dev; no rank mixes the two.
     """
 
     folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="SUBMISSION ... SUITE")]]
@@ -65,14 +68,16 @@ def main(argv: list[str]) -> int:
     there = made_scenes(suite, config.split)
     chosen = pick([made.scene for made in there.values()], config.scenes)
     here = [there[scene.name] for scene in chosen if any(scene.name in s.runs for s in submissions)]
-    scenes = [scored_scene(made, submissions, config.out / "scores") for made in here]
-    if not scenes:
+    if not here:
         raise GofError(f"no submission has a result of a {config.split} scene that is made in {suite}")
+    kept = config.out / "scores"
+    refused = {submission.name: crosses(submission, here, kept) for submission in submissions}
+    scenes = [scored_scene(made, submissions, kept) for made in here]
     pictures = "; ".join(sorted({made.pictures for made in here}))
     size = suite.resolve().name
     share = f"{len(here)} of {len(scenes_of(size, config.split))} {config.split} scenes"
     title = f"{suite_name()}, {size}, {share}, pictures {pictures}"
-    found = board(title, {submission.name: submission.method for submission in submissions}, scenes)
+    found = board(title, {submission.name: submission.method for submission in submissions}, scenes, refused)
     write_record(config.out / "board.json", found)
     if config.json is not None:
         write_record(config.json, found)
@@ -85,17 +90,33 @@ def main(argv: list[str]) -> int:
     return 0
 
 
+def crosses(submission: Submission, here: list[MadeScene], kept: Path) -> tuple[str, ...]:
+    """Why `gof benchmark check` refuses a submission, for what it has of these scenes; () where it does not."""
+    datasets = {made.scene.name: made.dataset for made in here}
+    of_these = replace(submission, runs={name: runs for name, runs in submission.runs.items() if name in datasets})
+    found = check(of_these, datasets, lambda run, dataset: kept_scores(run, dataset, kept))
+    refused = tuple(str(finding) for finding in found if finding.verdict == "refused")
+    for cross in refused:
+        console().print(f"{submission.name}: {cross}", style="bold red", markup=False, highlight=False)
+    return refused
+
+
 def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> ScoredScene:
-    """A scene with the scores of every submission that has it."""
+    """A scene with the scores of every submission that has it; what cannot be read is left out, as the check says."""
     runs, curves = {}, {}
     for submission in submissions:
         folders = submission.runs.get(made.scene.name, ())
-        if folders:
+        try:
             opened = [Run.open(folder, made.scene.name) for folder in folders]
-            runs[submission.name] = tuple(evaluated(run, made, submission.method, kept) for run in opened)
+            scored = tuple(evaluated(run, made, submission.method, kept) for run in opened)
             with_curve = [run.folder / CURVE for run in opened if (run.folder / CURVE).is_file()]
-            if with_curve:
-                curves[submission.name] = TrainingCurve.read(with_curve[0])
+            read = [TrainingCurve.read(path) for path in with_curve[:1]]
+        except GofError:
+            continue
+        if scored:
+            runs[submission.name] = scored
+        if read:
+            curves[submission.name] = read[0]
     times_s = tuple(map(float, made.dataset.times_s))
     return ScoredScene(made.scene.name, made.scene.split, eddy_time(made.dataset), times_s, runs, curves)
 
@@ -108,26 +129,34 @@ def _pictures(made: MadeScene, scored: ScoredScene) -> PageGrid | None:
 
 def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> EvaluatedResult:
     """A run's scores, computed here or kept from before."""
-    path = kept / f"{_digits(run, made)}.json"
-    if path.is_file():
-        scores = Scores.read(path)
-    else:
-        print(f"{run.folder}: scoring", flush=True)
-        scores = score_again(run, made.dataset)
-        scores.write(path)
+    scores = kept_scores(run, made.dataset, kept)
     # of one scene: its own costs, where they are there, else what the method says of itself
     costs_here = (run.folder / "costs.json").is_file()
     return EvaluatedResult.of(run.folder, replace(about, train_seconds=None) if costs_here else about, scores)
 
 
-def _digits(run: Run, made: MadeScene) -> str:
-    """Change with the result, how it is read, the dataset, and the program that scores."""
+def kept_scores(run: Run, dataset: Dataset, kept: Path) -> Scores:
+    """A run's scores: computed, or of an earlier time when nothing was different that has a part in them."""
+    path = kept / f"{_digits(run, dataset)}.json"
+    if path.is_file():
+        return Scores.read(path)
+    print(f"{run.folder}: scoring", flush=True)
+    scores = score_again(run, dataset)
+    scores.write(path)
+    return scores
+
+
+def _digits(run: Run, dataset: Dataset) -> str:
+    """Change with all that a run holds but its pictures and its own words on scores and costs, with how its result is
+    read and scored, with the dataset and its velocities, and with the program that scores."""
     state = hashlib.sha256()
-    files = [run.result] if run.result.is_file() else sorted(path for path in run.result.rglob("*") if path.is_file())
-    files += sorted((run.folder / "plates").glob("*.png"))
-    for path in files:
-        state.update(path.name.encode() + hashlib.sha256(path.read_bytes()).digest())
+    for path in sorted(path for path in run.folder.rglob("*") if path.is_file()):
+        name = path.relative_to(run.folder).as_posix()
+        if name not in (SCORES, CURVE, "costs.json") and not name.startswith(f"{PICTURES}/"):
+            state.update(name.encode() + hashlib.sha256(path.read_bytes()).digest())
     origin = to_json(run.scores)["import"]
-    how = {key: origin[key] for key in ("options", "over_plates")}
-    state.update(json.dumps([how, made.dataset.identity(), __version__], sort_keys=True).encode())
+    how = [os.path.relpath(run.result, run.folder), origin["options"], origin["over_plates"], ORDER, OPACITY]
+    truth = [path.relative_to(dataset.path).as_posix() for path in dataset.path.glob("*.zarr/**/*") if path.is_file()]
+    truth += [path.relative_to(dataset.path).as_posix() for path in dataset.path.glob("grids/**/*") if path.is_file()]
+    state.update(json.dumps([how, dataset.identity(*truth), __version__], sort_keys=True).encode())
     return state.hexdigest()[:24]

@@ -7,7 +7,9 @@ means; linear pictures and true flow are left out.
 
 from __future__ import annotations
 
+import os
 import shutil
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from gof.dataset import CameraEntry, Dataset
 from gof.dataset.description import FILE
 from gof.errors import GofError
 from gof.files import atomic_path, path_in
+from gof.terminal import console
 from gof_blender.pure.layout import Layout
 
 from . import write as write_view
@@ -51,7 +54,18 @@ def shrink(root: Path, out: Path, longest_side: int) -> None:
         raise GofError(f"{out}: is there already; give a new folder")
     if all(max(camera.width, camera.height) <= longest_side for camera in dataset.cameras):
         raise GofError(f"{root}: its pictures are not larger than {longest_side} px")
-    entries = []
+    if any(_plate_depth(source, number).is_file() for number in range(len(dataset.cameras))):
+        extras.load("OpenEXR", "generate", "writing depth")  # before anything is written
+    draft = out.with_name(f".{out.name}.{os.getpid()}.partial")
+    try:
+        _write(source, draft, longest_side)
+        os.replace(draft, out)  # whole or not at all
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _write(source: ViewSource, out: Path, longest_side: int) -> None:
+    dataset, entries = source.dataset, []
     for number, (camera, entry) in enumerate(zip(dataset.cameras, dataset.description.cameras, strict=True)):
         factor = longest_side / max(camera.width, camera.height)
         small = entry.camera().scaled(round(camera.width * factor), round(camera.height * factor))
@@ -85,11 +99,17 @@ def _shrink_pictures(dataset: Dataset, camera: int, kind: str, out: Path, size: 
             cv2.imwrite(str(temporary), cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
 
 
+def _plate_depth(source: ViewSource, camera: int) -> Path:
+    name = Path(source.dataset.name(camera, "static")).with_suffix(".exr").as_posix()
+    return path_in(source.dataset.path, name)
+
+
 def _shrink_depth(source: ViewSource, camera: int, out: Path, size: tuple[int, int]) -> None:
     """The plate's depth, where it is known: of one of the old pixels under each new one."""
-    name = Path(source.dataset.name(camera, "static")).with_suffix(".exr").as_posix()
-    if not path_in(source.dataset.path, name).is_file():
+    path = _plate_depth(source, camera)
+    if not path.is_file():
         return
+    name = path.relative_to(source.dataset.path).as_posix()
     OpenEXR = extras.load("OpenEXR", "generate", "writing depth")
     depth = np.minimum(source.plate_depth(camera), np.float32(1e10))
     channels = {"Z": cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)}
@@ -98,15 +118,21 @@ def _shrink_depth(source: ViewSource, camera: int, out: Path, size: tuple[int, i
         file.write(str(temporary))
 
 
-def main(argv: list[str] | None = None) -> None:
+def main(argv: list[str] | None = None) -> int:
+    """1 with a named error."""
     config = tyro.cli(ShrunkConfig, prog="python -m gof_benchmark.views.shrunk", args=argv)
-    shrink(config.dataset, config.out, config.longest_side)
-    for name in config.views:
-        write_view(name, config.out)
+    try:
+        shrink(config.dataset, config.out, config.longest_side)
+        for name in config.views:
+            write_view(name, config.out)
+    except GofError as error:
+        console().print("error:", error, style="red")
+        return 1
     print(
         f"{config.out / FILE}: pictures of at most {config.longest_side} px; views: {', '.join(config.views) or 'none'}"
     )
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 PRESETS: dict[str, dict[str, dict]] = {
     "toy": {
-        "clip": {"frames": 4, "warm_up_frames": 16},
+        "clip": {"frames": 6, "warm_up_frames": 16},  # one frame, the fifth, is held out between two others
         "domain": {"resolution": 24},
         "render": {"percentage": 6, "samples": 1, "plate_samples": 2, "denoise": False},
     },

@@ -19,8 +19,8 @@ class BackgroundConfig:
 
     dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder. Uses its depth/CAMERA.npy (from `gof ingest --depth`), else stereo between its plates."""
-    out: Path
-    """Folder for the result; a finished one there is kept."""
+    out: Path | None = None
+    """Folder for the result; a finished one there is kept. Default: beside the dataset, DATASET_background."""
     steps: int = BackgroundOptions.steps
     """Optimisation steps, one plate each; the paper's are 10 000."""
     gaussians: int = BackgroundOptions.gaussians
@@ -41,16 +41,17 @@ class BackgroundConfig:
 
 
 def main(argv: list[str]) -> int:
-    """`gof background DATASET --out DIR`; see --help."""
+    """`gof background DATASET [--out DIR]`; see --help."""
     config = tyro.cli(BackgroundConfig, prog="gof background", args=argv)
     options = BackgroundOptions(
         config.steps, config.gaussians, config.longest_side, config.depth_term, config.depth_weights, config.seed
     )
-    gaussians = make_background(config.dataset, config.out, options)
+    out = config.out or config.dataset.absolute().parent / f"{config.dataset.absolute().name}_background"
+    gaussians = make_background(config.dataset, out, options)
     if config.flame is not None:
-        add_flame(gaussians, config.flame, config.out)
-    stages = StageLog(config.out / "costs.json").stages()
-    result = config.out / "background.npz"
+        add_flame(gaussians, config.flame, out)
+    stages = StageLog(out / "costs.json").stages()
+    result = out / "background.npz"
     if config.json:
         summary = {"result": str(result), "gaussians": len(gaussians), "stages": [asdict(s) for s in stages]}
         write_json(config.json, summary)

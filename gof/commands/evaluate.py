@@ -13,7 +13,7 @@ from rich.text import Text
 from gof.cameras import in_words
 from gof.commands.foreign_options import ForeignOptions
 from gof.dataset import Dataset
-from gof.errors import GofError
+from gof.errors import DataFormatError, GofError
 from gof.evaluate import Extras, Scores, evaluate
 from gof.evaluate.controls import BOUNDS
 from gof.evaluate.published import THEIRS
@@ -58,7 +58,8 @@ class EvaluateConfig:
     """Cameras of the method's own world (COLMAP folder, dataset.json, transforms.json, or JSON name -> 4x4
     world_to_camera), to move it into ours."""
     out: Path | None = None
-    """Folder to write scores.json to; an older scores.json there is replaced."""
+    """Folder to write scores.json to; an older scores.json there is replaced. Default, without --json: beside the
+    result, where only older scores of the same result are replaced."""
     json: Path | None = None
     """File to write the scores to."""
     order: Literal[1, 3, 5, 7] = 3
@@ -66,7 +67,7 @@ class EvaluateConfig:
     opacity: Literal["temporal", "base"] = "temporal"
     """Weight Gaussians by their opacity at each time, or by their peak opacity at all times."""
     weights: Path | None = None
-    """Folder with weight files of LPIPS and CGVQM (docs/dve.md); what is not there is left out and named."""
+    """Folder with weight files of LPIPS and CGVQM (docs/leaderboard.md); what is not there is left out and named."""
     depth: Path | None = None
     """Folder of predicted or true depth maps CAMERA/FRAME.npy, for RMSE_depth."""
     flame_only: bool = False
@@ -84,6 +85,7 @@ def main(argv: list[str]) -> int:
     config = tyro.cli(EvaluateConfig, prog="gof evaluate", args=argv)
     if config.disparity is not None and not config.published:
         raise GofError("--disparity is for --published's error of depth; give --published too, or leave it out")
+    files = _files(config)
     foreign = config.other_method.options()  # numbers that are none are named before anything is read
     dataset = Dataset.open(config.truth)
     with progress_bar("evaluate") as progress:
@@ -111,17 +113,38 @@ def main(argv: list[str]) -> int:
     for note in (*scores.import_.notes, *scores.warnings, *absent):
         out.print("note:", note, style="yellow")
     out.print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in scores.costs.items()))
-    for path in _files(config):
+    for path in files:
         scores.write(path)
         out.print(f"scores written to {path}")
     return 0
 
 
 def _files(config: EvaluateConfig) -> list[Path]:
+    """Where the scores go: beside the result, where nothing else was asked for.
+
+    Raises:
+        GofError: what is beside it would be lost.
+    """
+    if config.out is None and config.json is None:
+        return [_beside(config.result)]
     files = [] if config.out is None else [config.out / "scores.json"]
     if config.json is not None and config.json not in files:
         files.append(config.json)
     return files
+
+
+def _beside(result: Path) -> Path:
+    """scores.json beside a result, or in the folder of a reconstruction. Raises GofError: it is of another result."""
+    path = (result if (result / "result.npz").is_file() else result.absolute().parent) / "scores.json"
+    if not path.exists():
+        return path
+    try:
+        of = Scores.read(path).import_.path
+    except DataFormatError as e:
+        raise GofError(f"{path}: is in the way and holds no scores that can be read; give --out FOLDER") from e
+    if of is None or Path(of).resolve() not in (result.resolve(), (result / "result.npz").resolve()):
+        raise GofError(f"{path}: holds the scores of another result ({of or 'unknown'}); give --out FOLDER")
+    return path
 
 
 def velocity_table(scores: Scores) -> Table:
@@ -193,8 +216,15 @@ def picture_table(scores: Scores) -> Table:
         own = getattr(scores, key)
         plate = getattr(scores, f"{key}_plate", None)
         if own is not None or plate is not None:
-            table.add_row(label, _number(own, digits), _number(plate, digits))
+            table.add_row(label + _counted(scores, key), _number(own, digits), _number(plate, digits))
     return table
+
+
+def _counted(scores: Scores, key: str) -> str:
+    """How many pictures a mean is of, where not all have the figure: of a flame where there is none, say."""
+    pictures = scores.images.pictures if scores.images else ()
+    count = sum(getattr(picture, key, None) is not None for picture in pictures)
+    return f", {count} of {len(pictures)} pictures" if 0 < count < len(pictures) else ""
 
 
 def published_table(scores: Scores) -> Table:

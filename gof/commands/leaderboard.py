@@ -93,6 +93,10 @@ def main(argv: list[str]) -> int:
         write_accuracy(path, chart)
     out = console()
     out.print(_table(config.title, rows))
+    for result in results:
+        if result.scores.images is not None and not result.scores.images.count:
+            note = f"note: no scores of pictures of {result.name}: its dataset holds no frame out"
+            out.print(note, style="yellow")
     for stream in streams:
         if stream.reason:
             note = f"note: no stream plot of {stream.name}: {stream.reason}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ import tyro
 
 from gof.dataset import Dataset
 from gof.dataset.pack import pack
+from gof.errors import GofError
 from gof.files import write_json
 from gof.progress import progress_bar
 
@@ -23,10 +25,10 @@ class PackConfig:
 
     datasets: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DATASET ...")]]
     """Dataset folders."""
-    licence: str
-    """What others may do with it, as data hosts name licences: CC-BY-4.0."""
-    authors: tuple[str, ...]
-    """Who made it."""
+    licence: str = ""
+    """Must be given: what others may do with it, as data hosts name licences: CC-BY-4.0."""
+    authors: tuple[str, ...] = ()
+    """Must be given: who made it."""
     out: Path = Path("packed")
     """Folder for NAME.tar and NAME.tar.sha256; older ones are replaced."""
     json: Path | None = None
@@ -36,9 +38,10 @@ class PackConfig:
 def main(argv: list[str]) -> int:
     """The command line of `gof pack`."""
     config = tyro.cli(PackConfig, prog="gof pack", args=argv)
+    require_said(config)
     made = {}
-    for folder in config.datasets:
-        dataset = Dataset.open(folder)
+    datasets = {folder: Dataset.open(folder) for folder in config.datasets}  # all of them, before any is packed
+    for folder, dataset in datasets.items():
         with progress_bar(f"pack {folder.name}") as update:
             archive = pack(dataset, config.out, config.licence, config.authors, update)
         made[folder.name] = archive.stat().st_size
@@ -46,3 +49,17 @@ def main(argv: list[str]) -> int:
     if config.json is not None:
         write_json(config.json, {"archives": made})
     return 0
+
+
+def require_said(config: PackConfig) -> None:
+    """Raises GofError: the licence or the authors are missing; it names both, and the whole command."""
+    licence, authors = config.licence.strip(), [name for name in config.authors if name.strip()]
+    missing = ["--licence"] * (not licence) + ["--authors"] * (not authors)
+    if missing:
+        words = ["gof", "pack", *map(str, config.datasets), "--licence", licence or "CC-BY-4.0"]
+        words += ["--authors", *(authors or ["YOUR NAME"])]
+        words += [] if config.out == PackConfig.out else ["--out", str(config.out)]
+        raise GofError(
+            f"{' and '.join(missing)} missing: a packed dataset says what others may do with it and who made it. For "
+            f"example: {shlex.join(words)}"
+        )

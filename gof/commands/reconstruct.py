@@ -121,5 +121,7 @@ def main(argv: list[str]) -> int:
         print(f"held-out pictures at {at}, flame only: {scores.psnr_flame:.2f} dB, SSIM {scores.ssim_flame:.3f}")
         if at != full:
             print(f"'gof evaluate' scores at the dataset's {full}, where the same result has fewer dB")
+    if not dataset.test_frames:
+        print("the dataset holds no frame out, so there are no scores of pictures")
     print(f"{result.count} Gaussians -> {result.path}")
     return 0

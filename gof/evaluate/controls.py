@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gof.draws import own_generator
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Samples, Sums, score_sequence, weighted_sums
 from gof.gaussians import MovingGaussians
 
@@ -38,7 +39,7 @@ def score_controls(gaussians: MovingGaussians, frames: Sequence[Samples], seed: 
     Returns:
         name (as in CONTROLS) -> DVESequence; "light" only where gas and light have a velocity each.
     """
-    rng = np.random.default_rng(seed)
+    rng = own_generator("directions and order of the baselines", seed)
     direction = rng.standard_normal((len(gaussians), 3))
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
     scored = np.unique(np.concatenate([f.index for f in frames]))

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import toeplitz
 
 from gof.dataset import Dataset
+from gof.draws import own_generator
 from gof.errors import GofError
 from gof.evaluate.emission import flame_grid
 from gof.evaluate.sparse_grid import StoredField
@@ -41,7 +42,7 @@ def eddy_time(dataset: Dataset, seed: int = 0) -> EddyTime:
     steps = np.diff(truth.times_s)
     if len(steps) < 3 or np.ptp(steps) > 1e-3 * steps.mean():
         raise GofError(f"{dataset.path}: an eddy time needs 4 or more frames of true velocity, equally far apart")
-    places = _places(dataset, np.random.default_rng(seed))
+    places = _places(dataset, own_generator("places of the eddy time", seed))
     history = np.stack([StoredField(truth, float(time_s)).sample(places) for time_s in truth.times_s])
     frames = integral_time(history.reshape(len(history), -1).astype(np.float64))
     longest = LONGEST * len(history)

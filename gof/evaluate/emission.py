@@ -20,6 +20,7 @@ import numpy as np
 
 from gof.dataset import Dataset
 from gof.datum import Datum
+from gof.draws import own_generator
 from gof.errors import DataFormatError
 from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.sparse_grid import StoredField
@@ -166,7 +167,7 @@ def score_on_emission(
     Raises:
         DataFormatError: see `FlameGrid.places`.
     """
-    rng = np.random.default_rng(seed)
+    rng = own_generator("places in the emission", seed)
     velocities, truths, uncovered = [], [], 0
     for k, time_s in enumerate(times_s):
         points = flame.places(float(time_s), POINTS, rng)

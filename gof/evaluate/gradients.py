@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gof.draws import own_generator
 from gof.evaluate.emission import COVERED, FlameGrid, velocity_at
 from gof.evaluate.sparse_grid import StoredField
 from gof.fields import VelocitySequence
@@ -52,7 +53,7 @@ def score_gradients(
     Raises:
         DataFormatError: see `FlameGrid.places`.
     """
-    rng = np.random.default_rng(seed)
+    rng = own_generator("places of gradients", seed)
     sums, uncovered, count = np.zeros(5), 0, 0
     for k, time_s in enumerate(map(float, times_s)):
         places = flame.places(time_s, POINTS, rng)

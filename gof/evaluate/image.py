@@ -8,6 +8,7 @@ import numpy as np
 from gof.errors import GofError, require_finite
 
 WINDOW, SIGMA = 11, 1.5  # the Gaussian window of Wang et al. 2004, which the 3DGS literature uses
+MOST_DB = 100.0  # infinity would leave a perfect picture out of every mean, and would be the mean of one
 C1, C2 = 0.01**2, 0.03**2
 
 
@@ -18,7 +19,7 @@ def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
         image, truth: (H, W, C) display values, nominally in [0, 1].
         mask: (H, W) weights >= 0, e.g. 1 on flame; None = every pixel counts.
     Returns:
-        dB; inf for identical pictures; None when the mask is empty.
+        dB, at most `MOST_DB`, which identical pictures have; None when the mask is empty.
     Raises:
         GofError: shapes disagree.   NonFiniteError: NaN or Inf in a picture.
     """
@@ -26,7 +27,7 @@ def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
     error = _mean(((image - truth) ** 2).mean(-1), mask)
     if error is None:
         return None
-    return float("inf") if error == 0 else float(-10 * np.log10(error))
+    return float(-10 * np.log10(max(error, 10 ** (-MOST_DB / 10))))
 
 
 def ssim(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:

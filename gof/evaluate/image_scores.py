@@ -12,7 +12,7 @@ import numpy as np
 
 from gof.cameras import sizes_px
 from gof.dataset import Dataset
-from gof.errors import MissingDependencyError
+from gof.errors import MissingDependencyError, NonFiniteError
 from gof.evaluate import perceptual
 from gof.evaluate.depth import read_depth, rmse_to_map
 from gof.evaluate.image import psnr, ssim, temporal_l2
@@ -247,10 +247,11 @@ def _picture_score(
         seen = _both(_both(frame.alpha > VISIBLE, mask), board)
         found = rmse_to_map(frame.depth, extras.depth, camera, frame.number, seen)
         figures["rmse_depth"] = None if found is None else found.rmse
-    # identical pictures have an infinite PSNR, for which JSON has no number
-    finite = {name: value for name, value in figures.items() if value is not None and np.isfinite(value)}
+    for name, value in figures.items():
+        if value is not None and not np.isfinite(value):
+            raise NonFiniteError(f"{name} of camera {camera}, frame {frame.number} is {value}")
     flame_share = None if mask is None else float(mask.mean())
-    return PictureScore(camera=camera, frame=frame.number, flame_share=flame_share, **finite)
+    return PictureScore(camera=camera, frame=frame.number, flame_share=flame_share, **figures)
 
 
 def _published(dataset: Dataset, view: View, frame: Frame, after: Frame, extras: Extras) -> PublishedFigures:

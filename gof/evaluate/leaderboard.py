@@ -12,6 +12,7 @@ from typing import ClassVar
 from gof.costs import StageCost, StageLog
 from gof.errors import DataFormatError
 from gof.evaluate.cells import in_csv, in_markdown
+from gof.evaluate.controls import BOUNDS
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.published import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.scores import Origin, PublishedFigures, Scores
@@ -83,10 +84,22 @@ def _flow_prior(result: EvaluatedResult) -> str | None:
     return None if used is None else "yes" if used else "no"
 
 
+def _baseline(key: str, better: int) -> Callable[[EvaluatedResult], float | None]:
+    """The best of the controls on the result's own Gaussians, but those that know the truth at every place."""
+
+    def best(result: EvaluatedResult) -> float | None:
+        found = [getattr(c, key) for name, c in result.scores.controls.items() if name not in BOUNDS]
+        return max((value for value in found if value is not None), key=lambda value: better * value, default=None)
+
+    return best
+
+
 COLUMNS = {
     "flow_prior": Column("learned flow prior", NEITHER, "s", _flow_prior),
     "l2": Column("DVE L2", LOWER, ".3f", _velocity(lambda dve: dve.l2)),
     "cos_sim": Column("DVE CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.cos_sim)),
+    "baseline_l2": Column("best baseline L2", NEITHER, ".3f", _baseline("l2", LOWER)),
+    "baseline_cos": Column("best baseline CosSim", NEITHER, ".3f", _baseline("cos_sim", HIGHER)),
     "inside_l2": Column("in the domain L2", LOWER, ".3f", _velocity(lambda dve: dve.inside.l2)),
     "inside_cos": Column("in the domain CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.inside.cos_sim)),
     "fluctuation_l2": Column("fluctuation L2", LOWER, ".3f", _velocity(lambda dve: dve.fluctuation.l2)),
@@ -122,7 +135,7 @@ COLUMNS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A line of the leaderboard: a result, or a control of the first one. The figures are named as in COLUMNS.
+    """A line of the leaderboard: a result, or a control of the only one. The figures are named as in COLUMNS.
 
     A line with `other_footage` shows what somebody published for other fires, and one with `unfinished` a training that
     was stopped before its end; they compete with nobody.
@@ -137,6 +150,8 @@ class Row:
     flow_prior: str | None = None
     l2: float | None = None
     cos_sim: float | None = None
+    baseline_l2: float | None = None
+    baseline_cos: float | None = None
     inside_l2: float | None = None
     inside_cos: float | None = None
     fluctuation_l2: float | None = None
@@ -223,7 +238,10 @@ def _training(folder: Path, scores: Scores) -> tuple[StageCost, ...]:
 
 
 def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
-    """One row per result, what the authors published if a result has their figures, then the controls of the first."""
+    """One row per result, what the authors published if a result has their figures, then the controls of a single one.
+
+    A control is worth something on one result's Gaussians alone: beside several, each row has the best of its own.
+    """
     rows = [
         Row(
             name=result.name,
@@ -236,7 +254,7 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
     ]
     if any(result.scores.published is not None for result in results):
         rows.append(_authors_row())
-    controls = next((result.scores.controls for result in results if result.scores.controls), {})
+    controls = results[0].scores.controls if len(results) == 1 else {}
     return rows + [
         Row(
             name=f"control: {name}",

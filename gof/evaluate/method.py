@@ -57,9 +57,18 @@ class AboutMethod:
                 raise DataFormatError(f"{field}: {number} is no number of {unit}")
 
     def title(self, folder: Path) -> str:
-        """What the row is called."""
+        """What the row is called.
+
+        Raises:
+            DataFormatError: as a control is, or with characters that cannot be seen, which turn or hide others.
+        """
         remarks = [remark for remark in (self.made_by, self.unfinished) if remark]
         name = self.name or folder.resolve().name
+        if name.strip().lower().startswith("control:") or not "".join((name, *remarks)).isprintable():
+            raise DataFormatError(
+                f"{folder}: a method cannot be called {name!r}: 'control:' marks our own rows, and every character "
+                "must be visible; give it another name in method.json"
+            )
         return f"{name} ({', '.join(remarks)})" if remarks else name
 
     @property

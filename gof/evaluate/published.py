@@ -73,8 +73,7 @@ def published_figures(frame: PublishedFrame, flow: Flow, weights: Path | None) -
             None if frame.expected is None else rmse_disparity(frame.disparity, frame.expected, flame)
         ),
     }
-    finite = {name: value for name, value in figures.items() if value is not None and np.isfinite(value)}
-    return PublishedFigures(**finite)
+    return PublishedFigures(**figures)
 
 
 def mean_figures(pictures: Sequence[PublishedFigures]) -> PublishedFigures:

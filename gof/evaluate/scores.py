@@ -277,7 +277,8 @@ class Scores(PictureFigures):
         try:
             return read_record(cls, path)._with_paths(lambda name: os.path.normpath(path.parent / name))
         except DataFormatError as e:
-            raise DataFormatError(f"{e}; run 'gof evaluate RESULT --truth DATASET' again to write it") from e
+            where = f"--out {path.parent}" if path.name == "scores.json" else f"--json {path}"
+            raise DataFormatError(f"{e}; to write it: gof evaluate RESULT --truth DATASET {where}") from e
 
     def write(self, path: Path) -> None:
         """Write it, atomically; an older file is replaced. Paths in it count from its folder."""

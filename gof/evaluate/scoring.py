@@ -32,6 +32,7 @@ from gof.gaussians import MovingGaussians, TransientGaussians
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
 
+NO_PICTURES = "the dataset holds no frame out, so there are no scores of pictures"
 OURS = ("gof", "memory")  # methods whose results without static Gaussians are known to be flames alone
 
 
@@ -105,6 +106,8 @@ def evaluate(
         scores = replace(scores, import_=origin)
         own = result if isinstance(result, Path) else None
         plates = [background(dataset, k, own) if origin.over_plates else BLACK for k in range(len(dataset.cameras))]
+        if not dataset.test_frames:
+            scores = replace(scores, warnings=(*scores.warnings, NO_PICTURES))
         found = image_scores(gaussians, dataset, plates, costs, extras or Extras(), progress)
         scores = replace(scores, **asdict(found.means), **found.videos, published=found.published, images=found.images)
     return replace(scores, costs={name: round(seconds, 3) for name, seconds in costs.items()})

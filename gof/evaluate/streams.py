@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from gof.draws import own_generator
 from gof.evaluate.weighted import weighted_quantile
 from gof.gaussians import TransientGaussians
 
@@ -74,9 +75,8 @@ def streamlines(velocity: np.ndarray, density: np.ndarray, spacing: float = 2.6,
     """
     bound = FAINT * density.max()
     a, b = (np.arange(spacing / 2, n, spacing) for n in density.shape)
-    seeds = np.stack(np.meshgrid(a, b, indexing="ij"), -1).reshape(-1, 2) + np.random.default_rng(0).uniform(
-        -0.8, 0.8, (len(a) * len(b), 2)
-    )
+    jitter = own_generator("starts of stream lines").uniform(-0.8, 0.8, (len(a) * len(b), 2))
+    seeds = np.stack(np.meshgrid(a, b, indexing="ij"), -1).reshape(-1, 2) + jitter
 
     def sample(values, p):
         return map_coordinates(values, (p - 0.5).T, order=1, mode="constant")

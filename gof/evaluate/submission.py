@@ -29,6 +29,7 @@ from gof.io.importers import ImportOptions, read_result
 from gof.pictures import write_picture
 
 SCORES, PICTURES = "scores.json", "pictures"
+ADDING = ".adding"  # in a submission: where a run is put together before it has its name
 BLACK = (0.0, 0.0, 0.0)
 
 
@@ -92,7 +93,7 @@ class Submission:
             raise DataFormatError(
                 f"{folder}: no method.json; a submission is a folder that has one (docs/benchmark.md)"
             )
-        scenes = sorted(path for path in folder.iterdir() if path.is_dir() and is_name(path.name))
+        scenes = sorted(path for path in folder.iterdir() if path.is_dir() and _counts(path))
         runs = {scene.name: runs_of(scene) for scene in scenes}
         return cls(folder, AboutMethod.read(folder), {name: found for name, found in runs.items() if found})
 
@@ -101,7 +102,12 @@ def runs_of(scene: Path) -> tuple[Path, ...]:
     """The folders of a scene's runs: itself where it has a scores.json, else the folders in it that do."""
     if (scene / SCORES).is_file():
         return (scene,)
-    return tuple(sorted(path for path in scene.iterdir() if (path / SCORES).is_file()))
+    return tuple(sorted(path for path in scene.iterdir() if _counts(path) and (path / SCORES).is_file()))
+
+
+def _counts(path: Path) -> bool:
+    """Whether a folder may be a scene or a run: hidden ones are not."""
+    return is_name(path.name) and not path.name.startswith(".")
 
 
 def _inside(folder: Path, path: Path) -> None:

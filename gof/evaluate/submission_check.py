@@ -21,12 +21,16 @@ from gof.evaluate.scores import Scores
 from gof.evaluate.scoring import evaluate
 from gof.evaluate.statistics import over_frames
 from gof.evaluate.submission import Run, Shown, Submission, draw, picture_file, read_again
+from gof.evaluate.suite_board import beyond_sense, too_good
+from gof.evaluate.training_curve import FILE as CURVE
+from gof.evaluate.training_curve import TrainingCurve
 from gof.gaussians import MovingGaussians
 from gof.pictures import read_picture
 
 Verdict = Literal["ok", "hint", "refused"]
 SIGNS: dict[Verdict, str] = {"ok": "✓", "hint": "?", "refused": "✗"}
 
+ORDER, OPACITY = 3, "temporal"  # of every score; nothing in a submission chooses them
 SEEDS = 3  # runs of a method whose training is random
 ALIKE_DB = 40.0  # PSNR, whole and in the flame, of a submitted picture against ours of the same Gaussians
 SAME = 0.005  # relative: what another processor may change of a score
@@ -71,10 +75,9 @@ def check(
 
 
 def score_again(run: Run, dataset: Dataset) -> Scores:
-    """What a run scores, computed from its files with the options that its scores.json names."""
-    dve = run.scores.dve
-    how = {} if dve is None else {"order": dve.order, "opacity": dve.opacity}
-    return evaluate(run.result, dataset, foreign=run.options, flame_only=run.scores.import_.over_plates, **how)
+    """What a run scores, computed from its files: read and drawn as its scores.json says, scored as everybody's is."""
+    scored = {"order": ORDER, "opacity": OPACITY}
+    return evaluate(run.result, dataset, foreign=run.options, flame_only=run.scores.import_.over_plates, **scored)
 
 
 # ---------------------------------------------------------------- the method
@@ -107,12 +110,19 @@ def _run(
     said = f"{', '.join(absent[:3])}{' ...' if len(absent) > 3 else ''} not there" if absent else "all there"
     yield Finding(name, "files", "refused" if absent else "ok", said)
     gaussians = read_again(run, dataset)
+    if (run.folder / CURVE).is_file():
+        TrainingCurve.read(run.folder / CURVE)
     yield _clock(gaussians, dataset, name)
     yield from _frames(run, dataset, submission, name)
     if not pictures:
         yield _pictures(run, dataset, gaussians, name)
     yield _unseen(run, dataset, gaussians, name)
-    yield from _scores(run, scored(run, dataset), name)
+    again = scored(run, dataset)
+    if unlikely := beyond_sense(again):
+        yield Finding(name, "scores are those of a flame", "refused", unlikely)
+    if suspicious := too_good(again):
+        yield Finding(name, "velocities are not the truth's", "hint", suspicious)
+    yield from _scores(run, again, name)
 
 
 def _missing_pictures(run: Run, dataset: Dataset) -> list[str]:
@@ -205,6 +215,11 @@ def _flame_psnr(dataset: Dataset, shown: Shown) -> float:
 
 def _scores(run: Run, again: Scores, name: str) -> Iterator[Finding]:
     """What it says that it scores is what it scores."""
+    if (dve := run.scores.dve) is not None and (dve.order, dve.opacity) != (ORDER, OPACITY):
+        said = (
+            f"scores.json has order {dve.order} and {dve.opacity} opacity; everybody is scored with {ORDER}, {OPACITY}"
+        )
+        yield Finding(name, "scored as everybody", "refused", said)
     said, ours = _figures(run.scores), _figures(again)
     off = [
         f"{key} is {ours[key]:.4f}, its scores.json says {said[key]:.4f}"

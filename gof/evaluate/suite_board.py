@@ -6,17 +6,17 @@ on the same frames of the same scenes, difference by difference (`gof.evaluate.s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import combinations
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import Scores
+from gof.evaluate.scores import FIGURES, Scores
 from gof.evaluate.statistics import Estimate, over_frames, over_runs, over_scenes, ranks
 from gof.evaluate.training_curve import TrainingCurve
 
@@ -26,6 +26,8 @@ CONTROLS = ("zero", "constant", "height_mean", "true_centre")
 WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, CosSim 0, by definition
 UNIFORM = ("zero", "constant")  # vorticity: L2 1, and no divergence
 POINTS = 40  # of a training's curve, at most
+TOO_GOOD = 0.05  # L2 of the velocities; no method from pictures has come near
+LARGEST = 1e6  # of a figure: squares, sums and ratios of such numbers are numbers
 NOT_SHOWN = ("flow_prior", "evaluate_s", "speed_ratio", "skill")
 
 Series = dict[float, float]  # time in s -> a figure of that frame
@@ -68,6 +70,10 @@ class BoardRow:
     """A method, or a control; `figures` by the names of `gof.evaluate.leaderboard.COLUMNS`.
 
     `over_plates`: it is a flame alone, drawn over fire-free plates; None for a control, and where runs differ.
+    `refused`: why the check refuses its submission; such a row competes with nobody.
+    `control`: it is no method.
+    `alarm`: that its velocities are better than an honest method's can be; people must judge it.
+    `velocity`: whose was scored, the gas' or that of the Gaussians; "" where runs differ or none was.
     """
 
     name: str
@@ -79,6 +85,10 @@ class BoardRow:
     prior: tuple[str, ...] | None
     figures: dict[str, Figure]
     over_plates: bool | None = None
+    refused: tuple[str, ...] = ()
+    control: bool = False
+    alarm: str = ""
+    velocity: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,16 +119,62 @@ class SuiteBoard:
     scenes: tuple[BoardScene, ...]
 
 
-def board(title: str, methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> SuiteBoard:
-    """The board of some methods, by name, over scenes. A method without a result somewhere competes with nobody."""
-    competing = [
-        name for name, about in methods.items() if not about.unfinished and all(name in s.runs for s in scenes)
-    ]
+def board(
+    title: str,
+    methods: dict[str, AboutMethod],
+    scenes: Sequence[ScoredScene],
+    refused: Mapping[str, Sequence[str]] | None = None,
+) -> SuiteBoard:
+    """The board of some methods, by name, over scenes. A method without a result somewhere competes with nobody.
+
+    Args:
+        refused: by the name of a method why its submission is refused; it is shown and competes with nobody. One whose
+            figures are beyond sense is refused here, and those figures are not shown: they would spoil every mean.
+    """
+    crosses = {name: tuple((refused or {}).get(name, ())) for name in methods}
+    sensible = []
+    for scene in scenes:
+        wrong = {
+            name: [beyond_sense(run.scores) for run in runs] for name, runs in scene.runs.items() if name in methods
+        }
+        for name, found in wrong.items():
+            crosses[name] += tuple(f"{scene.name}: {said}" for said in found if said)
+        runs = {name: runs for name, runs in scene.runs.items() if not any(wrong.get(name, ()))}
+        sensible.append(replace(scene, runs=runs, curves={n: c for n, c in scene.curves.items() if n in runs}))
+    scenes = sensible
+    out = {name for name, about in methods.items() if about.unfinished or crosses[name]}
+    competing = [name for name in methods if name not in out and all(name in scene.runs for scene in scenes)]
     places = {key: _places(key, competing, scenes) for key in RANKED}
-    rows = [_row(name, about, scenes, name in competing, places) for name, about in methods.items()]
-    whose = _whose(methods, scenes)
-    alone = tuple(_alone(scene, methods, whose) for scene in scenes)
+    rows = [
+        replace(_row(name, about, scenes, name in competing, places), refused=crosses[name])
+        for name, about in methods.items()
+    ]
+    whose = _whose([*(name for name in methods if not crosses[name]), *(n for n in methods if crosses[n])], scenes)
+    alone = tuple(_alone(scene, out, whose) for scene in scenes)
     return SuiteBoard(title, (*rows, *_control_rows(whose, scenes)), alone)
+
+
+def beyond_sense(scores: Scores) -> str:
+    """Which figure of a result no flame has, as velocities of 1e200 m/s make; "" where there is none."""
+    figures = {name: getattr(scores, name) for name in ("dve", "controls", "images", "published", *FIGURES)}
+    for name, number in _numbers(figures):
+        if not abs(number) <= LARGEST:  # NaN too
+            return f"{name} is {number:.3g}, beyond {LARGEST:g}: no flame is so far off"
+    return ""
+
+
+def _numbers(part: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    """Every float in a tree of records, with the name that it has."""
+    if isinstance(part, float):
+        yield name, part
+    elif is_dataclass(part):
+        yield from _numbers({line.name: getattr(part, line.name) for line in fields(part)}, name)
+    elif isinstance(part, dict):
+        for key, value in part.items():
+            yield from _numbers(value, f"{name} {key}".strip())
+    elif isinstance(part, (tuple, list)):
+        for value in part:
+            yield from _numbers(value, name)
 
 
 # ---------------------------------------------------------------- one method
@@ -143,7 +199,27 @@ def _row(
         prior=about.prior,
         figures={key: figure for key, figure in figures.items() if figure is not None},
         over_plates=_over_plates([run.scores for scene in here for run in scene.runs[name]]),
+        alarm=next((f"{s.name}: {said}" for s in here for run in s.runs[name] if (said := too_good(run.scores))), ""),
+        velocity=_velocity([run.scores for scene in here for run in scene.runs[name]]),
     )
+
+
+def too_good(scores: Scores) -> str:
+    """Why the velocities of a result look like the truth itself; "" where they do not."""
+    own, bound = scores.dve, scores.controls.get("true_centre")
+    if own is None or own.l2 is None:
+        return ""
+    if own.l2 < TOO_GOOD:
+        return f"L2 is {own.l2:.4f}: is it the truth itself?"
+    if bound is not None and bound.l2 is not None and own.l2 < bound.l2:
+        return f"L2 {own.l2:.4f} is below {bound.l2:.4f}, what the truth at each centre scores: was the truth used?"
+    return ""
+
+
+def _velocity(scores: Sequence[Scores]) -> str:
+    """A result that says another velocity for the gas has that of its Gaussians as a control."""
+    said = {"the gas, as the result says it" if "light" in s.controls else "its Gaussians" for s in scores if s.dve}
+    return said.pop() if len(said) == 1 else ""
 
 
 def _over_plates(scores: Sequence[Scores]) -> bool | None:
@@ -242,13 +318,12 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
     }
 
 
-def _alone(scene: ScoredScene, methods: dict[str, AboutMethod], whose: dict[str, str]) -> BoardScene:
-    """The figures of every method in one scene, with ranks of that scene alone; unfinished trainings have none."""
+def _alone(scene: ScoredScene, out: set[str], whose: dict[str, str]) -> BoardScene:
+    """The figures of every method in one scene, with ranks of that scene alone; those that are `out` have none."""
     names = list(scene.runs)
-    stopped = {name for name, about in methods.items() if about.unfinished}
     figures: dict[str, dict[str, Figure]] = {name: {} for name in names}
     for key in RANKED:
-        places = _places(key, [name for name in names if name not in stopped], [scene])
+        places = _places(key, [name for name in names if name not in out], [scene])
         for name in names:
             estimate, seed_sd = _estimate(key, name, [scene])
             if estimate is not None:
@@ -260,14 +335,22 @@ def _alone(scene: ScoredScene, methods: dict[str, AboutMethod], whose: dict[str,
     curves = {name: curve.thinned(POINTS) for name, curve in scene.curves.items()}
     controls = {row.name: row.figures for row in _control_rows(whose, [scene])}
     return BoardScene(
-        scene.name, scene.split, eddy.seconds, eddy.at_least, eddies, figures, curves, controls, whose[scene.name]
+        scene.name,
+        scene.split,
+        eddy.seconds,
+        eddy.at_least,
+        eddies,
+        figures,
+        curves,
+        controls,
+        whose.get(scene.name, ""),
     )
 
 
 # ---------------------------------------------------------------- controls
 
 
-def _whose(methods: dict[str, AboutMethod], scenes: Sequence[ScoredScene]) -> dict[str, str]:
+def _whose(methods: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, str]:
     """By scene the method whose Gaussians the controls have: a flame alone, if one is there, and one of every scene.
 
     Of a whole scene most Gaussians are the room, where the true velocity is zero: a control there is that of a room.
@@ -305,6 +388,7 @@ def _control_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[
             given=(),
             prior=None,
             figures={key: Figure(value) for key, value in found.items() if value is not None},
+            control=True,
         )
         for name, meaning, found in rows
     ]

@@ -13,7 +13,7 @@ from gof.errors import MissingDependencyError
 from gof.evaluate import leaderboard_page
 from gof.evaluate.cells import in_markdown
 from gof.evaluate.leaderboard import COLUMNS
-from gof.evaluate.suite_board import CONTROL, RANKED, BoardRow, BoardScene, Figure, SuiteBoard
+from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
 
 PLOTLY = ("leaderboard", "a chart of training loss")  # the extra, and what for
@@ -76,9 +76,15 @@ def partly(row: BoardRow, board: SuiteBoard) -> str:
     return f"in {row.scenes} of {len(board.scenes)} scenes" if row.scenes < len(board.scenes) else ""
 
 
+def refusal(row: BoardRow) -> str:
+    """That the check refuses the submission, and why; "" where it does not."""
+    more = f" and {len(row.refused) - 1} more" if len(row.refused) > 1 else ""
+    return f"refused by the check, not ranked: {row.refused[0]}{more}" if row.refused else ""
+
+
 def marks(row: BoardRow) -> tuple[str, str]:
     """What a method was given beside pictures, and what it knew before; empty for controls, which are no methods."""
-    if row.name.startswith(CONTROL):
+    if row.control:
         return "", ""
     knew = "not said" if row.prior is None else ", ".join(row.prior) or "nothing"
     return ", ".join(row.given) or "not said", knew
@@ -98,7 +104,10 @@ def to_markdown(board: SuiteBoard) -> str:
             figure = row.figures.get(key)
             text = " ".join(filter(None, (value(key, figure), _in_brackets(remark(figure, len(board.scenes))))))
             cells.append(f"**{text}**" if i == leaders[key] else text)
-        name = " ".join(filter(None, (name if row.competes else f"*{name}*", _in_brackets(partly(row, board)))))
+        remarks = [
+            _in_brackets(text) for text in (in_markdown(refusal(row)), in_markdown(row.alarm), partly(row, board))
+        ]
+        name = " ".join(filter(None, (name if row.competes else f"*{name}*", *remarks)))
         lines.append(f"| {name} | {given} | {knew} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -129,7 +138,13 @@ def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | N
             for key in keys
         ]
         given, knew = marks(row)
-        small = partly(row, board), given and f"given: {given}", knew and f"knew before: {knew}"
+        small = (
+            refusal(row),
+            row.alarm,
+            partly(row, board),
+            given and f"given: {given}",
+            knew and f"knew before: {knew}",
+        )
         about = {"name": row.name, "method": row.what, "competes": row.competes}
         table.append((about | {"small": [one for one in small if one]}, cells))
     charts, no_charts = _charts(board)
@@ -137,7 +152,7 @@ def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | N
     return environment.get_template("suite.html").render(
         title=board.title,
         board=board,
-        methods=[row for row in board.rows if not row.name.startswith(CONTROL)],
+        methods=[row for row in board.rows if not row.control],
         ranked=any(row.competes for row in board.rows),
         headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
         table=table,
@@ -155,6 +170,7 @@ def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None, chart: str
     rows = [
         (
             name,
+            name in scene.controls,
             [
                 {
                     "text": value(key, figures.get(key)),

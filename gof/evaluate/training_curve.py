@@ -12,6 +12,7 @@ import numpy as np
 from gof.errors import DataFormatError
 
 FILE = "curve.csv"  # beside a run's result; `gof baseline --curve` writes it
+LARGEST = 1e30  # and its inverse the smallest: sums and ratios of such numbers are numbers
 PART = 0.2  # of the steps: what the last of them are compared with the ones before by
 
 
@@ -48,8 +49,8 @@ class TrainingCurve:
         """Of a CSV with columns `step`, `processor_seconds` and `loss`; others are left aside.
 
         Raises:
-            DataFormatError: not such a file, no point in it, steps or seconds that do not rise, a loss that is not
-                above zero.
+            DataFormatError: not such a file, no point in it, steps or seconds that do not rise, a number that is not
+                above zero or that no training has (below 1e-30, above 1e30).
         """
         try:
             with path.open(newline="", encoding="utf-8-sig") as file:
@@ -59,7 +60,9 @@ class TrainingCurve:
             raise DataFormatError(f"{path}: no training curve with columns step, processor_seconds, loss ({e})") from e
         if not rows:
             raise DataFormatError(f"{path}: holds no point; was the training stopped at once?")
+        if not all(1 / LARGEST <= number <= LARGEST for row in rows for number in row):
+            raise DataFormatError(f"{path}: all numbers must be above zero, from 1e-30 to 1e30")
         rising = (np.diff(numbers[:, 0]) > 0).all() and (np.diff(numbers[:, 1]) >= 0).all()
-        if not (np.isfinite(numbers).all() and rising and (numbers > 0).all()):
-            raise DataFormatError(f"{path}: steps and seconds must rise, and all numbers be above zero")
+        if not rising:
+            raise DataFormatError(f"{path}: steps and seconds must rise")
         return cls(*zip(*rows, strict=True))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gof.draws import own_generator
 from gof.evaluate.quadrature import VelocityLike
 from gof.rotations import rotation_matrices
 
@@ -93,7 +94,7 @@ def share_of_short_waves(
     if len(weight) > SAMPLE:
         total = np.cumsum(weight)
         level = (
-            np.arange(SAMPLE) + np.random.default_rng(0).random(SAMPLE)
+            np.arange(SAMPLE) + own_generator("sample of wide Gaussians").random(SAMPLE)
         ) / SAMPLE  # jittered: the order may be periodic
         pick = np.minimum(np.searchsorted(total, level * total[-1]), len(weight) - 1)
         position, scale, rotation, weight = position[pick], scale[pick], rotation[pick], np.ones(SAMPLE)

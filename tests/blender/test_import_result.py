@@ -130,7 +130,7 @@ def test_existing_files_are_kept(done, folder):
     [
         ({"result": "nothing.npz"}, "nothing.npz: no such file"),
         ({"dataset": "tests"}, "dataset.json: no such file"),
-        ({"frame": 4}, "has frames 0 to 3"),
+        ({"frame": 6}, "has frames 0 to 5"),
         ({"camera": "cam_9"}, "has cam_0, cam_1, cam_2"),
     ],
 )

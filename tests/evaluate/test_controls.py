@@ -1,10 +1,12 @@
 """Controls and the fluctuation score on flows where their values are known."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gof.draws import own_generator
 from gof.evaluate import dve_sequence
 from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import probe, weighted_sums
@@ -112,3 +114,35 @@ def test_skill(case):
     assert skill(score.pooled, constant) == pytest.approx(1 - (score.l2 / constant.l2) ** 2)
     one = dve_sequence(make_gaussians(1), Sequence([0.0], lambda t: Analytic(plume)))
     assert skill(one.pooled, one.controls["true_centre"].pooled) is not None
+
+
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+@pytest.mark.parametrize("draw", ["standard_normal", "permutation"])
+def test_the_random_baseline_knows_nothing_of_a_users_script(seed, draw):
+    """Gaussians at places of `default_rng(seed)`, in a flow away from the centre: random directions have CosSim 0.
+
+    Its spread over draws is 1 / sqrt(3 n). With numbers of the same generator they would be the flow itself.
+    """
+    n = 4000
+    rng = np.random.default_rng(seed)
+    places = rng.standard_normal((n, 3))
+    if draw == "permutation":  # the second thing that is drawn
+        places = places[rng.permutation(n)]
+    g = replace(make_gaussians(n, seed=3), position=(0.1 * places).astype(np.float32))
+    sequence = Sequence([0.0], lambda t: Analytic(lambda p: 10 * p))
+    found = dve_sequence(replace(g, velocity=(places[::-1]).astype(np.float32).copy()), sequence).controls
+    assert abs(found["random"].cos_sim) < 5 / np.sqrt(3 * n)
+
+
+def test_no_score_draws_from_a_generator_that_users_have():
+    """`default_rng` stands in one place of what handles users' results."""
+    root = Path(__file__).parents[2] / "gof"
+    rooms = [*(root / "evaluate").glob("*.py"), *(root / "report").glob("*.py"), *(root / "show").glob("*.py")]
+    assert len(rooms) > 30
+    assert not [path.name for path in rooms if "np.random." in path.read_text().replace("np.random.Generator", "")]
+
+
+def test_purposes_have_numbers_of_their_own_and_keep_them():
+    one, other = own_generator("one").random(100), own_generator("other").random(100)
+    assert (one == own_generator("one").random(100)).all()
+    assert not np.isin(one, np.concatenate([other, np.random.default_rng(0).random(1000)])).any()

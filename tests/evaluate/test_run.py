@@ -1,11 +1,13 @@
 """`gof evaluate` on a synthetic flame: truth pictures drawn from known Gaussians in a known flow."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from gof.cli import main as gof
 from gof.commands.evaluate import main
 from gof.dataset import Dataset
 from gof.errors import DataFormatError, GofError
@@ -217,3 +219,68 @@ def test_nobodys_empty_scene_is_given_our_plates(flame, tmp_path):
     assert scores.import_.method == "trajectory" and scores.psnr == pytest.approx(np.mean(black), abs=0.01)
     drawn_over = evaluate(tmp_path / "method.npz", dataset, flame_only=True)
     assert drawn_over.psnr == pytest.approx(scores.psnr_plate, abs=0.01) and drawn_over.psnr > scores.psnr + 1
+
+
+def test_perfect_pictures_count_in_the_mean(flame, tmp_path, capsys):
+    """A camera that saw no fire, and a result that draws nothing: 100 dB there, and the mean is of all pictures."""
+    folder, _, truth = flame
+    shutil.copytree(folder / "data", tmp_path / "data")
+    dataset = Dataset.open(tmp_path / "data")
+    for frame in dataset.test_frames:
+        shutil.copy(dataset.file(0, "static"), dataset.file(0, "rgb", frame))
+    changed(truth, opacity=0 * truth.opacity + 1e-6).save(tmp_path / "nothing.npz")
+    out = tmp_path / "scores.json"
+    assert main([str(tmp_path / "nothing.npz"), "--truth", str(tmp_path / "data"), "--json", str(out)]) == 0
+    scores = Scores.read(out)
+    psnr = [picture.psnr for picture in scores.images.pictures]
+    assert [p for p, picture in zip(psnr, scores.images.pictures, strict=True) if picture.camera == "cam_0"] == [100.0]
+    assert scores.psnr == pytest.approx(np.mean(psnr)) and None not in psnr and len(psnr) == scores.images.count
+
+
+def test_scores_land_beside_the_result_and_the_page_finds_them(flame, tmp_path, capsys):
+    """README's rows in their order: evaluate, then report; and what report says when they are missing works."""
+    folder, _, truth = flame
+    data, out = str(folder / "data"), tmp_path / "out"
+    truth.save(out / "result.npz")
+    assert gof(["report", str(out), "--dataset", data]) == 1
+    said = capsys.readouterr().err
+    assert f"gof evaluate RESULT --truth DATASET --out {out}" in said
+    words = (
+        said.split("to write it: gof ")[1].replace("RESULT", str(out / "result.npz")).replace("DATASET", data).split()
+    )
+    assert gof(words) == 0 and (out / "scores.json").is_file()
+    (out / "scores.json").unlink()
+    assert gof(["evaluate", str(out / "result.npz"), "--truth", data]) == 0
+    assert f"{out / 'scores.json'}" in capsys.readouterr().out.replace("\n", "")
+    assert gof(["report", str(out), "--dataset", data]) == 0 and (out / "report.html").is_file()
+    assert gof(["evaluate", str(out), "--truth", data, "--no-images"]) == 0, "the folder of a result, and again"
+    assert Scores.read(out / "scores.json").images is None
+
+
+def test_scores_of_another_result_are_not_replaced_unasked(flame, tmp_path, capsys):
+    folder, _, truth = flame
+    truth.save(tmp_path / "a.npz")
+    truth[:50].save(tmp_path / "b.npz")
+    asking = ["--truth", str(folder / "data"), "--no-images"]
+    assert gof(["evaluate", str(tmp_path / "a.npz"), *asking]) == 0
+    before = (tmp_path / "scores.json").read_bytes()
+    assert gof(["evaluate", str(tmp_path / "b.npz"), *asking]) == 1
+    assert "holds the scores of another result" in capsys.readouterr().err
+    (tmp_path / "scores.json").write_text("mine")
+    assert gof(["evaluate", str(tmp_path / "b.npz"), *asking]) == 1
+    assert (tmp_path / "scores.json").read_text() == "mine"
+    assert gof(["evaluate", str(tmp_path / "b.npz"), *asking, "--json", str(tmp_path / "b.json")]) == 0
+    assert (tmp_path / "scores.json").read_text() == "mine" and before
+
+
+def test_without_held_out_frames_it_is_said(flame, tmp_path, capsys):
+    folder, _, truth = flame
+    shutil.copytree(folder / "data", tmp_path / "data")
+    about = json.loads((tmp_path / "data/dataset.json").read_text())
+    about["splits"] = {"train": sorted(about["splits"]["train"] + about["splits"]["test"]), "test": []}
+    (tmp_path / "data/dataset.json").write_text(json.dumps(about))
+    truth.save(tmp_path / "r/result.npz")
+    assert gof(["evaluate", str(tmp_path / "r"), "--truth", str(tmp_path / "data")]) == 0
+    assert "holds no frame out" in " ".join(capsys.readouterr().out.split())
+    assert gof(["leaderboard", str(tmp_path / "r"), "--out", str(tmp_path / "b")]) == 0
+    assert "holds no frame out" in " ".join(capsys.readouterr().out.split())

@@ -316,3 +316,53 @@ def test_a_shared_rank_says_how_far_it_reaches():
     assert [remark(figures[name], 1) for name in "abc"] == ["rank 1 to 2", "rank 1 to 2", "rank 3"]
     assert marks_of(figures, "l2") == {"a": "best", "b": "first"}, "the mean decides who is bold, not who is shaded"
     assert marks_of({"a": figures["a"]}, "l2") == {"a": "first"}, "one alone is best of nobody"
+
+
+@pytest.mark.parametrize("wild", [1e7, 1e200, 1e308])
+def test_figures_beyond_sense_spoil_nobody_elses_row(wild, tmp_path):
+    """The mean of squares of 1e200 is no number, and a board with one could not be written."""
+    alone = board("t", methods("a", "b"), [scene("a", a=0, b=0.2)])
+    found = board("t", methods("a", "b", "wild"), [scene("a", a=0, b=0.2, wild=wild)])
+    write_record(tmp_path / "board.json", found)
+    assert rows(found)["a"] == rows(alone)["a"] and rows(found)["b"] == rows(alone)["b"]
+    assert not rows(found)["wild"].competes and "no flame is so far off" in rows(found)["wild"].refused[0]
+
+
+@pytest.mark.parametrize("row", ["1,1,1e308", "1,1,5e-324", "1,1e300,1", f"{10**400},1,1", "1,1,nan", "1,inf,1"])
+def test_numbers_that_no_training_has_are_refused(tmp_path, row):
+    path = tmp_path / "curve.csv"
+    path.write_text(f"step,processor_seconds,loss\n{row}\n")
+    with pytest.raises(DataFormatError, match=r"curve\.csv: all numbers must be above zero, from 1e-30 to 1e30"):
+        TrainingCurve.read(path)
+
+
+def test_a_row_that_is_better_than_the_truth_allows_has_an_alarm():
+    """L2 near 0, or below that of the true velocity at each centre of its own Gaussians."""
+    honest, near_zero = result("honest", np.full(FRAMES, 0.4)), result("truth", np.full(FRAMES, 0.01))
+    bound = replace(GOLDEN.controls["constant"], l2=0.3, meaning="the truth at each centre")
+    low = result("low", np.full(FRAMES, 0.2))
+    runs = {
+        name: (replace(one, scores=replace(one.scores, controls=GOLDEN.controls | {"true_centre": bound})),)
+        for name, one in (("honest", honest), ("truth", near_zero), ("low", low))
+    }
+    here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
+    found = board("t", methods(*runs), [here])
+    assert rows(found)["honest"].alarm == ""
+    assert "is it the truth itself?" in rows(found)["truth"].alarm
+    assert "0.2000 is below 0.3000" in rows(found)["low"].alarm
+    for page in (to_html(found, {}), to_markdown(found)):
+        assert "is it the truth itself?" in page and "below 0.3000" in page
+
+
+def test_the_page_says_whose_velocity_was_scored():
+    honest = result("", np.full(FRAMES, 0.4))
+    gas = replace(GOLDEN, controls=GOLDEN.controls | {"light": GOLDEN.controls["constant"]})
+    light = replace(GOLDEN, controls={k: c for k, c in GOLDEN.controls.items() if k != "light"})
+    runs = {
+        name: (replace(honest, name=name, scores=replace(honest.scores, controls=scores.controls)),)
+        for name, scores in (("says gas", gas), ("moves", light))
+    }
+    here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
+    page = to_html(board("t", methods(*runs), [here]), {})
+    assert page.split("<b>says gas</b>")[1].split("</li>")[0].count("that of the gas, as the result says it") == 1
+    assert page.split("<b>moves</b>")[1].split("</li>")[0].count("that of its Gaussians") == 1

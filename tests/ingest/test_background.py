@@ -127,3 +127,19 @@ def test_the_sparse_points_of_the_poses_set_the_depths_that_are_searched(views, 
     known = np.isfinite(expected[1])
     np.testing.assert_allclose(found[1][known], expected[1][known], rtol=1e-5)
     assert not np.allclose(found[1], fallback[1]), "otherwise the test says nothing"
+
+
+def test_without_out_the_scene_lands_beside_its_dataset(monkeypatch, tmp_path, capsys):
+    """README's row as it stands there, from inside and outside the dataset's folder."""
+    from gof.commands import background
+
+    places = []
+    monkeypatch.setattr(background, "make_background", lambda dataset, out, options: places.append(out) or [])
+    (tmp_path / "data/fire").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    assert background.main(["data/fire"]) == 0
+    monkeypatch.chdir(tmp_path / "data/fire")
+    assert background.main(["../fire"]) == 0
+    assert background.main(["."]) == 0
+    assert {place.resolve() for place in places} == {tmp_path / "data/fire_background"}
+    assert "fire_background" in capsys.readouterr().out

@@ -4,16 +4,20 @@ import base64
 import io
 import json
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from gof.cli import main
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.dataset.plates import save_plates
 from gof.errors import DataFormatError, GofError
 from gof.evaluate.scores import Scores
+from gof.evaluate.submission import Submission
 from gof.evaluate.suite_board import SuiteBoard
 from gof.gaussians import TransientGaussians
 from gof.records import read_record
@@ -217,5 +221,125 @@ def test_plates_of_larger_pictures_are_refused_with_a_remedy(work, tmp_path):
     assert (entered / "result.npz").is_file()
 
 
+def content(folder) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_a_reconstruction_where_the_run_would_go_is_left_alone(work, tmp_path, capsys):
+    """`--out out/jet` is what one calls a reconstruction; its pictures, costs and result stay, whatever is added."""
+    place, other = str(work / "smoke" / SCENES[0]), str(work / "results/bad" / SCENES[0])
+    mine = tmp_path / "out" / SCENES[0]
+    (mine / "plates").mkdir(parents=True)
+    for name in ("result.npz", "costs.json", "settings.json", "plates/cam_0.png", "made_from.json"):
+        (mine / name).write_text(f"my {name}")
+    before = content(mine)
+    assert main(["benchmark", "add", other, place, str(tmp_path / "out")]) == 1
+    assert f"{mine}: holds other things already" in capsys.readouterr().err
+    assert content(mine) == before
+    assert main(["benchmark", "add", other, place, str(tmp_path / "out"), "--run", "seed_0"]) == 0
+    assert {name: data for name, data in content(mine).items() if not name.startswith("seed_0/")} == before
+    (tmp_path / "link").mkdir()
+    (tmp_path / "link" / SCENES[0]).symlink_to(mine, target_is_directory=True)
+    assert main(["benchmark", "add", other, place, str(tmp_path / "link")]) == 1
+
+
+def test_pictures_that_are_not_there_are_named_before_any_work(work, tmp_path, capsys):
+    place, other = str(work / "smoke" / SCENES[0]), str(work / "results/bad" / SCENES[0])
+    adding = ["benchmark", "add", other, place, str(tmp_path / "new")]
+    assert main([*adding, "--pictures", str(tmp_path / "none")]) == 1
+    assert "none: has no cam_0/000004.png and" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+    assert main(adding) == 0, "the same command is not refused"
+    pictures = tmp_path / "new" / SCENES[0] / "pictures"
+    assert main([*adding[:-1], str(tmp_path / "newer"), "--pictures", str(pictures)]) == 0
+    assert content(tmp_path / "newer" / SCENES[0] / "pictures") == content(pictures)
+
+
+@pytest.mark.parametrize("stopped_in", ["evaluate", "write_pictures", "os.replace"])
+def test_an_addition_that_was_stopped_is_finished_by_the_same_command(work, tmp_path, stopped_in):
+    """As kill -9 leaves it: nothing is cleaned up. No half run is found; the next attempt is whole."""
+    place, other = str(work / "smoke" / SCENES[0]), str(work / "results/bad" / SCENES[0])
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new/method.json").write_text(json.dumps(METHOD))
+    adding = ["benchmark", "add", other, place, str(tmp_path / "new")]
+    code = (
+        "import os, sys\nfrom gof.cli import main\nfrom gof_benchmark.commands import benchmark_add\n"
+        f"benchmark_add.{stopped_in} = lambda *a, **k: os._exit(9)\nmain({adding!r})\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 9
+    assert not (tmp_path / "new" / SCENES[0]).exists()
+    assert not Submission.open(tmp_path / "new").runs, "what was put together is no run"
+    assert main(adding) == 0
+    there = content(tmp_path / "new" / SCENES[0]).keys()
+    assert there == content(work / "bad" / SCENES[0]).keys() | {"made_from.json"}
+
+
+def test_a_run_beside_a_scenes_only_run_would_not_be_found(work, tmp_path, capsys):
+    shutil.copytree(work / "bad", tmp_path / "bad")
+    place, other = str(work / "smoke" / SCENES[0]), str(work / "results/good_0" / SCENES[0])
+    assert main(["benchmark", "add", other, place, str(tmp_path / "bad"), "--run", "seed_1"]) == 1
+    assert "is a run itself" in capsys.readouterr().err
+
+
 def test_a_run_says_how_it_was_drawn(work):
     assert Scores.read(work / "bad" / SCENES[0] / "scores.json").import_.over_plates
+
+
+def scored(*words) -> dict:
+    """The board's rows by name."""
+    out = words[-1]
+    assert main(["benchmark", "score", *map(str, words[:-1]), "--out", str(out)]) == 0
+    return {row.name: row for row in read_record(SuiteBoard, out / "board.json").rows}
+
+
+def test_what_the_check_refuses_is_shown_and_not_ranked(work, tmp_path):
+    """A held-out frame went in, by its own word."""
+    shutil.copytree(work / "good", tmp_path / "leaky")
+    (tmp_path / "leaky/method.json").write_text(json.dumps(METHOD | {"name": "leaky"}))
+    MadeFrom.of(["result.npz"], range(9)).write(tmp_path / "leaky" / SCENES[0] / "seed_0")
+    rows = scored(tmp_path / "leaky", work / "good", work / "bad", work / "smoke", tmp_path / "board")
+    assert not rows["leaky"].competes and any("held-out frames [4]" in cross for cross in rows["leaky"].refused)
+    assert rows["leaky"].figures["l2"].rank is None
+    assert rows["good"].figures["l2"].rank == 1 and rows["bad"].figures["l2"].rank is not None
+    assert not rows["good"].refused and not rows["bad"].refused
+    for name in ("board.html", "board.md"):
+        assert "refused by the check, not ranked" in (tmp_path / "board" / name).read_text()
+
+
+def test_a_submission_does_not_choose_how_it_is_scored(work, tmp_path):
+    """Neither a figure nor an order of its own changes its row, and what was kept of one is not taken for another."""
+    honest = scored(work / "bad", work / "smoke", tmp_path / "honest")["bad"]
+    shutil.copytree(work / "bad", tmp_path / "bad")
+    for scene in SCENES:
+        path = tmp_path / "bad" / scene / "scores.json"
+        words = json.loads(path.read_text())
+        words["dve"] |= {"order": 7, "opacity": "base"}
+        path.write_text(json.dumps(words))
+    row = scored(tmp_path / "bad", work / "smoke", tmp_path / "board")["bad"]
+    assert row.figures["l2"].mean == honest.figures["l2"].mean
+    assert any("order 7 and base opacity" in cross for cross in row.refused)
+
+
+def test_one_damaged_submission_does_not_take_the_board_from_the_others(work, tmp_path, capsys):
+    """Losses of 1e308, velocities whose squares are no numbers, a result that is gone."""
+    spoiled = {name: tmp_path / name for name in ("curve", "fast", "gone")}
+    for name, folder in spoiled.items():
+        shutil.copytree(work / "bad", folder)
+        (folder / "method.json").write_text(json.dumps(METHOD | {"name": name}))
+    losses = "".join(f"{k},{k},1e308\n" for k in range(1, 61))
+    (spoiled["curve"] / SCENES[0] / "curve.csv").write_text("step,processor_seconds,loss\n" + losses)
+    path = spoiled["fast"] / SCENES[0] / "result.npz"
+    fast = TransientGaussians.load(path)
+    fields = {n: getattr(fast, n) for n in fast.__dataclass_fields__}
+    TransientGaussians(**fields | {"velocity": fast.velocity * 0 + 1e30}).save(path)
+    (spoiled["gone"] / SCENES[0] / "result.npz").unlink()
+    rows = scored(*spoiled.values(), work / "good", work / "bad", work / "smoke", tmp_path / "board")
+    assert all(rows[name].refused and not rows[name].competes for name in spoiled)
+    assert rows["good"].competes and rows["bad"].competes and rows["good"].figures["l2"].rank == 1
+
+
+def test_a_method_is_not_called_as_a_control(work, tmp_path, capsys):
+    for name in ("control: zero", "CONTROL: mine", "\u202etxt.exe"):
+        (tmp_path / "method.json").write_text(json.dumps(METHOD | {"name": name}))
+        assert main(["benchmark", "score", str(tmp_path), str(work / "smoke"), "--out", str(tmp_path / "b")]) == 1
+        assert "give it another name in method.json" in capsys.readouterr().err
