@@ -222,3 +222,39 @@ def test_parts_say_what_was_meant(words, meant, capsys):
 def test_the_nearest_is_named_and_all():
     assert no_such("part", "x", ["ab", "cd"]) == "no part 'x'; there are: ab, cd"
     assert no_such("part", "abc", ["abd", "q"]) == "no part 'abc', did you mean abd? There are: abd, q"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["evaluate", "nothing.npz", "--truth", "tiny"],
+        ["evaluate", "result.npz", "--truth", "nothing"],
+        ["share", "nothing.npz"],
+        ["video", "nothing.npz"],
+        ["report", "nothing", "--dataset", "tiny"],
+        ["pack", "nothing"],
+        ["unpack", "nothing.tar"],
+        ["depth", "nothing"],
+        ["background", "nothing"],
+        ["reconstruct", "nothing", "--out", "out"],
+        ["ingest", "nothing.mp4", "--out", "out"],
+    ],
+)
+def test_what_is_not_there_is_said_without_a_progress_bar(folder, tiny_dataset, words):
+    done = run(folder, *words)
+    is_named(done)
+    assert "0/" not in done.stderr and "\u2501" not in done.stderr, done.stderr
+
+
+def test_a_bar_is_seen_from_its_first_update_on(capsys):
+    from gof.progress import progress_bar
+
+    with progress_bar("work"):
+        pass
+    assert capsys.readouterr().err == ""
+    with progress_bar("work") as update:
+        update(1, 2)
+        update(2, 2)
+    said = capsys.readouterr().err
+    assert "work: 1/2" in said and "work: 2/2" in said and "\u2501" in said
