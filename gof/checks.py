@@ -9,6 +9,7 @@ import importlib.metadata
 import importlib.util
 import os
 import platform
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -26,7 +27,8 @@ Outcome = tuple[Status, str]
 
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "drjit", "pillow", "msgspec", "zstandard")
 # Settings of the environment that change what runs.
-VARIABLES = ("GOF_RENDER_BACKEND", "DRJIT_LIBLLVM_PATH", "OMP_NUM_THREADS", "OPENBLAS_CORETYPE", "CUDA_VISIBLE_DEVICES")
+VARIABLES = ("GOF_RENDER_BACKEND", "GOF_RENDER_KERNELS", "DRJIT_LIBLLVM_PATH", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+VARIABLES += ("OPENBLAS_CORETYPE", "CUDA_VISIBLE_DEVICES")
 
 # Folder with optional model weights, for this check; commands take each folder by an option.
 WEIGHTS_VARIABLE = "GOF_WEIGHTS"
@@ -124,6 +126,7 @@ def check_torch() -> Outcome:
 
 # What a kernel was compiled with: LLVM's version and library, and Dr.Jit's lanes.
 KERNEL = """
+import gof.render.backend  # says why Dr.Jit does not begin
 import drjit as dr, drjit.detail as d
 from drjit.llvm import Float
 from pathlib import Path
@@ -142,12 +145,8 @@ def check_drjit() -> Outcome:
     if done.returncode == 0:
         kind = os.environ.get("GOF_RENDER_BACKEND", "llvm")
         return "ok", f"CPU kernels compile and run ({done.stdout.strip()}); the renderer takes {kind}"
-    if ("LLVM" in done.stderr and "could not be found" in done.stderr) or "dlopen" in done.stderr:
-        return (
-            "broken",
-            "libLLVM was not found. Debian, Ubuntu: apt-get install libllvm19; elsewhere set DRJIT_LIBLLVM_PATH to "
-            "libLLVM",
-        )
+    if named := named_error(done.stderr):
+        return "broken", named
     return "broken", (
         f"a kernel failed with status {done.returncode} ({last_line(done.stderr)}). libLLVM 15 and older abort on CPUs "
         "with AVX-512: "
@@ -165,7 +164,7 @@ def check_kernels() -> Outcome:
     )
     done = child(code)
     if done.returncode:
-        return "broken", last_line(done.stderr)
+        return "broken", named_error(done.stderr) or last_line(done.stderr)
     name, why = done.stdout.strip().splitlines()
     return ("ok" if name == "native" else "missing"), f"{name} kernels: {why}"
 
@@ -233,6 +232,12 @@ def child(code: str) -> subprocess.CompletedProcess:
     """Python with this code in a process of its own, which may crash; at most five minutes."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "encoding": "utf-8", "errors": "replace"}
     return run(python_command("-c", code), timeout_s=300, **pipes)
+
+
+def named_error(text: str) -> str | None:
+    """What a `GofError` that ended a child has said."""
+    found = re.match(r"gof\.errors\.\w+: (.*)", last_line(text))
+    return found and found[1]
 
 
 def last_line(text: str) -> str:

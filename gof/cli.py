@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import errno
 import importlib
+import io
 import os
 import re
 import sys
+import traceback
 from functools import cache
 from importlib.metadata import entry_points
 
 from gof import __version__
-from gof.commands import COMMANDS, Command
+from gof.commands import COMMANDS, Command, no_such
 from gof.errors import GofError, printable
 from gof.files import follow_links_of
 
@@ -19,6 +21,8 @@ ALIASES = {"static": "ingest"}  # old name -> new name, for one version
 
 # What a user's disk can do to a run.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
+
+DEBUG_VARIABLE, FAULT = "GOF_DEBUG", 70  # the exit status is sysexits.h's of an internal fault
 
 # Libraries say it in their own ways where Python's MemoryError does not come through.
 NO_MEMORY = re.compile(
@@ -28,7 +32,7 @@ NO_MEMORY = re.compile(
 HELP = """\
 gof {version} - Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
 
-usage: gof COMMAND [OPTIONS]        gof COMMAND --help explains one command
+usage: gof COMMAND [OPTIONS]        gof COMMAND --help, or gof help COMMAND, explains one command
 
 {commands}
 
@@ -56,25 +60,98 @@ def commands() -> dict[str, Command]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command. Returns the exit status: 0 done, 1 a named error, 2 wrong usage, 130 Ctrl-C."""
-    try:
-        return _main(argv)
-    except BrokenPipeError:  # who reads our output has seen enough; Python would complain when it empties its buffers
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+    """Run one command. Returns the exit status: 0 done, 1 a named error, 2 wrong usage, 70 a fault of ours, 130 Ctrl-C.
 
-
-def _main(argv: list[str] | None) -> int:
+    $GOF_DEBUG shows the traceback of a fault.
+    """
     argv = sys.argv[1:] if argv is None else argv
+    try:
+        try:
+            return _main(argv)
+        except OSError as e:
+            _require_output(e)
+            raise
+        finally:
+            _say_now()  # here, where it can be said that it fails, and not when Python ends
+    except BrokenPipeError:  # who reads our output has seen enough
+        _say_no_more()
+        return 1
+    except OutputError as e:
+        _say_no_more()
+        print(f"gof: standard output: {e}; files that the command has written are there", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    except Exception as e:
+        if os.environ.get(DEBUG_VARIABLE):
+            raise
+        print(_fault(e, argv), file=sys.stderr)
+        return FAULT
+
+
+class OutputError(Exception):
+    """Standard output takes no more, for another reason than that its reader has gone."""
+
+
+def _say_now(more: bytes = b"") -> None:
+    """Write what is in the buffer of standard output, and more. Raises OutputError: it cannot be written."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+            if more:
+                os.write(sys.stdout.fileno(), more)
+    except BrokenPipeError:
+        raise
+    except io.UnsupportedOperation:  # no file is behind it
+        pass
+    except (OSError, ValueError) as e:  # the second: somebody has closed it
+        raise OutputError(getattr(e, "strerror", None) or e) from e
+
+
+def _require_output(error: OSError) -> None:
+    """Raise OutputError where an error that names no file is that of standard output, which then fails again.
+
+    A failed write leaves the buffer empty, so an empty line is written.
+    """
+    if error.filename is None and not isinstance(error, BrokenPipeError):
+        _say_now(b"\n")
+
+
+def _say_no_more() -> None:
+    """Python would complain when it empties its buffers at the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fault(error: Exception, argv: list[str]) -> str:
+    """One line on an error that nobody has foreseen, with what helps to find it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"
+    said = " ".join(printable(str(error)).split())[:200]
+    return (
+        f"gof {argv[0] if argv else ''}: a fault of gof, not of yours: {type(error).__name__} at {where}: {said}. "
+        f"Please report it with what gof doctor prints, and with what the same command prints after {DEBUG_VARIABLE}=1"
+    )
+
+
+def _main(argv: list[str]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")  # a terminal that cannot show a letter ends no run
-    odd = next((word for word in (*argv, os.getcwd()) if not word.isascii() and _is_not_utf8(word)), None)
+    try:
+        here = os.getcwd()
+    except OSError:
+        if argv and not {"-h", "--help", "help", "--version"} & set(argv):
+            print("gof: the current folder has been deleted; cd to one that exists", file=sys.stderr)
+            return 1
+        here = ""
+    odd = next((word for word in (*argv, here) if not word.isascii() and _is_not_utf8(word)), None)
     if odd is not None:
         print(
             f"gof: {printable(odd)!r} is not UTF-8; rename that file or folder, or set LC_ALL=C.UTF-8", file=sys.stderr
         )
         return 2
+    if argv[:1] == ["help"] and argv[1:]:
+        argv = [*argv[1:], "--help"]
     if not argv or argv[0] in ("-h", "--help", "help"):
         lines = "\n".join(f"  {name:<12} {command.help}" for name, command in commands().items())
         print(HELP.format(version=__version__, commands=lines))
@@ -87,7 +164,7 @@ def _main(argv: list[str] | None) -> int:
         print(f"gof {name} is now called gof {ALIASES[name]}; the old name goes with the next version", file=sys.stderr)
         name = ALIASES[name]
     if name not in commands():
-        print(f"gof: no command '{name}'; commands: {', '.join(commands())}", file=sys.stderr)
+        print(f"gof: {no_such('command', name, commands())}", file=sys.stderr)
         return 2
     follow_links_of(rest)
     return run(name, rest)
@@ -112,14 +189,15 @@ def run(name: str, argv: list[str]) -> int:
             file=sys.stderr,
         )
         return 1
-    except (ImportError, RuntimeError) as e:
-        if not NO_MEMORY.search(str(e)):
-            raise
-        print(f"gof {name}: not enough memory ({printable(str(e))[:200]}); close other programs", file=sys.stderr)
-        return 1
     except BrokenPipeError:
         raise
-    except OSError as e:
+    except Exception as e:
+        if said := _words_on_memory(e):
+            print(f"gof {name}: not enough memory ({printable(said)[:200]}); close other programs", file=sys.stderr)
+            return 1
+        if not isinstance(e, OSError):
+            raise
+        _require_output(e)
         remedy = "make room, or choose another folder, and" if e.errno in DISK else "when that is mended,"
         place = printable(str(e.filename or "a file"))
         print(
@@ -130,6 +208,16 @@ def run(name: str, argv: list[str]) -> int:
     except KeyboardInterrupt:
         print(f"\ngof {name}: stopped; finished work is kept, the same command resumes", file=sys.stderr)
         return 130
+
+
+def _words_on_memory(error: BaseException | None) -> str | None:
+    """What an error says of memory, or one that it was raised on: a library that cannot be loaded breaks others."""
+    while error is not None:
+        library = isinstance(error, ImportError) and "temporarily unavailable" in str(error)  # as dlopen says it
+        if library or NO_MEMORY.search(str(error)):
+            return " ".join(str(error).split())
+        error = error.__cause__ or error.__context__
+    return None
 
 
 if __name__ == "__main__":

@@ -139,7 +139,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     replaced, unless the user has named it; a device or a pipe stays, and gets the content at the end.
 
     Raises:
-        GofError: `path` is a folder, or a link in a circle.
+        IsADirectoryError: `path` is a folder.   GofError: it is a link in a circle.
     """
     if (number := _descriptor(path)) is not None:
         with _draft_elsewhere(path) as draft:
@@ -151,7 +151,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     if path.absolute() in _named:
         path = _end_of(path)
     if path.is_dir() and not path.is_symlink():
-        raise GofError(f"{path}: is a folder; give the name of a file")
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not path.is_symlink() and path.exists() and not path.is_file():
         with _draft_elsewhere(path) as draft:
             yield draft

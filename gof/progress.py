@@ -21,8 +21,10 @@ def report_progress(stage: str, done: int, total: int, **figures) -> None:
 def progress_bar(title: str, ticking: bool = False) -> Iterator[Callable[..., None]]:
     """A progress line with elapsed time and time left; yields update(done, total, note="").
 
-    `ticking` redraws between updates, on a thread of its own. That must not be where Dr.Jit works: a garbage collection
-    on that thread would free Dr.Jit arrays under Python's lock while the main thread holds Dr.Jit's, a deadlock.
+    It is seen from the first update on, so that input which is refused before is refused without one. `ticking` draws
+    it at once, and again between updates, on a thread of its own. That must not be where Dr.Jit works: a garbage
+    collection on that thread would free Dr.Jit arrays under Python's lock while the main thread holds Dr.Jit's, a
+    deadlock.
 
     In a child of `run_worker` it prints progress lines instead, and the parent draws the bar.
     """
@@ -49,19 +51,24 @@ def progress_bar(title: str, ticking: bool = False) -> Iterator[Callable[..., No
         TextColumn("{task.fields[note]}"),
     )
     console = Console(stderr=True)
-    with Progress(
-        *columns, console=console, auto_refresh=ticking, refresh_per_second=4, speed_estimate_period=60
-    ) as progress:
-        task = progress.add_task(title, total=None, note="")
-        last = 0.0
+    progress = Progress(*columns, console=console, auto_refresh=ticking, refresh_per_second=4, speed_estimate_period=60)
+    task = progress.add_task(title, total=None, note="")
+    last = 0.0
 
-        def update(done: int, total: int, note: str = "", stage: str = "", **_):
-            nonlocal last
-            progress.update(task, completed=done, total=total, note=note, description=stage or title)
-            if not ticking:
-                progress.refresh()
-            if not console.is_terminal and (done == total or time.monotonic() - last > 15):
-                last = time.monotonic()
-                print(f"{stage or title}: {done}/{total} {note}".rstrip(), file=sys.stderr, flush=True)
+    def update(done: int, total: int, note: str = "", stage: str = "", **_):
+        nonlocal last
+        progress.start()
+        progress.update(task, completed=done, total=total, note=note, description=stage or title)
+        if not ticking:
+            progress.refresh()
+        if not console.is_terminal and (done == total or time.monotonic() - last > 15):
+            last = time.monotonic()
+            print(f"{stage or title}: {done}/{total} {note}".rstrip(), file=sys.stderr, flush=True)
 
+    if ticking:
+        progress.start()
+    try:
         yield update
+    finally:
+        if progress.live.is_started:
+            progress.stop()

@@ -1,5 +1,6 @@
 """Shared test material, all made here: small Gaussians, a small camera arc, and a dataset folder by the contract."""
 
+import os
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,8 @@ from gof.cameras import Camera
 from gof.dataset import CameraEntry, DatasetDescription, Splits
 from gof.fields import VelocityField, VelocitySequence
 from gof.gaussians import TransientGaussians
+
+os.environ.setdefault("GOF_DEBUG", "1")  # a fault of ours shows where it is; tests of its words take this away
 
 
 def look_at(name: str, position, target, width=36, height=64, focal_px=80.0) -> Camera:

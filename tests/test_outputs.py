@@ -10,7 +10,6 @@ import threading
 import pytest
 
 from gof.cli import main
-from gof.errors import GofError
 from gof.files import atomic_path, write_json
 from gof.processes import python_command
 from gof_blender.pure.io import FileFormatError
@@ -97,7 +96,7 @@ def test_standard_output_gets_it_after_what_was_said(result, tmp_path, name):
 def test_a_folder_and_a_circle_are_named(result, tmp_path, capsys):
     (tmp_path / "folder").mkdir()
     assert main(["share", result, "--out", "z.html", "--json", "folder"]) == 1
-    assert "folder: is a folder" in capsys.readouterr().err
+    assert "folder: Is a directory" in capsys.readouterr().err
     (tmp_path / "circle.json").symlink_to("circle.json")
     assert main(["share", result, "--out", "z.html", "--json", "circle.json"]) == 1
     assert "circle.json" in capsys.readouterr().err and (tmp_path / "circle.json").is_symlink()
@@ -124,7 +123,7 @@ def test_what_fails_leaves_a_device_untouched(tmp_path):
     with pytest.raises(ValueError), atomic_path(tmp_path / "pipe") as draft:
         draft.write_text("half")
         raise ValueError
-    with pytest.raises(GofError):
+    with pytest.raises(IsADirectoryError):
         write_json(tmp_path, {})
 
 

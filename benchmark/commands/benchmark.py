@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 
+from gof.commands import no_such
 from gof.errors import GofError
 
 PARTS = {
@@ -46,6 +47,6 @@ def main(argv: list[str]) -> int:
         print(HELP.format(parts="\n".join(f"  {name:<7} {text}" for name, (_, text) in PARTS.items())))
         return 0
     if not argv or argv[0] not in PARTS:
-        named = f"no part '{argv[0]}'" if argv else "name a part"
-        raise GofError(f"{named}: gof benchmark {{{','.join(PARTS)}}}; gof benchmark --help explains them")
+        named = no_such("part", argv[0], PARTS) if argv else f"name a part: {', '.join(PARTS)}"
+        raise GofError(f"{named}; gof benchmark --help explains them")
     return importlib.import_module(PARTS[argv[0]][0]).main(argv[1:]) or 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 
+from gof.commands import no_such
 from gof.errors import GofError
 
 
@@ -66,6 +67,6 @@ def main(argv: list[str]) -> int:
         print(HELP.format(studies=studies, examples=examples))
         return 0
     if not argv or argv[0] not in STUDIES:
-        named = f"no study '{argv[0]}'" if argv else "name what to study"
-        raise GofError(f"{named}: gof study {{{','.join(STUDIES)}}}; gof study --help explains them")
+        named = no_such("study", argv[0], STUDIES) if argv else f"name what to study: {', '.join(STUDIES)}"
+        raise GofError(f"{named}; gof study --help explains them")
     return importlib.import_module(STUDIES[argv[0]].module).main(argv[1:]) or 0

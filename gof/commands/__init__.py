@@ -3,7 +3,9 @@
 A package adds commands of its own by an entry point of the group `gof.commands` that names a table like `COMMANDS`.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 
 @dataclass(frozen=True)
@@ -14,6 +16,12 @@ class Command:
     help: str
     place: int
     """Commands are listed in this order, which is that of the work."""
+
+
+def no_such(kind: str, name: str, known: Iterable[str]) -> str:
+    """What to say of a word that names no command or part: the nearest one that there is, and all."""
+    near = get_close_matches(name.lower(), known := list(known), n=1)
+    return f"no {kind} '{name}'{f', did you mean {near[0]}? There are' if near else '; there are'}: {', '.join(known)}"
 
 
 COMMANDS = {

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import sys
 
+from gof.commands import no_such
+
 PARTS = {
     "board": ("gof.commands.capture_board", "find, set, start, stop, test and monitor the LED board"),
     "sync": (
@@ -44,6 +46,6 @@ def main(argv: list[str]) -> int:
         print(HELP.format(parts="\n".join(f"  {name:<10} {text}" for name, (_, text) in PARTS.items())))
         return 0
     if argv[0] not in PARTS:
-        print(f"gof capture: no part '{argv[0]}'; parts: {', '.join(PARTS)}", file=sys.stderr)
+        print(f"gof capture: {no_such('part', argv[0], PARTS)}", file=sys.stderr)
         return 2
     return importlib.import_module(PARTS[argv[0]][0]).main(argv[1:]) or 0

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import sys
 
+from gof.commands import no_such
+
 PARTS = {
     "modalities": (
         "gof.commands.figure_modalities",
@@ -40,6 +42,6 @@ def main(argv: list[str]) -> int:
         print(HELP.format(parts="\n".join(f"  {name:<11} {text}" for name, (_, text) in PARTS.items())))
         return 0
     if argv[0] not in PARTS:
-        print(f"gof figure: no part '{argv[0]}'; parts: {', '.join(PARTS)}", file=sys.stderr)
+        print(f"gof figure: {no_such('part', argv[0], PARTS)}", file=sys.stderr)
         return 2
     return importlib.import_module(PARTS[argv[0]][0]).main(argv[1:]) or 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
+import re
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -18,13 +19,68 @@ import drjit as dr
 import numpy as np
 
 from gof import extras
-from gof.errors import GofError
+from gof.errors import GofError, MissingDependencyError
+
+THREADS_VARIABLE = "OMP_NUM_THREADS"  # what users and job schedulers set; NumPy, PyTorch and numba read it themselves
+LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
+
+
+def _require_numbers_of_threads() -> None:
+    """Libraries would go on with another number, or end in words that do not name the variable."""
+    if not os.environ.get("NUMBA_NUM_THREADS", "1").strip():
+        del os.environ["NUMBA_NUM_THREADS"]  # numba does not take an empty one for none
+    for name in (THREADS_VARIABLE, "NUMBA_NUM_THREADS"):
+        asked = os.environ.get(name, "").split(",")[0].strip()  # "4,2": of nested levels, the first
+        if asked and not (asked.isascii() and asked.isdigit() and int(asked) > 0):
+            raise GofError(f"{name} is '{os.environ[name]}'; unset it, or set it to a whole number from 1 on")
+
+
+def _require_backend() -> None:
+    """Let Dr.Jit begin, which it does with its first array. Raises MissingDependencyError: it cannot, and why."""
+    try:
+        dr.eval(dr.arange(Float, 2))
+    except Exception as e:
+        raise MissingDependencyError(_obstacle_to_cuda() if BACKEND == "cuda" else _obstacle_to_llvm(str(e))) from e
+
+
+def _obstacle_to_cuda() -> str:
+    return "GOF_RENDER_BACKEND is 'cuda', but no NVIDIA GPU with its driver is found here; unset it to draw on the CPU"
+
+
+def _obstacle_to_llvm(said: str) -> str:
+    """Why libLLVM does not begin: first what the user has set, then what is installed, at last Dr.Jit's own words."""
+    install = "Debian, Ubuntu: apt-get install libllvm19; elsewhere set DRJIT_LIBLLVM_PATH to libLLVM"
+    if path := os.environ.get(LLVM_VARIABLE):
+        remedy = "unset it, or give the path of libLLVM itself"
+        return f"{LLVM_VARIABLE} is '{path}', which {_fault_of_library(path) or 'Dr.Jit cannot use'}; {remedy}"
+    places = [Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/local/lib"), *Path("/usr/lib").glob("*-linux-gnu")]
+    found = sorted(str(path) for place in places for path in place.glob("libLLVM*.so*"))
+    faults = [f"{path} {fault}" for path in found if (fault := _fault_of_library(path))]
+    if found and len(faults) == len(found):
+        memory = "; is memory limited (ulimit -v)?" if re.search("map segment|allocate memory", faults[-1]) else ""
+        return f"libLLVM is installed, but {faults[-1]}{memory}"
+    if found:
+        return f"libLLVM does not begin ({' '.join(said.split())[:200]})"
+    return f"libLLVM was not found. {install}"
+
+
+def _fault_of_library(path: str) -> str | None:
+    """What is wrong with a shared library that should be LLVM's; None: nothing that can be seen."""
+    if not Path(path).exists():
+        return "does not exist"
+    if Path(path).is_dir():
+        return "is a folder"
+    try:
+        return None if hasattr(ctypes.CDLL(path), "LLVMContextCreate") else "is another library than LLVM"
+    except OSError as e:
+        return f"cannot be loaded ({str(e).removeprefix(f'{path}: ')})"
+
 
 BACKEND = os.environ.get("GOF_RENDER_BACKEND", "llvm")
 if BACKEND not in ("llvm", "cuda"):
     raise GofError(f"GOF_RENDER_BACKEND is '{BACKEND}'; use 'llvm' or 'cuda'")
+_require_numbers_of_threads()
 WORK_UNIT = 2048  # lanes
-THREADS_VARIABLE = "OMP_NUM_THREADS"  # what users and job schedulers set; NumPy, PyTorch and numba read it themselves
 KERNELS_VARIABLE = "GOF_RENDER_KERNELS"
 _types = import_module(f"drjit.{BACKEND}.ad")
 Array2f, Array3f, Array4f, Bool = _types.Array2f, _types.Array3f, _types.Array4f, _types.Bool
@@ -33,11 +89,12 @@ Float, Int, UInt, Array2u = _types.Float, _types.Int, _types.UInt, _types.Array2
 
 def _as_many_threads_as_asked() -> None:
     """Dr.Jit takes a thread per core, whatever THREADS_VARIABLE says, and those without work cost time. Never more."""
-    asked = os.environ.get(THREADS_VARIABLE, "").split(",")[0]  # "4,2": of nested levels, the first
-    if asked.isdigit() and 0 < int(asked) < dr.thread_count():
+    asked = os.environ.get(THREADS_VARIABLE, "").split(",")[0].strip()
+    if asked and int(asked) < dr.thread_count():
         dr.set_thread_count(int(asked))
 
 
+_require_backend()
 _as_many_threads_as_asked()
 
 
@@ -78,6 +135,8 @@ def _obstacle_to_native() -> str | None:
         import numba
     except ImportError as e:
         return f"numba is not installed ({e}). Run: {extras.command('fast')}"
+    except OSError as e:
+        return f"numba's compiler cannot be loaded ({' '.join(str(e).split())[:200]})"
     if numba.config.DISABLE_JIT:
         return "NUMBA_DISABLE_JIT is set"
     if platform.machine() == "x86_64" and not llvmlite.binding.get_host_cpu_features().get("fma"):
@@ -109,7 +168,6 @@ def _tune_llvm():
 
     Without these functions the results are the same, only slower.
     """
-    dr.eval(dr.arange(Float, 2))  # starts the backend
     try:
         core = ctypes.CDLL(str(Path(next(iter(dr.__path__))) / "libdrjit-core.so"))
         cpu, features = core._Z19jit_llvm_target_cpuv, core._Z24jit_llvm_target_featuresv

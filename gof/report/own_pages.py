@@ -7,12 +7,15 @@ own name was bent to this machine (DNS rebinding) still sends that name as `Host
 from __future__ import annotations
 
 import ipaddress
+import logging
 import socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
+
+from gof.errors import printable
 
 
 def is_own_page(headers: Mapping[str, str], host: str) -> bool:
@@ -43,6 +46,24 @@ def _is_ours(name: str | None, host: str) -> bool:
         return False
 
 
+def _quiet_logger() -> logging.Logger:
+    """A log with a line, and no traceback, on a connection that ends because it sends no messages of a viewer."""
+
+    def in_a_line(record: logging.LogRecord) -> bool:
+        if record.exc_info and record.exc_info[1] is not None:
+            error, record.exc_info = record.exc_info[1], None
+            said = printable(" ".join(str(error).split()))[:100]
+            record.msg, record.args = (
+                f"a connection was closed: {record.getMessage()} ({type(error).__name__}: {said})",
+                (),
+            )
+        return True
+
+    logger = logging.getLogger("gof.view")
+    logger.filters = [in_a_line]
+    return logger
+
+
 @contextmanager
 def only_own_pages(host: str) -> Iterator[None]:
     """Websocket servers that are started in this block answer 403 to everybody but `is_own_page`.
@@ -61,7 +82,7 @@ def only_own_pages(host: str) -> Iterator[None]:
             return process_request and process_request(connection, request)
 
         guarded.append(process)
-        return serve(*args, process_request=process, **options)
+        return serve(*args, process_request=process, **{"logger": _quiet_logger()} | options)
 
     library.serve = guarded_serve
     try:

@@ -228,3 +228,23 @@ def test_playing_slows_down_loops_and_ends(tmp_path):
         assert viewer.play.value, "from the end it plays from the start"
     finally:
         viewer.server.stop()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("sent", [b"garbage", "a text", b"\xc1" * 10, b"\x81\xa4type\xa3abc", b"", b"\x93" * 9000])
+def test_garbage_closes_its_connection_and_prints_no_traceback(tmp_path, capfd, caplog, sent):
+    viser = pytest.importorskip("viser")
+    websockets = pytest.importorskip("websockets")
+    from websockets.sync.client import connect
+
+    random_gaussians(5).save(tmp_path / "result.npz")
+    viewer = Viewer(tmp_path / "result.npz", port=0)
+    port, kind = viewer.server.get_port(), websockets.Subprotocol(f"viser-v{viser.__version__}")
+    with connect(f"ws://127.0.0.1:{port}", subprotocols=[kind]) as client:
+        client.send(sent)
+        with pytest.raises(websockets.ConnectionClosed):
+            while True:
+                client.recv(timeout=20)
+    assert urllib.request.urlopen(f"http://127.0.0.1:{port}/").status == 200
+    viewer.server.stop()
+    assert "Traceback" not in caplog.text + capfd.readouterr().err and "a connection was closed" in caplog.text
