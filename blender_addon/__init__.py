@@ -21,7 +21,9 @@ def register() -> None:
     import bpy  # here, so that the parts without bpy can be imported anywhere
 
     from . import ui
+    from .scene import mantaflow
 
+    mantaflow.enable()  # a file that is opened may hold a fire
     ui.register()
     if getattr(bpy.app, "module", False):
         # Python ends before the wheel's Blender does, which then waits for ever for Python to free what is registered.

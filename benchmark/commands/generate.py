@@ -74,7 +74,7 @@ def main(argv: list[str]) -> int:
     spec = load_scene(config.scene, config.preset)
     layout = Layout(config.out)
     if not layout.description.exists():
-        for note in _checked(spec, layout):
+        for note in _checked(spec, layout, config.estimate):
             console().print("note:", note, style="yellow")
     if config.estimate:
         _print_estimate(spec, layout, config.json)
@@ -95,8 +95,9 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _checked(spec: SceneSpec, layout: Layout) -> list[str]:
-    """What the user should know of a spec before anything is made. Raises GofError: it would be no dataset."""
+def _checked(spec: SceneSpec, layout: Layout, estimate: bool) -> list[str]:
+    """What the user should know of a spec before anything is made. Raises GofError: it would be no dataset, or, but for
+    an estimate, this machine cannot make it."""
     try:
         notes = require_sense(spec)
         require_look(spec.display)
@@ -106,7 +107,8 @@ def _checked(spec: SceneSpec, layout: Layout) -> list[str]:
     if not layout.bake_marker.exists():
         from gof_benchmark.generator import machine
 
-        machine.refuse(spec, layout.root)
+        if not estimate:
+            machine.refuse(spec, layout.root)
         notes += _in_its_scene(spec)
     return notes
 
@@ -123,10 +125,10 @@ def _print_estimate(spec: SceneSpec, layout: Layout, json: Path | None) -> None:
     from gof_benchmark.generator import machine
 
     prediction = machine.predict(spec, machine.this_machine())
-    print(prediction)
-    machine.refuse(spec, layout.root)  # again: now the machine is known
+    print(prediction, flush=True)
     if json:
         write_json(json, asdict(prediction))
+    machine.refuse(spec, layout.root)
 
 
 def _make(spec: SceneSpec, layout: Layout, log: StageLog, config: GenerateConfig) -> None:

@@ -62,8 +62,10 @@ VIRIDIS = (
 
 def node_group() -> bpy.types.NodeTree:
     """The file's node group of this layout; made when there is none."""
+    names = {name for name, *_ in INPUTS}
     for tree in bpy.data.node_groups:
-        if tree.get("gof_layout") == LAYOUT and tree.library is None:
+        whole = names <= set(compat.input_sockets(tree))  # somebody may have taken inputs away
+        if tree.get("gof_layout") == LAYOUT and tree.library is None and whole:
             return tree
     tree = bpy.data.node_groups.new(NAME, "GeometryNodeTree")
     tree["gof_layout"] = LAYOUT

@@ -17,6 +17,10 @@ LONGEST = np.finfo(np.float32).max
 DATUM = "gof_datum"  # custom property: x, y, z (m) and t (s) that places and times count from, where these are not 0
 
 
+class CloudError(RuntimeError):
+    """A cloud that somebody has edited lacks what is asked of it; the message says what to do."""
+
+
 class CloudInputs:
     """The settings of a cloud by the names in `gaussian_nodes.INPUTS`, read and written at its modifier."""
 
@@ -158,14 +162,14 @@ def why_not_color(mesh: bpy.types.Mesh, color: str) -> str | None:
 def color_by(thing: bpy.types.Object, color: str) -> None:
     """Colour a cloud by one of `gaussian_nodes.COLORS`, over the range of its values.
 
-    Raises ValueError where it has none.
+    Raises CloudError where it has none.
     """
     if problem := why_not_color(thing.data, color):
-        raise ValueError(f"{thing.name}: {problem}")
-    settings = inputs(thing)
+        raise CloudError(f"{thing.name}: {problem}")
+    settings, span = inputs(thing), None if color == "image" else value_range(thing.data, color)
     settings["Color By"] = gaussian_nodes.COLORS.index(color)
-    if color != "image":
-        settings["Color Min"], settings["Color Max"] = value_range(thing.data, color)
+    if span:
+        settings["Color Min"], settings["Color Max"] = span
 
 
 def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
@@ -189,9 +193,14 @@ def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
 
 
 def column(mesh: bpy.types.Mesh, name: str, width: int) -> np.ndarray:
-    """A point attribute, (N, width) float32."""
+    """A point attribute, (N, width) float32. Raises CloudError: it is not there, or not to be read in this mode."""
+    attribute = mesh.attributes.get(name)
+    if mesh.is_editmode:
+        raise CloudError(f"{mesh.name}: is being edited; leave Edit Mode first")
+    if attribute is None or not len(mesh.vertices) or len(attribute.data) != len(mesh.vertices):
+        raise CloudError(f"{mesh.name}: its points have no {name} any more; import the reconstruction again")
     values = np.empty(len(mesh.vertices) * width, np.float32)
-    mesh.attributes[name].data.foreach_get("value" if width == 1 else "vector", values)
+    attribute.data.foreach_get("value" if width == 1 else "vector", values)
     return values.reshape(-1, width)
 
 

@@ -361,7 +361,16 @@ def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
     column = box.column(align=True)
     done = layout.pictures() if layout else 0
     there = f", {done} made" if done else ""
-    column.label(text=f"{frames * cameras} pictures ({frames} x {cameras}){there}", icon="CAMERA_DATA")
+    along_rows, rows = spec.picture_px
+    width, height = (rows, along_rows) if spec.cameras.portrait else (along_rows, rows)
+    cell_mm = 1000 * max(spec.box.size) / spec.box.resolution
+    write_lines(
+        column,
+        context,
+        f"{frames * cameras} pictures ({frames} x {cameras}){there}, of {width} x {height} pixels; {frames} frames at "
+        f"{spec.clip.fps:g} per s are {frames / spec.clip.fps:.3g} s; {spec.box.resolution} cells of {cell_mm:.3g} mm",
+        "CAMERA_DATA",
+    )
     seconds = sum(left_s(spec, layout, expected).values()) if layout else sum(expected.values())
     begun = layout is not None and layout.bake_marker.is_file()
     column.label(text=f"About {cost_model.duration(seconds)}{' left' if begun else ''}", icon="TIME")

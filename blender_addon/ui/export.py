@@ -37,7 +37,8 @@ class Recording:
             cloud = point_cloud.cloud_of(thing)
         if cloud is None:
             raise FileFormatError(
-                f"{thing.name}: imported by an older version of the add-on, which kept too little; import it again"
+                f"{thing.name}: edited since, or imported by an older version of the add-on: its colors are not in "
+                "this .blend; import the reconstruction again"
             )
         return cls(
             cloud,

@@ -6,9 +6,9 @@ from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, IntPrope
 from ..pure.checked_json import SpecError
 from ..pure.fires import LEAST_LOGS, MOST_LOGS
 from ..pure.fuels import FUELS
-from ..scene import place
+from ..scene import baked, place
 from . import effect_groups, scene_spec
-from .panel import SidebarPanel, number, vector
+from .panel import SidebarPanel, number, vector, write_lines
 
 
 class GOF_PG_cameras(bpy.types.PropertyGroup):
@@ -251,6 +251,8 @@ class GOF_PT_fire(SidebarPanel, bpy.types.Panel):
 
     def draw(self, context):
         fire, layout = context.scene.gof.fire, self.layout
+        for line in baked.missing(context.scene):
+            write_lines(layout, context, line, "ERROR")
         layout.use_property_split, layout.use_property_decorate = True, False
         column = layout.column(align=True)
         for name in ("fuel", "light", "speeds", "shape"):
@@ -304,6 +306,14 @@ class GOF_PT_cameras(SidebarPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("gof.import_cameras", text="Import...", icon="IMPORT")
         row.operator("gof.export_cameras", text="Export...", icon="EXPORT")
+
+
+def register() -> None:
+    baked.watch()
+
+
+def unregister() -> None:
+    baked.unwatch()
 
 
 GROUPS = (*effect_groups.GROUPS.values(), effect_groups.GOF_PG_effects, GOF_PG_cameras)

@@ -48,12 +48,18 @@ def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
 
     def write(self, number: int) -> None:
         thing = bpy.context.object
-        if socket != "Color By":
-            point_cloud.inputs(thing)[socket] = number
+        cloud = point_cloud.inputs(thing)
+        if cloud is None:
+            _say("Select a reconstruction first")
+        elif socket != "Color By":
+            cloud[socket] = number
         elif problem := point_cloud.why_not_color(thing.data, choices[number]):
             _say(f"{items[number][1]}: {problem}")
         else:
-            point_cloud.color_by(thing, choices[number])
+            try:
+                point_cloud.color_by(thing, choices[number])
+            except point_cloud.CloudError as error:
+                _say(f"{items[number][1]}: {error}")
 
     return bpy.props.EnumProperty(items=items, get=read, set=write, **annotations)
 
@@ -243,7 +249,11 @@ class GOF_OT_fit_colors(bpy.types.Operator):
         return cloud is not None and cloud["Color By"] > 0
 
     def execute(self, context):
-        point_cloud.color_by(context.object, context.scene.gof.reconstruction.color)
+        try:
+            point_cloud.color_by(context.object, context.scene.gof.reconstruction.color)
+        except point_cloud.CloudError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         return {"FINISHED"}
 
 

@@ -88,10 +88,10 @@ class GOF_OT_show_errors(_ScoreOperator, bpy.types.Operator):
             datum = tuple(thing.get(point_cloud.DATUM, (0.0,) * 4))
             truth = velocity_reader.of_dataset(Path(bpy.path.abspath(settings.dataset)), datum)
             found = error_cloud.add_truth(thing, truth)
-        except (FileFormatError, OSError) as error:
-            self.report({"ERROR"}, str(error))
+            error_cloud.show(thing)
+        except (FileFormatError, OSError, point_cloud.CloudError, MemoryError) as error:
+            self.report({"ERROR"}, str(error) or "not enough memory for the true velocity")
             return {"CANCELLED"}
-        error_cloud.show(thing)
         settings.centres = (
             f"At the centres of {found.compared:,} Gaussians at their brightest time: median error "
             f"{found.median:.2f} m/s, {100 * found.relative:.0f} % of the true speed (root mean square)"

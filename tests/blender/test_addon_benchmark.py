@@ -5,6 +5,7 @@ import shutil
 import sys
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -126,7 +127,10 @@ def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
     assert "is not empty and holds no spec.json; choose a new output folder" in found["full"]
     assert "choose a spec file" in found["no file"]
     assert "broken.json: not readable as JSON" in found["broken"]
-    assert "GB of memory, this machine has 8 GB; lower domain.resolution from 640 to" in found["huge"]
+    assert (
+        "GB of memory, this machine has 8 GB, of which 90 % are counted on; lower domain.resolution from 640 to"
+        in found["huge"]
+    )
     assert "press Bake & Render" in found["log"]
     assert found["made"] == ["broken.json", "full", "huge.json"], "nothing was begun"
 
@@ -207,6 +211,9 @@ def test_the_plan_is_that_of_this_spec_and_of_what_is_left(made, tmp_path):
     assert "was made from" in found["changed"] and "clip," in found["changed"] and "Finished" not in found["changed"]
     assert "About" in found["changed"] and "choose" in found["changed"]
     assert "12 pictures (4 x 3), 7 made" in found["begun"] and "left" in found["begun"] and "[Resume]" in found["begun"]
+    shown = " ".join(found["begun"].split())
+    height, width = cv2.imread(str(next(made.root.glob("cameras/cam_0/rgb/*.png")))).shape[:2]
+    assert f"of {width} x {height} pixels; 4 frames at 100 per s are 0.04 s" in shown
     for text in (found["inside"], found["pressed"]):
         assert "in the fire" in text and "[Bake" not in text
     assert "cells" in found["hint"] and "[Bake & Render]" in found["hint"]

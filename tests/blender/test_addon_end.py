@@ -28,6 +28,15 @@ spec.save(toy, Path("spec.json"))
 Path("out/.cache").mkdir(parents=True)
 assert generate.main(["--stage", "bake", "--spec", "spec.json", "--out", "out"]) == 0
 """
+OPEN = f"""
+import os, subprocess, sys
+path = os.getcwd() + "/fire.blend"
+made = "bpy.ops.object.quick_smoke()\\nbpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])\\nos._exit(0)"
+subprocess.run([sys.executable, "-c", "import bpy, os, sys\\n" + made, path])
+{START}
+bpy.ops.wm.open_mainfile(filepath=path)
+bpy.context.scene.frame_set(2)
+"""
 SCRIPTS = {
     "registered": START,
     "registered twice": START + "gof_blender.unregister()\ngof_blender.register()\n",
@@ -38,6 +47,7 @@ SCRIPTS = {
     "burnt and rendered": START + BURN + RENDER,
     "burnt, then unregistered": START + BURN + "gof_blender.unregister()\n",
     "fire taken away": START + BURN + "bpy.ops.wm.read_homefile(use_factory_startup=True)\n",
+    "opened a fire": OPEN,
     "worker in a script": WORKER,
 }
 

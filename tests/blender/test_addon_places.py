@@ -261,3 +261,53 @@ result["rows"] = cloud.position.tolist()
         folder,
     )
     np.testing.assert_allclose(found["rows"], TransientGaussians.load(folder / "result.npz").position[::4], atol=1e-6)
+
+
+def test_what_somebody_did_to_a_cloud_is_said_without_a_traceback(folder, tmp_path):
+    """Edit Mode, an attribute taken away, no points left, nothing selected: a line each, and what to do."""
+    found = in_blender(
+        START
+        + """
+import contextlib, io
+
+def edited():
+    bpy.ops.object.mode_set(mode="EDIT")
+
+def without_velocity():
+    mesh = bpy.context.object.data
+    mesh.attributes.remove(mesh.attributes["gs_gas_velocity"])
+
+def without_points():
+    bpy.context.object.data.clear_geometry()
+
+def choose(name):
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        scene.gof.reconstruction.color = name
+    return said.getvalue().strip()
+
+out = sys.argv[2]
+for change in (edited, without_velocity, without_points):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.gof.import_result(filepath=str(folder / "result.npz"))
+    scene.frame_end = scene.frame_start
+    change()
+    scene.gof.score.dataset = str(folder / "data")
+    result[change.__name__] = [
+        refused(bpy.ops.gof.export_vdb, filepath=out + "/a.vdb"),
+        refused(bpy.ops.gof.export_points, filepath=out + "/a.usda"),
+        choose("speed"),
+    ]
+bpy.context.view_layer.objects.active = None
+result["nothing"] = [choose("speed")]
+""",
+        folder,
+        tmp_path,
+    )
+    assert all("leave Edit Mode" in line for line in found["edited"])
+    for name in ("without_velocity", "without_points"):
+        assert all("import the reconstruction again" in line for line in found[name]), found[name]
+    assert found["nothing"] == ["Select a reconstruction first"]
+    assert not any("Traceback" in line for lines in found.values() for line in lines)
+    assert list(tmp_path.iterdir()) == [], "nothing half-made stays"

@@ -1,14 +1,17 @@
 """The cost model: what it counts, what it refuses; its coefficients are measured by `gof generate --estimate`."""
 
 import itertools
+import json
 from dataclasses import replace
 
 import psutil
 import pytest
 
+from gof.cli import main
 from gof.errors import GofError
 from gof_benchmark.generator import machine
 from gof_benchmark.scenes import load_scene
+from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.effects import fine_noise, motion_blur, rolling_shutter, smoke
 from gof_blender.pure.presets import PRESETS
 
@@ -53,6 +56,21 @@ def test_too_large_is_refused_with_advice(tmp_path):
         predicted(replace(DEMO, domain=replace(DEMO.domain, resolution=advice))).memory_mb
         < 0.9 * psutil.virtual_memory().total / 2**20
     )
+
+
+def test_an_estimate_is_given_of_what_does_not_fit_here(tmp_path, monkeypatch, capsys):
+    """Hours and disk are what one who would rent a machine must know; then it is said why this one does not do."""
+    monkeypatch.setattr(machine, "this_machine", lambda: machine.REFERENCE)
+    spec = replace(DEMO, domain=replace(DEMO.domain, resolution=2048))
+    scene_spec.save(spec, tmp_path / "huge.json")
+    arguments = [str(tmp_path / "huge.json"), "--out", str(tmp_path / "out"), "--estimate"]
+    status = main(["generate", *arguments, "--json", str(tmp_path / "costs.json")])
+    said = capsys.readouterr()
+    assert status == 1 and "lower domain.resolution" in said.err and "90 % are counted on" in said.err
+    expected = predicted(spec)
+    assert str(expected) in said.out
+    assert json.loads((tmp_path / "costs.json").read_text())["memory_mb"] == pytest.approx(expected.memory_mb)
+    assert main(["generate", *arguments[:-1]]) == 1 and not (tmp_path / "out").exists()
 
 
 def test_full_disk_is_seen_before_it_is_full(tmp_path, monkeypatch):
