@@ -31,7 +31,7 @@ def test_the_fire_has_three_cameras_held_out_frames_and_true_velocity(sample):
     assert len(fire.cameras) == 3 and len(fire.times_s) >= 12 and fire.test_frames
     for camera in range(3):
         for frame in range(len(fire.times_s)):
-            assert fire.image(camera, frame).shape == (320, 180, 3)
+            assert fire.image(camera, frame).shape == (256, 144, 3)
     field = fire.velocity.at(fire.times_s[3])
     above = field.sample(np.array([[0.0, 0.0, 0.4]]))[0]
     assert above[2] > 0.5, "hot gas rises above the burner"

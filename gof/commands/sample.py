@@ -27,7 +27,7 @@ try, in this order:
 class SampleConfig:
     """Unpack a small fire to start from: no network, no Blender, no simulation.
 
-    OUT/fire is a dataset with ground-truth velocity: three cameras, 16 frames, two of them held out.
+    OUT/fire is a dataset with ground-truth velocity: three cameras, 14 frames, two of them held out.
     OUT/result is a finished reconstruction of it, OUT/submission another method's result with its scores.
     OUT/clip holds three films of a fire with the LED board in the picture, and the lenses of their cameras.
     """
