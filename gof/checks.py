@@ -116,7 +116,7 @@ def check_torch() -> Outcome:
         "import torch; print(torch.__version__, 'for CUDA', torch.version.cuda, 'with', torch.get_num_threads(), "
         "'threads,', torch.backends.cpu.get_cpu_capability())"
     )
-    done = child(code)
+    done = child("-c", code)
     if done.returncode == 0:
         return "ok", done.stdout.strip()
     if "No module named 'torch'" in done.stderr:
@@ -141,7 +141,7 @@ print(f"libLLVM {version} {' '.join(found)}, {dr.thread_count()} threads")
 
 def check_drjit() -> Outcome:
     """Compile and run one kernel, in a child: an unsuitable libLLVM aborts the process."""
-    done = child(KERNEL)
+    done = child("-c", KERNEL)
     if done.returncode == 0:
         kind = os.environ.get("GOF_RENDER_BACKEND", "llvm")
         return "ok", f"CPU kernels compile and run ({done.stdout.strip()}); the renderer takes {kind}"
@@ -162,7 +162,7 @@ def check_kernels() -> Outcome:
         "    from gof.render.native.compiled import WHERE; kept = f'; compiled once, {WHERE}'\n"
         "print(chosen.name, chosen.why + kept, sep=chr(10))"
     )
-    done = child(code)
+    done = child("-c", code)
     if done.returncode:
         return "broken", named_error(done.stderr) or last_line(done.stderr)
     name, why = done.stdout.strip().splitlines()
@@ -170,7 +170,7 @@ def check_kernels() -> Outcome:
 
 
 def check_cuda() -> Outcome:
-    done = child("import drjit as dr; print(dr.has_backend(dr.JitBackend.CUDA))")
+    done = child("-c", "import drjit as dr; print(dr.has_backend(dr.JitBackend.CUDA))")
     if done.stdout.strip() == "True":
         return "ok", "an NVIDIA GPU and its driver are here"
     return (
@@ -228,10 +228,10 @@ def examine(checks: list[Check]) -> list[Finding]:
     return findings
 
 
-def child(code: str) -> subprocess.CompletedProcess:
-    """Python with this code in a process of its own, which may crash; at most five minutes."""
+def child(*words: str) -> subprocess.CompletedProcess:
+    """Run Python with these words in a process of its own, which may crash; at most five minutes."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "encoding": "utf-8", "errors": "replace"}
-    return run(python_command("-c", code), timeout_s=300, **pipes)
+    return run(python_command(*words), timeout_s=300, **pipes)
 
 
 def named_error(text: str) -> str | None:

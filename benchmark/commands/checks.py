@@ -36,7 +36,7 @@ def check_openexr() -> Outcome:
 
 
 def check_blender() -> Outcome:
-    done = child(["-c", "import bpy, os; print(bpy.app.version_string, flush=True); os._exit(0)"])
+    done = child("-c", "import bpy, os; print(bpy.app.version_string, flush=True); os._exit(0)")
     if done.returncode:
         why = last_line(done.stderr)
         if "No module named" in why:
@@ -55,7 +55,7 @@ def check_mantaflow() -> Outcome:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "spec.json"
         spec.save(SMALLEST, path)
-        done = child(["-m", "gof_blender.worker.generate", "--spec", str(path), "--out", folder, "--stage", "bake"])
+        done = child("-m", "gof_blender.worker.generate", "--spec", str(path), "--out", folder, "--stage", "bake")
     if done.returncode:
         why = last_line(done.stdout + done.stderr)
         return "broken", f"a 3-frame fire bake failed with status {done.returncode}: {why}"

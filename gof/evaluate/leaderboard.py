@@ -203,6 +203,12 @@ class Leaderboard:
     rows: tuple[Row, ...]
 
 
+def about(folder: Path) -> AboutMethod:
+    """What the authors say of a method: beside its scores, or, of a scene of a submission, one folder up."""
+    has_own = (folder / "method.json").is_file()
+    return AboutMethod.read(folder if has_own else folder.resolve().parent)
+
+
 def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
     """The results in folders with a scores.json of `gof evaluate`, with names that differ.
 
@@ -219,7 +225,7 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
                 f"{folder}: no scores.json; run 'gof evaluate RESULT --truth DATASET --out {folder}' first"
             )
         scores = Scores.read(folder / "scores.json")
-        results.append(EvaluatedResult.of(folder, AboutMethod.read(folder), scores))
+        results.append(EvaluatedResult.of(folder, about(folder), scores))
     names = [result.name for result in results]
     return [
         replace(result, name=f"{result.name} ({i + 1})") if names.count(result.name) > 1 else result

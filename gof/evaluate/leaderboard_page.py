@@ -13,7 +13,7 @@ from PIL import Image
 
 from gof import extras
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
+from gof.errors import DataFormatError, GofError, MissingDependencyError
 from gof.evaluate.accuracy_chart import AccuracyChart, accuracy_charts
 from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult, Row, best_rows, used_columns
 from gof.evaluate.sparse_grid import StoredField
@@ -91,6 +91,14 @@ def pareto_figures(rows: Sequence[Row]) -> list[str]:
     return [_pareto_figure(chart) for chart in accuracy_charts(rows)]
 
 
+def _charts(rows: Sequence[Row]) -> tuple[list[str], str]:
+    """The charts, and why there are none: the tables do not need plotly."""
+    try:
+        return pareto_figures(rows), ""
+    except MissingDependencyError as e:
+        return [], str(e)
+
+
 def _pareto_figure(chart: AccuracyChart) -> str:
     go = extras.load("plotly.graph_objects", *PLOTLY)
     figure = go.Figure()
@@ -149,7 +157,7 @@ def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str, gri
     """The page; everything is inside it."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    charts = pareto_figures(rows)
+    charts, no_charts = _charts(rows)
     keys, best = used_columns(rows), best_rows(rows)
     cells = [
         [
@@ -167,5 +175,6 @@ def to_html(rows: Sequence[Row], streams: Sequence[StreamPlots], title: str, gri
         streams=streams,
         grid=grid,
         charts=charts,
+        no_charts=no_charts,
         plotlyjs=extras.load("plotly.offline", *PLOTLY).get_plotlyjs() if charts else "",
     )

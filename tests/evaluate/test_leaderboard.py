@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -205,6 +206,21 @@ def test_page(results, capsys):
     assert "held out. Each result is drawn as it was scored" in page
     assert read_record(Leaderboard, out / "leaderboard.json").rows == tuple(rows_of(collect([*map(Path, arguments)])))
     assert (out / "leaderboard.csv").is_file() and (out / "leaderboard.md").is_file()
+
+
+def test_without_plotly_the_page_has_its_table_and_says_what_draws_the_chart(results, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    assert main([str(results / "exact"), str(results / "slow"), "--out", str(tmp_path)]) == 0
+    page = (tmp_path / "leaderboard.html").read_text()
+    assert "No chart of accuracy against time" in page and "[leaderboard]" in page and "Exact" in page
+
+
+def test_a_run_of_a_submission_has_its_name(results, tmp_path):
+    run = tmp_path / "submission/fire"
+    shutil.copytree(results / "slow", run)
+    (run / "method.json").unlink(missing_ok=True)
+    (tmp_path / "submission/method.json").write_text('{"name": "Theirs"}')
+    assert [result.name for result in collect([run])] == ["Theirs"]
 
 
 @pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
