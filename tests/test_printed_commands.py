@@ -23,20 +23,17 @@ from gof.sample import unpack_sample
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 GROUPS = ("benchmark", "capture", "figure", "study")  # `gof GROUP PART`: each part has options of its own
-LINE = re.compile(
-    r"^\s*(?:\S+: )?(gof [a-z]+ .*?)(?:\s{3,}.*)?$", re.MULTILINE
-)  # what it makes stands three blanks after
+LINE = re.compile(r"^ *(gof [a-z]+ (?!- ).*?)(?: {3,}.*)?$", re.MULTILINE)  # three blanks, then what it makes
 
 SERVER, HOURS, HARDWARE = "serves pages until it is stopped", "takes hours", "needs the board, or printed targets"
-OTHERS = "needs other people's code or files"
+OTHERS, SUITE = "needs other people's code or files", "tests/suite walks this way, with smaller scenes"
 NOT_RUN = {  # words that the command begins with: why
-    "gof capture PART": "stands for any part",
-    "gof figure PART": "stands for any part",
-    "gof benchmark PART": "stands for any part",
-    "gof study WHAT": "stands for any study",
     "gof baseline": OTHERS,
-    "gof benchmark check mine": "mine is one run, and a random method needs three: tests/suite checks submissions",
-    "gof benchmark score": "needs another's submission: tests/suite scores several",
+    "gof benchmark make": SUITE,
+    "gof reconstruct bench/": SUITE,
+    "gof benchmark add": SUITE,
+    "gof benchmark check": SUITE,
+    "gof benchmark score": SUITE,
     "gof capture board": HARDWARE,
     "gof capture calibrate": HARDWARE,
     "gof convert chkpnt30000.pth": OTHERS,
@@ -53,7 +50,7 @@ SMALL = {  # command: words put behind it
     "gof study dve": "--gaussians 100",
     "gof video": "--height 64 --seconds 0.2",
 }
-BLENDER = ("gof demo", "gof generate", "gof import", "gof benchmark make", "gof benchmark add")
+BLENDER = ("gof demo", "gof generate", "gof import")
 
 
 def help_of(*words: str) -> str:
@@ -66,7 +63,8 @@ def help_of(*words: str) -> str:
 @cache
 def pages() -> dict[str, list[str]]:
     """Commands by the page that prints them, in its order."""
-    found = {"README": re.findall(r"`(gof [a-z][^`]*)`", README.read_text(encoding="utf-8"))}
+    table = README.read_text(encoding="utf-8").split("| I want to | command |")[1].split("\n\n")[0]
+    found = {"README": re.findall(r"`(gof [a-z][^`]*)`", table)}
     found["gof"] = LINE.findall(help_of())
     for name in commands():
         if name == "baseline":
@@ -93,23 +91,21 @@ def test_what_is_not_run_is_printed_somewhere():
 # ---------------------------------------------------------------- running them
 
 
-@pytest.fixture(scope="module")
-def world(tmp_path_factory) -> Path:
+@pytest.fixture
+def world(tmp_path) -> Path:
     """A folder with the sample under the names that the pages use."""
-    folder = tmp_path_factory.mktemp("world")
-    unpack_sample(folder / "sample")
-    shutil.copytree(folder / "sample/fire", folder / "data/fire")
-    shutil.copytree(folder / "sample/result", folder / "out/fire")
-    (folder / "out/demo").mkdir()
-    (folder / "out/demo/dataset").symlink_to(folder / "data/fire")
-    (folder / "out/demo/reconstruct").symlink_to(folder / "out/fire")
-    for camera in range(3):
-        shutil.copyfile(folder / f"sample/clip/cam_{camera}.mp4", folder / f"cam_{camera}.mp4")
-    shutil.copyfile(folder / "sample/clip/cameras.json", folder / "cameras.json")
-    run("gof convert sample/submission/fire/result.npz out/other.ply", folder)
-    run("gof evaluate out/fire/result.npz --truth data/fire --no-images --out boards/ours", folder)
-    run("gof evaluate out/other.ply --truth data/fire --no-images --out boards/theirs", folder)
-    return folder
+    unpack_sample(tmp_path / "sample")
+    shutil.copytree(tmp_path / "sample/fire", tmp_path / "data/fire")
+    for name, part in (("out/fire", "result"), ("boards/ours", "result"), ("boards/theirs", "submission/fire")):
+        shutil.copytree(tmp_path / "sample" / part, tmp_path / name)
+    run("gof evaluate boards/ours --truth data/fire --no-images", tmp_path)
+    run("gof convert boards/theirs/result.npz out/other.ply", tmp_path)
+    (tmp_path / "out/demo").mkdir()
+    (tmp_path / "out/demo/dataset").symlink_to(tmp_path / "data/fire")
+    (tmp_path / "out/demo/reconstruct").symlink_to(tmp_path / "out/fire")
+    for film in (tmp_path / "sample/clip").iterdir():
+        shutil.copyfile(film, tmp_path / film.name)
+    return tmp_path
 
 
 def run(line: str, folder: Path) -> subprocess.CompletedProcess:
@@ -120,14 +116,23 @@ def run(line: str, folder: Path) -> subprocess.CompletedProcess:
     return subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True, timeout=550)
 
 
-CHEAP = [(page, [x for x in lines if not reason(x) and not x.startswith(BLENDER)]) for page, lines in pages().items()]
+def cases() -> list:
+    """Pages with the commands of theirs that are run; those that start Blender are marked."""
+    found = []
+    for page, lines in pages().items():
+        here = [line for line in lines if reason(line) is None]
+        if here:
+            marks = [pytest.mark.blender] if any(line.startswith(BLENDER) for line in here) else []
+            found.append(pytest.param(page, here, id=page.replace(" ", "_"), marks=marks))
+    return found
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "page, lines", [pair for pair in CHEAP if pair[1]], ids=lambda v: v if isinstance(v, str) else ""
-)
+@pytest.mark.parametrize("page, lines", cases())
 def test_what_a_page_prints_runs_in_its_order(page, lines, world):
+    for line in lines:
+        for made in re.findall(r"^gof (?:generate|ingest|reconstruct) .*--out (\S+)", line):
+            shutil.rmtree(world / made, ignore_errors=True)  # of the sample; now the reader makes it
     for line in lines:
         done = run(line, world)
         assert done.returncode == 0, f"{page}: {line}\n{done.stdout[-1500:]}\n{done.stderr[-1500:]}"
