@@ -31,8 +31,11 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove everything that ``register`` added."""
+    """Remove everything that ``register`` added; nothing where that has happened, as at the end of a wheel's Python."""
+    import bpy
+
     from . import ui
 
     atexit.unregister(unregister)
-    ui.unregister()
+    if hasattr(bpy.types.Scene, "gof"):
+        ui.unregister()

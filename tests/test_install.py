@@ -237,7 +237,7 @@ ASKED = {
         "gof/ingest/depth.py",
         "gof/io/importers/source.py",
     )
-    + ("gof/reconstruct/optical_flow.py", "gof/render/torch_api.py")
+    + ("gof/reconstruct/optical_flow.py", "gof/render/torch_api.py", "gof/render/gsplat.py")
     + tuple(f"gof/on_cpu/{p.name}" for p in ON_CPU.glob("*.py")),
     "gsplat": ("gof/on_cpu/methods.py",),
     "transformers": ("gof/ingest/depth.py",),

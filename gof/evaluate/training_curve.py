@@ -55,13 +55,13 @@ class TrainingCurve:
         try:
             with path.open(newline="", encoding="utf-8-sig") as file:
                 rows = [(int(r["step"]), float(r["processor_seconds"]), float(r["loss"])) for r in csv.DictReader(file)]
-            numbers = np.array(rows, np.float64)
-        except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError, OverflowError) as e:
+        except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError) as e:
             raise DataFormatError(f"{path}: no training curve with columns step, processor_seconds, loss ({e})") from e
         if not rows:
             raise DataFormatError(f"{path}: holds no point; was the training stopped at once?")
         if not all(1 / LARGEST <= number <= LARGEST for row in rows for number in row):
             raise DataFormatError(f"{path}: all numbers must be above zero, from 1e-30 to 1e30")
+        numbers = np.array(rows, np.float64)
         rising = (np.diff(numbers[:, 0]) > 0).all() and (np.diff(numbers[:, 1]) >= 0).all()
         if not rising:
             raise DataFormatError(f"{path}: steps and seconds must rise")

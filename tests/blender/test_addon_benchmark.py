@@ -210,10 +210,12 @@ def test_the_plan_is_that_of_this_spec_and_of_what_is_left(made, tmp_path):
     assert "Finished 20" in found["finished"] and "[Bake" not in found["finished"] and "About" not in found["finished"]
     assert "was made from" in found["changed"] and "clip," in found["changed"] and "Finished" not in found["changed"]
     assert "About" in found["changed"] and "choose" in found["changed"]
-    assert "12 pictures (4 x 3), 7 made" in found["begun"] and "left" in found["begun"] and "[Resume]" in found["begun"]
+    assert (
+        "18 pictures (6 x 3), 13 made" in found["begun"] and "left" in found["begun"] and "[Resume]" in found["begun"]
+    )
     shown = " ".join(found["begun"].split())
     height, width = cv2.imread(str(next(made.root.glob("cameras/cam_0/rgb/*.png")))).shape[:2]
-    assert f"of {width} x {height} pixels; 4 frames at 100 per s are 0.04 s" in shown
+    assert f"of {width} x {height} pixels; 6 frames at 100 per s are 0.06 s" in shown
     for text in (found["inside"], found["pressed"]):
         assert "in the fire" in text and "[Bake" not in text
     assert "cells" in found["hint"] and "[Bake & Render]" in found["hint"]

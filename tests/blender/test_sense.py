@@ -251,7 +251,10 @@ def test_looks_are_those_of_the_installed_blender():
 def test_what_cannot_be_read_or_made_is_said_in_words(tmp_path):
     (tmp_path / "empty.json").write_text(" \n")
     (tmp_path / "utf16.json").write_bytes(json.dumps(PLAIN.to_dict()).encode("utf-16"))
-    for name, words in (("empty", "the file is empty; copy or write it again"), ("utf16", "not UTF-8; save it so")):
+    for name, words in (
+        ("empty", "the file is empty; copy or write it again"),
+        ("utf16", "UTF-16 or UTF-32; save it as UTF-8"),
+    ):
         with pytest.raises(SpecError, match=f"{name}.json: .*{words}"):
             scene_spec.load(tmp_path / f"{name}.json")
     for folder in (tmp_path / "empty.json", tmp_path / "empty.json" / "inside"):

@@ -59,7 +59,7 @@ def test_boards_are_loaded_by_name_or_file(tmp_path):
     assert load_board(path).name == "rocsync"
     content["ring"]["count"] = 4
     path.write_text(json.dumps(content))
-    with pytest.raises(DataFormatError, match="'ring' must have 8 LEDs"):
+    with pytest.raises(DataFormatError, match="'ring.count' must be 8 to 1000"):
         load_board(path)
 
 

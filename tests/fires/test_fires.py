@@ -1,5 +1,6 @@
 """The benchmark's fires: dev and test are separate by construction, and made with one command."""
 
+import contextlib
 import json
 import shutil
 import subprocess
@@ -151,7 +152,14 @@ def test_fires_of_openfoam_are_left_out_where_it_is_not_installed(tmp_path, monk
         raise MissingDependencyError("fireFoam is not on PATH")
 
     monkeypatch.setattr(making, "bake", no_openfoam)
-    monkeypatch.setattr(making, "claim", lambda layout, spec: made.append(layout.root) or layout.description.touch())
+
+    @contextlib.contextmanager
+    def claimed(layout, spec):
+        made.append(layout.root)
+        layout.description.touch()
+        yield
+
+    monkeypatch.setattr(making, "claimed", claimed)
     monkeypatch.setattr(__main__, "fires", lambda split: toy_fires(tmp_path / "specs") if split == "dev" else [])
     (tmp_path / "work/dev/toy").mkdir(parents=True)
     assert __main__.main([str(tmp_path / "work")]) == 0

@@ -103,7 +103,7 @@ def test_without_a_folder_to_keep_them_kernels_are_compiled_each_time(tmp_path):
     assert [p.name for p in Path(tmp_path).iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("asked, expected", [("1", 1), ("1,4", 1), ("0", None), ("many", None), ("100000", None)])
+@pytest.mark.parametrize("asked, expected", [("1", 1), ("1,4", 1), ("100000", None)])
 def test_dr_jit_takes_as_many_threads_as_asked_and_never_more(asked, expected):
     program = "import drjit as dr; n = dr.thread_count(); import gof.render.backend; print(n, dr.thread_count())"
     environment = os.environ | {"OMP_NUM_THREADS": asked}

@@ -166,7 +166,9 @@ def test_scores_of_an_older_version_are_refused_with_the_remedy(out, tmp_path):
     content = json.loads((out / "scores.json").read_text())
     del content["schema"], content["version"]  # as before they were a record
     (tmp_path / "scores.json").write_text(json.dumps(content))
-    with pytest.raises(DataFormatError, match=r"scores\.json: not schema 'gof-scores' version 1; run 'gof evaluate"):
+    with pytest.raises(
+        DataFormatError, match=r"scores\.json: not schema 'gof-scores' version 1; to write it: gof evaluate"
+    ):
         main([str(tmp_path)])
 
 
