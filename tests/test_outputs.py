@@ -130,7 +130,7 @@ def test_what_fails_leaves_a_device_untouched(tmp_path):
 def test_files_get_their_names_in_one_place():
     """`os.replace` and its kin stand where this says: two rules for files, and folders that must not exist before."""
     files = {"gof.files", "gof_blender.pure.io.files"}
-    folders = {"gof.drafts", "gof_blender.pure.io.velocity_store"}
+    folders = {"gof.drafts", "gof_benchmark.commands.benchmark_add", "gof_blender.pure.io.velocity_store"}
     found = set()
     product = {n: path for n, path in modules().items() if not n.startswith("gof_benchmark.evidence")}
     for name, path in product.items():

@@ -7,7 +7,6 @@ means; linear pictures and true flow are left out.
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ import tyro
 from gof import extras
 from gof.dataset import CameraEntry, Dataset
 from gof.dataset.description import FILE
+from gof.drafts import whole_folder
 from gof.errors import GofError
 from gof.files import atomic_path, path_in
 from gof.terminal import console
@@ -56,12 +56,8 @@ def shrink(root: Path, out: Path, longest_side: int) -> None:
         raise GofError(f"{root}: its pictures are not larger than {longest_side} px")
     if any(_plate_depth(source, number).is_file() for number in range(len(dataset.cameras))):
         extras.load("OpenEXR", "generate", "writing depth")  # before anything is written
-    draft = out.with_name(f".{out.name}.{os.getpid()}.partial")
-    try:
+    with whole_folder(out) as draft:
         _write(source, draft, longest_side)
-        os.replace(draft, out)  # whole or not at all
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def _write(source: ViewSource, out: Path, longest_side: int) -> None:
