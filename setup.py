@@ -7,10 +7,13 @@ from setuptools import find_namespace_packages, setup
 
 FOLDERS = {"gof": "gof", "gof_benchmark": "benchmark", "gof_blender": "blender_addon"}
 
+# What proves claims of the pages, and how the prior was learned: run from a checkout.
+NOT_INSTALLED = [f"benchmark.{name}{inside}" for name in ("evidence", "training") for inside in ("", ".*")]
+
 packages = [
     name + package.removeprefix(folder)
     for name, folder in FOLDERS.items()
-    for package in find_namespace_packages(include=[folder, f"{folder}.*"])
+    for package in find_namespace_packages(include=[folder, f"{folder}.*"], exclude=NOT_INSTALLED)
     if "__pycache__" not in package
 ]
 setup(packages=packages, package_dir=FOLDERS)

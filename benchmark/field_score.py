@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate import dve
-from gof.gaussians import TransientGaussians
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.pace import GRAVITY, LAW

@@ -1,5 +1,5 @@
 import sys
 
-from gof.cli import main
+from gof.commands.cli import main
 
 sys.exit(main())

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
+from gof.core.fields import VelocityField, VelocitySequence
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import CameraEntry, DatasetDescription, Splits
-from gof.fields import VelocityField, VelocitySequence
-from gof.gaussians import TransientGaussians
 
 os.environ.setdefault("GOF_DEBUG", "1")  # a fault of ours shows where it is; tests of its words take this away
 

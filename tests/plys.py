@@ -1,4 +1,4 @@
-"""PLY files as the tests need them, written and read here in the plainest way: nothing of `gof.ply_file` is used."""
+"""PLY files as the tests need them, written and read here in the plainest way, without `gof.core.ply_file`."""
 
 from pathlib import Path
 

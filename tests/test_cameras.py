@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.cameras import Camera
-from gof.errors import DataFormatError, NonFiniteError
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError, NonFiniteError
 from tests.conftest import arc
 
 

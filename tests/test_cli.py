@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from gof import cli
-from gof.errors import GofError
+from gof.commands import cli
+from gof.core.errors import GofError
 
 
 def run(*arguments, **kwargs):
@@ -17,7 +17,7 @@ def run(*arguments, **kwargs):
 
 def test_help_names_every_command_and_loads_nothing_heavy():
     code = (
-        "import sys; from gof.cli import main; main(['--help']);"
+        "import sys; from gof.commands.cli import main; main(['--help']);"
         "heavy = {'numpy', 'torch', 'drjit', 'mitsuba', 'bpy', 'cv2', 'tyro'} & set(sys.modules);"
         "assert not heavy, heavy"
     )
@@ -84,8 +84,8 @@ def test_study_explains_and_names_every_study():
 
 
 def test_a_broken_machine_is_named(monkeypatch, capsys):
-    from gof import checks
     from gof.commands import doctor
+    from gof.host import checks
 
     few = [check for check in checks.CHECKS if check.name in ("Dr.Jit", "disk")]
     monkeypatch.setattr(doctor, "checks", lambda: few)
@@ -97,7 +97,7 @@ def test_a_broken_machine_is_named(monkeypatch, capsys):
 
 
 def test_a_check_that_fails_is_a_finding():
-    from gof.checks import Check, examine
+    from gof.host.checks import Check, examine
 
     def fails():
         raise RuntimeError("no such thing")
@@ -107,7 +107,7 @@ def test_a_check_that_fails_is_a_finding():
 
 
 def test_checks_of_other_packages_are_made_in_their_place():
-    from gof.checks import checks
+    from gof.host.checks import checks
 
     names = [check.name for check in checks()]
     assert names[:8] == ["Python", "system", "packages", "extras", "Dr.Jit", "renderer", "PyTorch", "OpenEXR"]

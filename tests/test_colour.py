@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gof.colour import linear_to_srgb, srgb_to_linear
+from gof.core.colour import linear_to_srgb, srgb_to_linear
 
 
 def test_srgb_end_points():

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from gof.records import from_json, to_json
+from gof.core.records import from_json, to_json
 from tools.import_graph import FOLDERS, ROOT, modules
 
 GOLDEN = Path(__file__).parent / "golden"

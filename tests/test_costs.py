@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from gof.costs import StageLog
-from gof.errors import DataFormatError
+from gof.core.costs import StageLog
+from gof.core.errors import DataFormatError
 
 
 def test_log_replaces_and_adds_up(tmp_path):
@@ -23,7 +23,7 @@ def test_log_replaces_and_adds_up(tmp_path):
 def test_wall_s_is_the_clock_of_all_runs_and_not_a_sum_of_stages(tmp_path, monkeypatch):
     """Stages of several processes overlap, and a second run adds to the first."""
     clock = iter([100.0, 103.0, 104.0, 500.0, 502.0])  # made, two records; made again, one record
-    monkeypatch.setattr("gof.costs.time.perf_counter", lambda: next(clock))
+    monkeypatch.setattr("gof.core.costs.time.perf_counter", lambda: next(clock))
     first = StageLog(tmp_path / "costs.json")
     first.record("bake", 2.0, 100)
     first.record("render", 9.0, 50)

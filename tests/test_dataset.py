@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError
 from gof.dataset import Dataset
 from gof.dataset.plates import background, save_plates
-from gof.errors import DataFormatError
 
 
 def change(folder, **fields):

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.core.datum import Datum
+from gof.core.errors import DataFormatError, GofError
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.datum import Datum
-from gof.errors import DataFormatError, GofError
-from gof.gaussians import TransientGaussians
 from gof.io.importers import read_result
 from tests.conftest import arc, random_gaussians
 

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from tests.test_contracts import OURS, strange
 
 pytestmark = pytest.mark.blender

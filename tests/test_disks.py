@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gof.errors import GofError
-from gof.files import only_run_in, write_json
-from gof.gaussians import TransientGaussians
+from gof.core.errors import GofError
+from gof.core.files import only_run_in, write_json
+from gof.core.gaussians import TransientGaussians
 from gof_benchmark.scenes import claimed
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.layout import Layout
@@ -139,7 +139,7 @@ def test_no_lock_is_left_in_a_folder_of_others(tmp_path):
 
 def test_the_folder_is_free_again_after_kill_9(tmp_path):
     code = (
-        "import os\nfrom pathlib import Path\nfrom gof.files import only_run_in\n"
+        "import os\nfrom pathlib import Path\nfrom gof.core.files import only_run_in\n"
         f"with only_run_in(Path({str(tmp_path)!r})):\n os.kill(os.getpid(), 9)"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == -9

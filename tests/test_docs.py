@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gof.cli import ALIASES, commands
+from gof.commands.cli import ALIASES, commands
 
 ROOT = Path(__file__).parents[1]
 EVIDENCE = ROOT / "benchmark/evidence"

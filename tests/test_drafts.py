@@ -8,14 +8,14 @@ import time
 
 import pytest
 
-from gof import drafts
-from gof.files import atomic_path, write_json
+from gof.core import drafts
+from gof.core.files import atomic_path, write_json
 
 KILLED = """
 import sys, time
 from pathlib import Path
-from gof.drafts import whole_folder
-from gof.files import atomic_path
+from gof.core.drafts import whole_folder
+from gof.core.files import atomic_path
 with {how}(Path(sys.argv[1])) as draft:
     (draft if "{how}" == "atomic_path" else draft / "x").write_bytes(bytes(1000))
     print("there", flush=True)

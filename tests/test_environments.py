@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gof import cli
-from gof.commands import no_such
-from gof.processes import python_command
+from gof.commands import cli, no_such
+from gof.host.processes import python_command
 from tests.conftest import random_gaussians
 
 posix = pytest.mark.skipif(os.name != "posix", reason="as Unix has it")
@@ -248,7 +247,7 @@ def test_what_is_not_there_is_said_without_a_progress_bar(folder, tiny_dataset, 
 
 
 def test_a_bar_is_seen_from_its_first_update_on(capsys):
-    from gof.progress import progress_bar
+    from gof.host.progress import progress_bar
 
     with progress_bar("work"):
         pass

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.cli import main as gof
-from gof.fields import VelocityField
-from gof.gaussians import TransientGaussians
+from gof.commands.cli import main as gof
+from gof.core.fields import VelocityField
+from gof.core.gaussians import TransientGaussians
 from tests.conftest import arc, write_dataset
 
 ROOT = Path(__file__).parents[1]
@@ -73,7 +73,7 @@ SAID = {  # page: words that stand for the reader's own files
 START = """
 import numpy as np
 from gof.dataset import Dataset
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 dataset = Dataset.open("data/fire")
 gaussians = TransientGaussians.load("flame.npz")
 camera, time_s, field = dataset.cameras[0], 0.12, dataset.velocity.at(0.12)

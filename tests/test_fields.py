@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from gof.errors import DataFormatError
-from gof.fields import VelocityField, VelocitySequence, _all_finite
+from gof.core.errors import DataFormatError
+from gof.core.fields import VelocityField, VelocitySequence, _all_finite
 
 
 def linear_field(matrix, offset, resolution=(6, 7, 8), origin=(-1, 2, 0.5), voxel=0.25, time_s=0.0):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.flame_mask import flame_mask
+from gof.footage.flame_mask import flame_mask
 
 ORANGE, WHITE, GLOW = (0.95, 0.6, 0.2), (1.0, 1.0, 0.95), (0.42, 0.33, 0.25)
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError, GofError, NonFiniteError
-from gof.gaussians import TransientGaussians
+from gof.core.errors import DataFormatError, GofError, NonFiniteError
+from gof.core.gaussians import TransientGaussians
 from tests.conftest import random_gaussians
 from tests.plys import read_ply
 

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
-from gof.files import write_json
-from gof.lens import CalibratedCamera, CamerasFile, Lens, prepare, read_cameras
-from gof.records import write_record
+from gof.core.errors import DataFormatError
+from gof.core.files import write_json
+from gof.core.records import write_record
+from gof.footage.lens import CalibratedCamera, CamerasFile, Lens, prepare, read_cameras
 
 LENS = Lens(
     320, 180, np.array([[280.0, 0, 163], [0, 280.5, 88], [0, 0, 1]]), np.array([-0.25, 0.06, 0.0005, -0.0005, 0.0])

@@ -10,7 +10,7 @@ import urllib.request
 import psutil
 import pytest
 
-from gof.cli import main
+from gof.commands.cli import main
 from tests.conftest import random_gaussians
 from tests.test_docs import ROOT
 
@@ -40,7 +40,7 @@ def test_the_generators_own_cluster_opens_no_socket():
 @pytest.fixture(scope="module")
 def viewer(tmp_path_factory):
     pytest.importorskip("viser")
-    from gof.report.viewer import Viewer
+    from gof.look.viewer import Viewer
 
     path = random_gaussians(20).save(tmp_path_factory.mktemp("view") / "result.npz")
     before = listening()
@@ -119,7 +119,7 @@ def messages(server) -> list:
 
 
 def test_a_host_that_was_asked_for_is_served_to_its_own_pages(monkeypatch):
-    from gof.report.own_pages import is_own_page
+    from gof.look.own_pages import is_own_page
 
     monkeypatch.setattr(socket, "gethostname", lambda: "Cluster7")
     assert is_own_page({"Host": "cluster7:8080", "Origin": "http://cluster7:8080"}, "0.0.0.0")

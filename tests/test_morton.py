@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gof.morton import morton_order
+from gof.core.morton import morton_order
 
 
 def test_a_grid_is_walked_octant_by_octant():

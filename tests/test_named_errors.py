@@ -17,19 +17,19 @@ import cv2
 import numpy as np
 import pytest
 
-from gof import cli, files
 from gof.capture import protocol
 from gof.capture.protocol import Identity, ProtocolError
-from gof.commands import convert, leaderboard
+from gof.commands import cli, convert, leaderboard
+from gof.core import files
+from gof.core.errors import DataFormatError, GofError
+from gof.core.npz import read_npy, read_npz
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.errors import DataFormatError, GofError
 from gof.evaluate import evaluate
 from gof.evaluate.depth import read_depth
 from gof.evaluate.leaderboard import Row, collect, to_csv, to_markdown
+from gof.footage.lens import Lens
 from gof.ingest.plates import read_plate
-from gof.lens import Lens
-from gof.npz import read_npy, read_npz
 from gof.reconstruct.background import plate_depths
 from tests.conftest import random_gaussians
 from tests.test_reliability import allocated
@@ -51,7 +51,7 @@ def test_messages_do_not_fill_the_terminal():
 
 
 def test_a_commands_tables_hold_nothing_that_acts(tmp_path, capsys):
-    from gof.terminal import console
+    from gof.host.terminal import console
 
     console().print(f"[/b]{ESCAPE}[bold]x [link=file:///etc/passwd]y :fire:")
     said = capsys.readouterr().out
@@ -139,7 +139,7 @@ def test_paths_with_markup_are_printed_as_they_are(tmp_path, capsys):
 
 
 def test_costs_with_other_fields_are_named(tmp_path):
-    from gof.costs import StageLog
+    from gof.core.costs import StageLog
 
     stage = {"name": "x", "seconds": "long", "peak_mb": 1, "settings": {}}
     (tmp_path / "costs.json").write_text(json.dumps({"schema": "gof-costs", "version": 1, "stages": [stage]}))
@@ -312,7 +312,7 @@ def test_stores_of_another_zarr_version_are_refused(tmp_path):
     """Version 2 has codecs that run code from the file."""
     import zarr
 
-    from gof.fields import open_array
+    from gof.core.fields import open_array
 
     array = zarr.create_array(str(tmp_path / "v.zarr"), shape=(1, 2, 2, 2, 3), dtype="f4", zarr_format=2)
     array[:] = 0
@@ -341,7 +341,7 @@ def test_a_report_of_a_camera_that_is_none(evaluated, tiny_dataset, camera):
 @pytest.mark.parametrize(("camera", "frame"), [(7, 0), (0, 7), (-1, 0), (0, -1)])
 def test_a_preview_of_a_picture_that_is_none(evaluated, tiny_dataset, camera, frame):
     from gof.commands import report
-    from gof.report import Preview
+    from gof.look.preview import Preview
 
     cv2.imwrite(str(evaluated / "p.png"), np.zeros((8, 8, 3), np.uint8))
     Preview("p.png", camera, frame).write(evaluated / "preview.json")
@@ -386,8 +386,8 @@ def test_a_folder_in_place_of_a_file_is_named(tmp_path):
 
 def test_scores_name_no_place_on_their_authors_machine(tiny_dataset, tmp_path):
     """The result is found again from the scores' own folder, wherever both are moved."""
-    from gof.evaluate.leaderboard_page import read_again
     from gof.evaluate.scores import Scores
+    from gof.look.leaderboard_page import read_again
 
     result = random_gaussians(30).save(tmp_path / "theirs" / "run 7" / "r.npz")
     scores = evaluate(result, Dataset.open(tiny_dataset), images=False)
@@ -416,7 +416,7 @@ def test_json_is_read_from_files_only(tmp_path, kind):
 
 @pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n half", b"GIF89a", b"<svg></svg>"])
 def test_a_damaged_picture_of_a_report_is_named(tmp_path, content):
-    from gof.report.animation import data_uri
+    from gof.look.animation import data_uri
 
     (tmp_path / "1.png").write_bytes(content)
     with pytest.raises(DataFormatError, match=r"1\.png: cannot be decoded"):

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.cameras import Camera
 from gof.capture import annotate as annotate_module
 from gof.capture.template import BoardTemplate
+from gof.core.cameras import Camera
+from gof.core.drafts import draft_of
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import is_name, path_in
 from gof.dataset import Dataset
 from gof.dataset.plates import background, save_plates
-from gof.drafts import draft_of
-from gof.errors import DataFormatError, GofError
 from gof.evaluate.depth import read_depth
-from gof.files import is_name, path_in
+from gof.look.preview import Preview
+from gof.look.report import _stage_pictures
 from gof.reconstruct.captions import Caption, Captions
-from gof.report.page import _stage_pictures
-from gof.report.preview import Preview
 from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.description import DatasetDescription as DescriptionOfTheAddOn
 from gof_blender.pure.io import FileFormatError, velocity_reader
@@ -263,7 +263,7 @@ def test_a_view_never_links_what_lies_outside(tmp_path):
 
 
 def test_no_grid_is_read_from_a_pipe(tmp_path):
-    from gof.fields import VelocityField, VelocitySequence
+    from gof.core.fields import VelocityField, VelocitySequence
 
     field = VelocityField.from_array(np.ones((4, 4, 4, 3)), (0, 0, 0), 0.5, 0.0)
     VelocitySequence.create(tmp_path / "velocity.zarr", [field])
@@ -334,7 +334,7 @@ def test_the_scene_of_a_dataset_uses_files_of_the_dataset(tiny_dataset, tmp_path
 @pytest.mark.parametrize("writer", ["gof", "add-on"])
 def test_a_draft_is_never_written_through_a_link(writer, tmp_path):
     """A folder from somebody else may hold links where our temporary files go."""
-    from gof import files
+    from gof.core import files
 
     victim = tmp_path / "victim"
     victim.write_text("precious")
@@ -351,7 +351,7 @@ def test_a_draft_is_never_written_through_a_link(writer, tmp_path):
 
 
 def test_a_lock_is_never_written_through_a_link(tmp_path):
-    from gof.files import only_run_in
+    from gof.core.files import only_run_in
 
     victim = tmp_path / "victim"
     victim.write_text("precious")

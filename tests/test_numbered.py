@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from gof import numbered
-from gof.errors import DataFormatError
+from gof.core import numbered
+from gof.core.errors import DataFormatError
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io import numbered as numbered_of_the_add_on
 

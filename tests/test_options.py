@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.cli import COMMANDS, main
+from gof.commands.cli import COMMANDS, main
+from gof.core.errors import DataFormatError, GofError
+from gof.core.fields import VelocityField, VelocitySequence
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
-from gof.fields import VelocityField, VelocitySequence
-from gof.options import require_number
+from gof.host.options import require_number
 from tests.conftest import random_gaussians
 
 NO = ("nan", "inf", "-inf", "-3", "0")

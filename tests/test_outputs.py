@@ -9,9 +9,9 @@ import threading
 
 import pytest
 
-from gof.cli import main
-from gof.files import atomic_path, write_json
-from gof.processes import python_command
+from gof.commands.cli import main
+from gof.core.files import atomic_path, write_json
+from gof.host.processes import python_command
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io import files as files_of_the_add_on
 from tests.conftest import random_gaussians
@@ -129,8 +129,8 @@ def test_what_fails_leaves_a_device_untouched(tmp_path):
 
 def test_files_get_their_names_in_one_place():
     """`os.replace` and its kin stand where this says: two rules for files, and folders that must not exist before."""
-    files = {"gof.files", "gof_blender.pure.io.files"}
-    folders = {"gof.drafts", "gof_benchmark.commands.benchmark_add", "gof_blender.pure.io.velocity_store"}
+    files = {"gof.core.files", "gof_blender.pure.io.files"}
+    folders = {"gof.core.drafts", "gof_benchmark.commands.benchmark_add", "gof_blender.pure.io.velocity_store"}
     found = set()
     product = {n: path for n, path in modules().items() if not n.startswith("gof_benchmark.evidence")}
     for name, path in product.items():

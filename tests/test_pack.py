@@ -10,13 +10,13 @@ import tarfile
 import numpy as np
 import pytest
 
-from gof.cli import main
 from gof.commands import pack as pack_command
 from gof.commands import unpack as unpack_command
+from gof.commands.cli import main
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
 from gof.dataset.pack import files_of, pack, unpack, verify
 from gof.dataset.truth import Truth
-from gof.errors import DataFormatError, GofError
 from tests.evaluate.synthetic_flame import flame_dataset
 
 

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError
 from gof.dataset import Dataset
 from gof.dataset.plates import background, save_plates
-from gof.errors import DataFormatError
 
 
 @pytest.fixture

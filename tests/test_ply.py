@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gof.errors import DataFormatError
-from gof.ply_file import read_vertices, write_vertices
+from gof.core.errors import DataFormatError
+from gof.core.ply_file import read_vertices, write_vertices
 from tests.plys import read_ply, write_ply
 
 TRIANGLE = [(0.0, 1.5, 7), (2.0, -3.25, 255)]  # x, y, red of two vertices

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gof import files
+from gof.core import files
+from gof.core.fields import VelocityField
 from gof.evaluate import dve
-from gof.fields import VelocityField
 from gof_blender.pure.io import files as of_the_add_on
 from tests.conftest import random_gaussians
 
@@ -71,7 +71,7 @@ def test_what_leads_out_on_windows_is_no_name(module, name):
 
 def test_a_folder_is_held_without_unix_locks_too(tmp_path):
     """Two processes: the second is refused, and says who works there; when the first ends it may."""
-    code = "import os\nfrom pathlib import Path\nfrom gof.files import only_run_in\n"
+    code = "import os\nfrom pathlib import Path\nfrom gof.core.files import only_run_in\n"
     hold = code + "with only_run_in(Path(sys.argv[1])):\n    print(os.getpid(), flush=True)\n    sys.stdin.read()\n"
     first = subprocess.Popen(
         [sys.executable, "-c", WITHOUT_UNIX + hold, str(tmp_path)],
@@ -93,7 +93,7 @@ def test_a_folder_is_held_without_unix_locks_too(tmp_path):
 def test_every_module_is_imported_without_unix():
     code = (
         "import importlib, pkgutil, gof\n"
-        "from gof.errors import MissingDependencyError\n"
+        "from gof.core.errors import MissingDependencyError\n"
         "names = [m.name for m in pkgutil.walk_packages(gof.__path__, 'gof.') if not m.name.endswith('__main__')]\n"
         "for name in names:\n"
         "    try:\n"
@@ -117,7 +117,7 @@ def test_without_unix_an_import_of_it_fails():
 
 def test_peak_memory_is_that_of_this_process():
     """A child takes a known 64 MB more than another."""
-    code = "from gof.costs import peak_memory_mb; x = bytearray(b'x') * {}; print(peak_memory_mb())"
+    code = "from gof.core.costs import peak_memory_mb; x = bytearray(b'x') * {}; print(peak_memory_mb())"
     runs = [subprocess.check_output([sys.executable, "-c", code.format(n)]) for n in (1, 64 << 20)]
     assert 60 < float(runs[1]) - float(runs[0]) < 80
 

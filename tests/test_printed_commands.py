@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from gof.cli import commands, main
+from gof.commands.cli import commands, main
 from gof.sample import unpack_sample
 
 ROOT = Path(__file__).parents[1]

@@ -13,9 +13,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from gof import processes
-from gof.cli import main
-from gof.errors import GofError
+from gof.commands.cli import main
+from gof.core.errors import GofError
+from gof.host import processes
 from tests.conftest import random_gaussians
 from tools.import_graph import modules
 
@@ -122,9 +122,9 @@ def test_baseline_finds_the_modules_beside_the_script_and_nothing_here(hostile, 
 
 def test_there_is_one_way_to_start_python():
     """No other file takes `sys.executable`, and in the product none calls `subprocess` or starts others' programs."""
-    python = {"gof.processes", "gof_blender.pure.child"}
+    python = {"gof.host.processes", "gof_blender.pure.child"}
     python |= {"gof_benchmark.evidence.baseline_rows"}  # the default of an option: whose Python others' code runs in
-    start = {"gof.processes"} | {f"gof_blender.pure.{name}_process" for name in ("dataset", "look", "score")}
+    start = {"gof.host.processes"} | {f"gof_blender.pure.{name}_process" for name in ("dataset", "look", "score")}
     calls = {"run", "Popen", "call", "check_call", "check_output", "getoutput", "getstatusoutput"}
     # of `os`: others' ways; of `multiprocessing` and `concurrent.futures`: spawned children look here first, too
     other = {"system", "popen", "execv", "execve", "execl", "execvp", "spawnv", "spawnl", "posix_spawn", "startfile"}
@@ -146,7 +146,7 @@ def test_there_is_one_way_to_start_python():
                     wrong.append(f"{where} imports {imported}")
                 if imported in {"sys.executable"} | {f"subprocess.{call}" for call in calls}:
                     wrong.append(f"{where} imports {imported}")
-    assert not wrong, "use gof.processes:\n" + "\n".join(wrong)
+    assert not wrong, "use gof.host.processes:\n" + "\n".join(wrong)
 
 
 def _dotted(node: ast.AST) -> tuple[str, str]:

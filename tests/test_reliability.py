@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError, GofError
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
-from gof.gaussians import TransientGaussians
 from gof.io.importers import read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
 from gof.io.importers.normalisation import world_from_training
@@ -384,7 +384,7 @@ def test_every_injury_changes_something():
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "9" * 5000, '{"schema": "\\udcff"}', '{"name": "\\ud800x"}'])
 def test_specs_of_endless_brackets_numbers_and_halves_of_characters_are_refused(tmp_path, text):
-    from gof.files import read_json
+    from gof.core.files import read_json
     from gof_blender.pure import spec
 
     path = tmp_path / "spec.json"
@@ -396,7 +396,7 @@ def test_specs_of_endless_brackets_numbers_and_halves_of_characters_are_refused(
 
 
 def test_whole_characters_in_two_halves_are_text(tmp_path):
-    from gof.files import read_json
+    from gof.core.files import read_json
 
     (tmp_path / "a.json").write_text('["\\ud83d\\udd25"]')
     assert read_json(tmp_path / "a.json") == ["\U0001f525"]
@@ -410,7 +410,7 @@ def test_the_campaign_sees_a_name_that_escapes(tmp_path, monkeypatch):
     file.write_text(file.read_text().replace('"cam_0"', '"../../../gof-escaped"'))
     with pytest.raises(GofError, match="plain name"):
         form.read(tmp_path)
-    monkeypatch.setattr("gof.cameras.is_name", lambda name: True)
+    monkeypatch.setattr("gof.core.cameras.is_name", lambda name: True)
     monkeypatch.setattr("gof.dataset.plates.path_in", lambda folder, name: folder / name)
     with pytest.raises(AssertionError, match="outside"):
         form.read(tmp_path)
@@ -418,7 +418,7 @@ def test_the_campaign_sees_a_name_that_escapes(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
 def test_records_hold_finite_numbers(tmp_path, number):
-    from gof.costs import StageLog
+    from gof.core.costs import StageLog
 
     log = StageLog(tmp_path / "costs.json")
     log.record("stage", 1.5, 2.0, {"cells": [3.0]})

@@ -11,8 +11,8 @@ import pytest
 
 from gof.commands.background import main as background
 from gof.commands.reconstruct import main as reconstruct
+from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.reconstruct.curve import CurveLog, HeldOutScores
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.cli import main
+from gof.commands.cli import main
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.submission import Submission
-from gof.gaussians import TransientGaussians
 
 
 @pytest.fixture(scope="module")

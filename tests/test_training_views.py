@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError, GofError
+from gof.core.ply_file import read_vertices
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
-from gof.ply_file import read_vertices
 from gof_benchmark import views
 from gof_benchmark.views import shrunk
 from tests.on_cpu import made_up_fire as fire

@@ -9,14 +9,14 @@ import time
 import psutil
 import pytest
 
-from gof.errors import GofError
-from gof.worker import run_worker
+from gof.core.errors import GofError
+from gof.host.worker import run_worker
 
 
 @pytest.mark.long
 def test_worker_reports_cost_and_last_figures(tmp_path):
     code = (
-        "from gof.progress import progress_bar; x = bytearray(150 << 20); import time\n"
+        "from gof.host.progress import progress_bar; x = bytearray(150 << 20); import time\n"
         "with progress_bar('work') as update:\n"
         "  [update(i, 3, note='n') or time.sleep(.4) for i in range(1, 4)]\n"
         "print('chatter')"
@@ -32,8 +32,10 @@ def test_failing_worker_shows_its_last_words(tmp_path):
 
 
 def test_progress_passes_through_nested_workers():
-    inner = "from gof.progress import report_progress; report_progress('inner', 2, 2)"
-    outer = f"import sys; from gof.worker import run_worker; run_worker([sys.executable, '-c', {inner!r}], 'outer')"
+    inner = "from gof.host.progress import report_progress; report_progress('inner', 2, 2)"
+    outer = (
+        f"import sys; from gof.host.worker import run_worker; run_worker([sys.executable, '-c', {inner!r}], 'outer')"
+    )
     assert run_worker([sys.executable, "-c", outer], "top").settings["stage"] == "inner"
 
 
@@ -42,12 +44,14 @@ def test_progress_passes_through_nested_workers():
 )
 def test_killing_the_parent_kills_the_whole_chain(tmp_path):
     inner = f"import os, time; open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid())); time.sleep(60)"
-    outer = f"import sys; from gof.worker import run_worker; run_worker([sys.executable, '-c', {inner!r}], 'inner')"
+    outer = (
+        f"import sys; from gof.host.worker import run_worker; run_worker([sys.executable, '-c', {inner!r}], 'inner')"
+    )
     top = subprocess.Popen(
         [
             sys.executable,
             "-c",
-            f"import sys; from gof.worker import run_worker; run_worker([sys.executable, '-c', {outer!r}], 'x')",
+            f"import sys; from gof.host.worker import run_worker; run_worker([sys.executable, '-c', {outer!r}], 'x')",
         ]
     )
     for _ in range(200):

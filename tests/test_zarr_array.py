@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gof.errors import DataFormatError
-from gof.zarr_array import ZarrArray
+from gof.core.errors import DataFormatError
+from gof.core.zarr_array import ZarrArray
 
 zarr = pytest.importorskip("zarr", minversion="3")
 from zarr.codecs import BloscCodec, BytesCodec, GzipCodec, ZstdCodec  # noqa: E402

@@ -21,7 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 NAME = "gaussians-on-fire"
 # The evaluator, the importers, the renderer, files, the command line: what `pip install gaussians-on-fire` is for.
-PARTS = ["evaluate", "render", "io", "report", "test_cli.py", "test_dataset.py", "test_fields.py", "test_gaussians.py"]
+PARTS = ["evaluate", "render", "io", "look", "test_cli.py", "test_dataset.py", "test_fields.py", "test_gaussians.py"]
 PARTS += ["test_install.py", "test_names.py", "test_ply.py", "test_portable.py", "test_zarr_array.py"]
 TOOLS = [
     "plotly>=6,<8",

@@ -17,10 +17,10 @@ import sys
 import zipfile
 from pathlib import Path
 
+from gof.core.files import atomic_path, write_json
+from gof.core.records import write_record
 from gof.dataset import Dataset
-from gof.files import atomic_path, write_json
-from gof.lens import CalibratedCamera, CamerasFile
-from gof.records import write_record
+from gof.footage.lens import CalibratedCamera, CamerasFile
 from gof.sample import CHANGED_NS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -59,7 +59,7 @@ def main() -> int:
 
 
 def run(*words) -> None:
-    subprocess.run([sys.executable, "-m", "gof.cli", *map(str, words)], check=True)
+    subprocess.run([sys.executable, "-m", "gof.commands.cli", *map(str, words)], check=True)
 
 
 def keep_fire(dataset: Path, out: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 
 from gof.commands import no_such
-from gof.errors import GofError
+from gof.core.errors import GofError
 
 PARTS = {
     "list": (

@@ -11,17 +11,17 @@ from typing import Annotated, Literal
 import tyro
 
 from gof.commands.foreign_options import ForeignOptions
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import is_name, only_run_in
 from gof.dataset import Dataset
 from gof.dataset.leaks import FILE as MADE_FROM
 from gof.dataset.leaks import MadeFrom
-from gof.errors import DataFormatError, GofError
 from gof.evaluate import evaluate
 from gof.evaluate.scores import Scores
 from gof.evaluate.submission import ADDING, PICTURES, SCORES, Run, write_pictures
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
-from gof.files import is_name, only_run_in
-from gof.progress import progress_bar
+from gof.host.progress import progress_bar
 from gof_benchmark.suite.made import MadeScene, scene_of
 
 BESIDE = (MADE_FROM, "costs.json")  # of a reconstruction of ours, and its plates

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import tyro
 
+from gof.core.files import write_json
 from gof.evaluate.submission import Submission
 from gof.evaluate.submission_check import Finding, check
-from gof.files import write_json
-from gof.terminal import console
+from gof.host.terminal import console
 from gof_benchmark.suite.made import made_scenes
 
 STYLES = {"ok": "green", "hint": "yellow", "refused": "bold red"}

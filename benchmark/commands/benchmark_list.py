@@ -10,8 +10,8 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from gof.files import write_json
-from gof.terminal import console
+from gof.core.files import write_json
+from gof.host.terminal import console
 from gof_benchmark.suite import Size, SuiteScene, scenes_of, suite_name
 from gof_blender.pure.cost_model import REFERENCE, duration, known_machine, predict
 

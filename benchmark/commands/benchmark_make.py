@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 
 import tyro
 
+from gof.core.errors import MissingDependencyError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import MissingDependencyError
-from gof.files import write_json
-from gof.terminal import console
+from gof.host.terminal import console
 from gof_benchmark.fires.making import make, predicted_s
 from gof_benchmark.suite import Size, pick, scenes_of
 from gof_benchmark.suite.truths import compare

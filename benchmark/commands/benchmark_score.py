@@ -12,24 +12,24 @@ from typing import Annotated, Literal
 import tyro
 
 from gof import __version__
+from gof.core.errors import GofError
+from gof.core.files import atomic_path
+from gof.core.records import to_json, write_record
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate.eddy_time import eddy_time
 from gof.evaluate.leaderboard import EvaluatedResult
-from gof.evaluate.leaderboard_page import PageGrid
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
 from gof.evaluate.submission import PICTURES, SCORES, Run, Submission
 from gof.evaluate.submission_check import OPACITY, ORDER, check, score_again
 from gof.evaluate.suite_board import ScoredScene, board
-from gof.evaluate.suite_page import to_html, to_markdown
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
-from gof.files import atomic_path
-from gof.records import to_json, write_record
-from gof.show.comparison import Moment
-from gof.show.flat import side_by_side
-from gof.terminal import console
+from gof.host.terminal import console
+from gof.look.comparison import Moment
+from gof.look.flat import side_by_side
+from gof.look.leaderboard_page import PageGrid
+from gof.look.suite_page import to_html, to_markdown
 from gof_benchmark.suite import pick, scenes_of, suite_name
 from gof_benchmark.suite.made import MadeScene, made_scenes
 

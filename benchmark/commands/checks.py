@@ -1,4 +1,4 @@
-"""What scenes need of the machine: Blender and its fire. The entry point `gof.checks` brings it into `gof doctor`."""
+"""Checks of Blender and its fire. The entry point `gof.checks` brings them into `gof doctor`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import importlib.util
 import tempfile
 from pathlib import Path
 
-from gof import extras
-from gof.checks import Check, Outcome, child, last_line
+from gof.host import extras
+from gof.host.checks import Check, Outcome, child, last_line
 from gof_blender.pure import spec
 from gof_blender.pure.clip import Clip
 from gof_blender.pure.spec import Domain, SceneSpec

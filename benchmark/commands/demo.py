@@ -12,15 +12,15 @@ from typing import ClassVar
 
 import tyro
 
-from gof.cameras import in_words
-from gof.costs import StageCost, StageLog
-from gof.errors import GofError
+from gof.core.cameras import in_words
+from gof.core.costs import StageCost, StageLog
+from gof.core.errors import GofError
+from gof.core.files import write_json
+from gof.core.records import claim, to_json
 from gof.evaluate.scores import Scores
-from gof.files import write_json
-from gof.processes import python_command
+from gof.host.processes import python_command
+from gof.host.worker import run_worker
 from gof.reconstruct.presets import LEAST
-from gof.records import claim, to_json
-from gof.worker import run_worker
 from gof_benchmark.scenes import load_scene
 
 

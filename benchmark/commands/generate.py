@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from gof.costs import Costs, StageLog
-from gof.errors import GofError
-from gof.files import write_json
-from gof.terminal import console
+from gof.core.costs import Costs, StageLog
+from gof.core.errors import GofError
+from gof.core.files import write_json
+from gof.host.terminal import console
 from gof_benchmark.generator.graph import require_certificate
 from gof_benchmark.generator.looks import require_look
 from gof_benchmark.scenes import claimed, load_scene

@@ -8,13 +8,13 @@ from typing import Annotated, Literal
 
 import tyro
 
-from gof import extras
+from gof.core.files import require_replaceable, write_json
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.files import require_replaceable, write_json
-from gof.gaussians import TransientGaussians
-from gof.processes import python_command
-from gof.report.preview import Preview
-from gof.worker import run_worker
+from gof.host import extras
+from gof.host.processes import python_command
+from gof.host.worker import run_worker
+from gof.look.preview import Preview
 
 
 @dataclass

@@ -6,7 +6,7 @@ import importlib
 from dataclasses import dataclass
 
 from gof.commands import no_such
-from gof.errors import GofError
+from gof.core.errors import GofError
 
 
 @dataclass(frozen=True)

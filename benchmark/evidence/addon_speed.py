@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from gof.files import write_json
+from gof.core.files import write_json
 from gof_benchmark.evidence import child
 
 FRAMES = 36  # of the baked sequence, and of the playback
@@ -128,7 +128,7 @@ def print_goals(costs: dict[Case, Cost]) -> None:
 
 def write_result(path: Path, count: int) -> None:
     """A flame-like cloud: Gaussians of 2 to 10 mm in a column of 1 m, alive for a tenth of the clip each."""
-    from gof.gaussians import TransientGaussians
+    from gof.core.gaussians import TransientGaussians
 
     rng = np.random.default_rng(0)
     position = rng.normal(0, 0.1, (count, 3)) * [1, 1, 0] + rng.uniform(0, 1, (count, 1)) * [0, 0, 1]

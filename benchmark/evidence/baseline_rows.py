@@ -25,12 +25,12 @@ from pathlib import Path
 
 import tyro
 
-from gof.costs import Costs, StageCost, StageLog
+from gof.core.costs import Costs, StageCost, StageLog
+from gof.core.errors import GofError
+from gof.core.files import write_json
+from gof.core.records import write_record
 from gof.dataset import Dataset
-from gof.errors import GofError
-from gof.files import write_json
-from gof.processes import python_command
-from gof.records import write_record
+from gof.host.processes import python_command
 from gof_benchmark.evidence.scene_rows import table
 from gof_benchmark.views import shrunk
 

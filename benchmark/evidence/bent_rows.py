@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.cameras import Camera
 from gof.capture.brightness import sample
-from gof.errors import GofError
-from gof.files import write_json
-from gof.flame_mask import flame_mask
-from gof.footage import stored_frames
-from gof.gaussians import TransientGaussians
-from gof.lens import Lens, prepare
+from gof.core.cameras import Camera
+from gof.core.errors import GofError
+from gof.core.files import write_json
+from gof.core.gaussians import TransientGaussians
+from gof.footage.flame_mask import flame_mask
+from gof.footage.lens import Lens, prepare
+from gof.footage.videos import stored_frames
 
 ROW_TIME_S, FPS = 2.85e-6, 400  # of the cameras' 720 rows (paper)
 TURN = "clockwise"  # of capture_04 and capture_05: rows are read towards the left

@@ -14,8 +14,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from gof.errors import GofError, MissingDependencyError
-from gof.processes import python_command
+from gof.core.errors import GofError, MissingDependencyError
+from gof.host.processes import python_command
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 # Software drawing where there is no GPU; nothing is asked of the network by the browser itself.

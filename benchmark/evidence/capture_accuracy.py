@@ -30,8 +30,8 @@ from gof.capture.sync import synchronise
 from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.capture.times import VideoTimes
-from gof.errors import GofError
-from gof.files import write_json
+from gof.core.errors import GofError
+from gof.core.files import write_json
 
 SHOWN = ("frame_interval_us", "rms_us", "max_residual_us", "outliers", "row_time_us", "readout", "faults")
 GOAL_US, GOAL_COMPRESSED_US, GOAL_REAL_US = 5.0, 15.0, 9.0

@@ -19,7 +19,7 @@ from gof.capture.decode import DecodeOptions, decode
 from gof.capture.signals import Signals, make_signals, read_signals
 from gof.capture.strips import NotDecodable
 from gof.capture.template import BoardTemplate
-from gof.files import write_json
+from gof.core.files import write_json
 
 CAMERAS = (
     ("capture_05/scene_0006", 0, "all 14"),

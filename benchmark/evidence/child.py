@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from gof.processes import python_command
+from gof.host.processes import python_command
 
 CODE = """\
 import json, os, sys

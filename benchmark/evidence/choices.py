@@ -15,10 +15,10 @@ from unittest.mock import patch
 
 import tyro
 
+from gof.core.errors import GofError
+from gof.core.files import read_json, write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate import evaluate
-from gof.files import read_json, write_json
 from gof.reconstruct.methods import METHODS, OURS, PAPER, Method
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import tyro
 
-from gof.costs import StageLog
-from gof.files import read_json, write_json
-from gof.processes import python_command
+from gof.core.costs import StageLog
+from gof.core.files import read_json, write_json
+from gof.host.processes import python_command
 from gof_benchmark.evidence import child
 from gof_benchmark.generator import machine
 from gof_benchmark.scenes import load_scene

@@ -17,11 +17,11 @@ import numpy as np
 import tyro
 
 from gof.dataset import Dataset
+from gof.look import line_chart
+from gof.look.paper import require_figure
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import observe
-from gof.show import line_chart
-from gof.show.paper import require_figure
 from gof_benchmark.field_score import within
 from gof_benchmark.preview_field import open_small, preview_field
 

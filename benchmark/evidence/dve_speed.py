@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 import tyro
 
-from gof.fields import VelocitySequence
-from gof.files import write_json
-from gof.gaussians import TransientGaussians
+from gof.core.fields import VelocitySequence
+from gof.core.files import write_json
+from gof.core.gaussians import TransientGaussians
 from gof_benchmark.evidence import child
 from gof_blender.pure.io.velocity_store import VelocityWriter
 
@@ -148,8 +148,8 @@ def means_with_scipy(
     """Expected velocities (N, 3) m/s."""
     from scipy.ndimage import map_coordinates
 
+    from gof.core.rotations import rotation_matrices
     from gof.evaluate.quadrature import product_rule
-    from gof.rotations import rotation_matrices
 
     velocity = np.ascontiguousarray(np.moveaxis(sequence.frame(0).velocity.astype(np.float32), -1, 0))
     nodes, weights = product_rule(3)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.files import atomic_path, read_json, write_json
+from gof.core.files import atomic_path, read_json, write_json
 from gof_benchmark.generator.blender_process import Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure import effects

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import tyro
 
+from gof.core.datum import Datum
+from gof.core.description import DatasetDescription
+from gof.core.files import read_json, write_json
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.dataset.description import DatasetDescription
-from gof.datum import Datum
 from gof.evaluate import evaluate
-from gof.files import read_json, write_json
-from gof.gaussians import TransientGaussians
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.processes import python_command
+from gof.host.processes import python_command
 from gof_benchmark.fires import laws, measures
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.clip import Clip

@@ -19,7 +19,7 @@ from gof.capture.decode import DecodeOptions
 from gof.capture.flame_clock import NoFlameClock, estimate_times, read_light
 from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
-from gof.files import write_json
+from gof.core.files import write_json
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 import tyro
 
-from gof.colour import srgb_to_linear
-from gof.errors import DataFormatError
-from gof.footage import stored_frames
-from gof.show import line_chart
-from gof.show.paper import require_figure
+from gof.core.colour import srgb_to_linear
+from gof.core.errors import DataFormatError
+from gof.footage.videos import stored_frames
+from gof.look import line_chart
+from gof.look.paper import require_figure
 from gof_benchmark.fires import measures
 from gof_blender.pure import spec as scene_spec
 

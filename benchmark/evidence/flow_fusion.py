@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.files import write_json
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.fusion import fuse_frame

@@ -19,11 +19,11 @@ from typing import Literal
 import numpy as np
 import tyro
 
-from gof.costs import StageLog
+from gof.core.costs import StageLog
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
 from gof.evaluate.scores import Scores
-from gof.processes import python_command
+from gof.host.processes import python_command
 from gof.reconstruct.curve import Curve
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import PRESETS, Effort

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.core.errors import GofError
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate import dve
-from gof.gaussians import TransientGaussians
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.gas import gas_at, told_of_gas
 from gof.reconstruct.seen import see_again

@@ -17,7 +17,7 @@ import tyro
 from gof.capture.decode import DecodeOptions
 from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
-from gof.files import write_json
+from gof.core.files import write_json
 from gof_benchmark.evidence import child
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec

@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.colour import linear_to_srgb, srgb_to_linear
+from gof.core.colour import linear_to_srgb, srgb_to_linear
+from gof.core.description import DatasetDescription
+from gof.core.fields import VelocityField
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.dataset.description import DatasetDescription
 from gof.evaluate import dve
-from gof.fields import VelocityField
-from gof.gaussians import TransientGaussians
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import observe

@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.costs import StageLog
-from gof.errors import MissingDependencyError
+from gof.core.costs import StageLog
+from gof.core.errors import MissingDependencyError
+from gof.host.processes import python_command
 from gof.ingest.fire_free import PlateKind
-from gof.processes import python_command
 
 CAMERAS = 3
 

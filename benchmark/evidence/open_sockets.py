@@ -19,9 +19,9 @@ import numpy as np
 import psutil
 import tyro
 
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.files import write_json
-from gof.processes import python_command
+from gof.host.processes import python_command
 
 EVERY_S = 0.1
 LOOKED_AT_S = 20.0  # `gof view` ends only when it is told to

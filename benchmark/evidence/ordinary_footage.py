@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.core.errors import DataFormatError, MissingDependencyError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, MissingDependencyError
-from gof.files import write_json
-from gof.footage import stored_frames
-from gof.processes import python_command
+from gof.footage.videos import stored_frames
+from gof.host.processes import python_command
 
 CAMERAS = ("cam_0", "cam_1", "cam_2")
 LOOK_UP = (48, 85)  # px: size at which pictures are looked up

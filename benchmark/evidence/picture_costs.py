@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 import tyro
 
-from gof.files import atomic_path, read_json, write_json
+from gof.core.files import atomic_path, read_json, write_json
 from gof_benchmark.evidence import child
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim, load_scene

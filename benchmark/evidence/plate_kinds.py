@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate.image import psnr
-from gof.files import write_json
 from gof.ingest import plates
 from gof.ingest.over_time import LUMA, darkest, median
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.core.files import write_json
 from gof.dataset import Dataset, held_out
 from gof.evaluate.image import psnr
-from gof.files import write_json
 from gof.ingest import plates
 from gof.ingest.fire_free import around
 from gof.ingest.over_time import darkest

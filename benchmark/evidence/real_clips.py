@@ -7,9 +7,9 @@ a held-out frame by the two frames of *the same camera* around it: their mean, a
 optical flow from one to the other. No method may do that for a view that nobody filmed, but it says what compression
 and noise leave to be had: a scene in 3D that does better has seen through three cameras what one camera lost.
 
-Every row is the mean over a clip's held-out pictures; the flame is the estimated mask of `gof.flame_mask`, "moves" the
-pixels that the authors' figures count (`gof.evaluate.published`). Reconstructions are kept in OUT/CLIP/METHOD_SEED and
-go on where they were, so it may be stopped and started as one likes.
+Every row is the mean over a clip's held-out pictures; the flame is the estimated mask of `gof.footage.flame_mask`,
+"moves" the pixels that the authors' figures count (`gof.evaluate.published`). Reconstructions are kept in
+OUT/CLIP/METHOD_SEED and go on where they were, so it may be stopped and started as one likes.
 
 `--clocks` says what is believed of the cameras' times: "read", what the dataset says; "frames", that pictures of one
 number are of one moment, as in videos that somebody aligned; "snapshots", that all lines of a picture are of the moment
@@ -27,13 +27,13 @@ import cv2
 import numpy as np
 import tyro
 
-from gof.costs import StageLog
+from gof.core.costs import StageLog
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.evaluate import psnr, ssim
 from gof.evaluate.published import moving
-from gof.flame_mask import flame_mask
-from gof.gaussians import TransientGaussians
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.methods import MethodName
 from gof.reconstruct.optical_flow import dis
 from gof.reconstruct.pipeline import reconstruct

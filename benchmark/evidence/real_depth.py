@@ -25,15 +25,15 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
+from gof.core.errors import GofError
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate.depth import read_depth
 from gof.evaluate.image_scores import VISIBLE
 from gof.evaluate.published import drawn_disparity, inside, moving, rmse_disparity
-from gof.gaussians import TransientGaussians
+from gof.host.progress import progress_bar
 from gof.ingest.frame_depth import write_frame_depths
-from gof.progress import progress_bar
 from gof.reconstruct.optical_flow import dis
 from gof.render import render
 

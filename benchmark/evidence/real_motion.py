@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import Observation, observe

@@ -14,7 +14,7 @@ from pathlib import Path
 import tyro
 
 from gof.dataset import Dataset
-from gof.processes import python_command
+from gof.host.processes import python_command
 from gof.reconstruct.memory import needed_for
 from gof.reconstruct.sanity import window_share
 from gof.reconstruct.shrink import shrink

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.cameras import Camera
-from gof.gaussians import TransientGaussians
+from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
 from gof_benchmark.evidence.render_scenes import camera, flame
 
 ENTRIES = 40  # central differences per parameter and scene
@@ -168,7 +168,7 @@ def mitsuba_comparison(n: int = 300, spp: int = 64) -> tuple[np.ndarray, np.ndar
 def write_picture(path: Path, ours: np.ndarray, theirs: np.ndarray) -> None:
     from PIL import Image
 
-    from gof.files import atomic_path
+    from gof.core.files import atomic_path
 
     panel = np.concatenate([ours, theirs, 0.5 + 5 * (ours - theirs)], 1)
     with atomic_path(path) as temporary:

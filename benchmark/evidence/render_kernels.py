@@ -22,8 +22,8 @@ from unittest.mock import patch
 import numpy as np
 import tyro
 
-from gof.files import write_json
-from gof.morton import morton_order
+from gof.core.files import write_json
+from gof.core.morton import morton_order
 from gof_benchmark.evidence.render_scenes import flame
 from gof_benchmark.evidence.render_speed import KERNEL_GOALS_NS, Training
 

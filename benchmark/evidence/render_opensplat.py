@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 import tyro
 
-from gof.errors import GofError
-from gof.files import write_json
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof_benchmark.evidence.render_scenes import camera, flame
 from gof_benchmark.evidence.render_speed import Training
 

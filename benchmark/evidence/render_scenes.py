@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.cameras import Camera
-from gof.gaussians import TransientGaussians
+from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
 
 
 def flame(n: int, seed: int = 0) -> TransientGaussians:

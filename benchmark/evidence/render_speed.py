@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import tyro
 
-from gof.files import write_json
-from gof.gaussians import TransientGaussians
+from gof.core.files import write_json
+from gof.core.gaussians import TransientGaussians
 from gof_benchmark.evidence import child
 from gof_benchmark.evidence.render_scenes import camera, flame
 

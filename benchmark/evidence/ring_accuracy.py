@@ -21,8 +21,8 @@ from gof.capture.ring_decode import decode_ring
 from gof.capture.ring_signals import read_ring_signals
 from gof.capture.synthetic import SyntheticShot
 from gof.capture.synthetic_ring import RingShot, render_ring
-from gof.files import write_json
-from gof.pictures import write_picture
+from gof.core.files import write_json
+from gof.footage.pictures import write_picture
 
 USUAL = SyntheticShot(
     width=300,

@@ -18,15 +18,15 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
+from gof.core.records import read_record
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.flame_mask import flame_mask
-from gof.gaussians import TransientGaussians
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.observation import light_above
 from gof.reconstruct.settings import FILE, ReconstructionSettings
 from gof.reconstruct.shrink import shrink
-from gof.records import read_record
 from gof.render import render
 from gof_benchmark.space_time import climb
 

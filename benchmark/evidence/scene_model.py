@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.costs import StageLog
+from gof.core.costs import StageLog
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.evaluate import evaluate
-from gof.gaussians import TransientGaussians
-from gof.pictures import write_picture
+from gof.footage.pictures import write_picture
 from gof.reconstruct.curve import Curve
 from gof.render import render
 from gof_benchmark.preview_field import open_small

@@ -17,14 +17,14 @@ import psutil
 import tyro
 from PIL import Image
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr
-from gof.gaussians import TransientGaussians
 from gof.io.importers import ImportOptions
+from gof.look.player.opened import open_result
+from gof.look.player.page import in_words, share_page
 from gof.render import render
-from gof.share.opened import open_result
-from gof.share.page import in_words, share_page
 from gof_benchmark.evidence.browser import Browser, page_address
 
 SCALES = (1, 2)  # of the cameras' size

@@ -22,8 +22,8 @@ import numpy as np
 import tyro
 
 from gof.commands.reconstruct import ReconstructConfig
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.files import write_json
 from gof.reconstruct.presets import PresetName
 from gof.reconstruct.settings import ReconstructionSettings
 from gof_benchmark.evidence.render_kernels import drawn_by

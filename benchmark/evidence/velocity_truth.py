@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.files import write_json
+from gof.core.files import write_json
 from gof_benchmark.evidence import child
 
 FACTORS = (0.0, 0.5, 0.8, 0.9, 0.97, 1.0, 1.03, 1.1, 1.25, 2.0)
@@ -164,7 +164,7 @@ def measure(folder: Path) -> Figures:
     """Evaluate one finished bake (see `bake`)."""
     from scipy.optimize import minimize_scalar
 
-    from gof.fields import VelocitySequence
+    from gof.core.fields import VelocitySequence
 
     sequence = VelocitySequence.open(folder / "velocity.zarr")
     info = json.loads((folder / "bake.json").read_text())

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.core.errors import GofError
+from gof.core.files import read_json, write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate import evaluate
-from gof.files import read_json, write_json
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from gof.errors import DataFormatError
-from gof.files import read_json
+from gof.core.errors import DataFormatError
+from gof.core.files import read_json
 from gof_benchmark.solvers.openfoam.case import FoamFire
 from gof_benchmark.solvers.openfoam.shipped import find_fire
 from gof_blender.pure.checked_json import SpecError

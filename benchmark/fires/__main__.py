@@ -9,7 +9,7 @@ from typing import Literal
 
 import tyro
 
-from gof.errors import DataFormatError, GofError, MissingDependencyError
+from gof.core.errors import DataFormatError, GofError, MissingDependencyError
 from gof_benchmark.fires import SPLITS, BenchmarkFire, fires
 from gof_benchmark.fires.making import make, predicted_s
 from gof_benchmark.fires.twins import simulated, traits, traits_by_name, twins_table

@@ -10,13 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gof.cameras import Camera
-from gof.colour import srgb_to_linear
+from gof.core.cameras import Camera
+from gof.core.colour import srgb_to_linear
+from gof.core.errors import DataFormatError
+from gof.core.numbered import is_hidden
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.flame_mask import flame_mask
-from gof.footage import stored_frames
-from gof.numbered import is_hidden
+from gof.footage.flame_mask import flame_mask
+from gof.footage.videos import stored_frames
 from gof_benchmark.fires import measures
 from gof_benchmark.solvers.grids import FireGrids, FireHistory, Hearth
 from gof_blender.pure.checked_json import SpecError

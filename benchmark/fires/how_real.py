@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import DatasetDescription
-from gof.errors import DataFormatError, GofError
-from gof.progress import progress_bar
-from gof.show import line_chart
-from gof.show.paper import require_figure
+from gof.host.progress import progress_bar
+from gof.look import line_chart
+from gof.look.paper import require_figure
 from gof_benchmark.fires import SPLITS, measures
 from gof_benchmark.fires.flames import Axis, Flame, Truth, View, flame_of
 from gof_benchmark.fires.laws import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law

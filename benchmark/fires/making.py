@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gof.costs import StageLog
+from gof.core.costs import StageLog
 from gof_benchmark.scenes import claimed
 from gof_benchmark.solvers.openfoam.case import FoamFire
 from gof_benchmark.solvers.openfoam.run import bake

@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from gof.errors import GofError
-from gof.processes import python_command, start
+from gof.core.errors import GofError
+from gof.host.processes import python_command, start
 from gof_blender.pure.layout import Layout
 
 REFUSED = 2  # exit status of a worker whose spec is wrong

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gof import extras
-from gof.costs import StageLog
+from gof.core.costs import StageLog
+from gof.host import extras
 from gof_benchmark.generator import graph, machine
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec

@@ -17,10 +17,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from gof import extras
-from gof.costs import StageLog
-from gof.errors import GofError
-from gof.progress import progress_bar
+from gof.core.costs import StageLog
+from gof.core.errors import GofError
+from gof.host import extras
+from gof.host.progress import progress_bar
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, StageRefused, run_stage
 from gof_blender.pure import effects
 from gof_blender.pure.brightness import Brightness

@@ -18,9 +18,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from gof.errors import DataFormatError, GofError
-from gof.progress import progress_bar
-from gof.records import read_record, write_record
+from gof.core.errors import DataFormatError, GofError
+from gof.core.records import read_record, write_record
+from gof.host.progress import progress_bar
 from gof_benchmark.generator.blender_process import Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.checked_json import SpecError

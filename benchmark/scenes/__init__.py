@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from gof.errors import GofError
-from gof.files import only_run_in
+from gof.core.errors import GofError
+from gof.core.files import only_run_in
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec, SpecError

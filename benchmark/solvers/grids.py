@@ -23,12 +23,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from gof.drafts import whole_folder
-from gof.errors import DataFormatError, require_finite
-from gof.fields import CHUNK, VelocitySequence, is_affine, open_array
-from gof.files import is_name
-from gof.records import read_record, write_record
-from gof.zarr_array import ZarrArray
+from gof.core.drafts import whole_folder
+from gof.core.errors import DataFormatError, require_finite
+from gof.core.fields import CHUNK, VelocitySequence, is_affine, open_array
+from gof.core.files import is_name
+from gof.core.records import read_record, write_record
+from gof.core.zarr_array import ZarrArray
 
 QUANTITIES = {"emission": "W m^-3 sr^-1 nm^-1", "temperature": "K", "heat_release": "W/m3", "fuel": "1"}
 COMMON = {"version": 1, "frame": "world", "layout": "cell_centred"}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import tyro
 
-from gof.errors import DataFormatError, GofError
+from gof.core.errors import DataFormatError, GofError
 from gof_benchmark.solvers.grids import FireGrids
 
 BRIGHTEST = 10.0  # linear red of the brightest pixels, as of our own fires: what display transform and exposure expect

@@ -18,10 +18,10 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from gof import extras
-from gof.errors import DataFormatError, GofError
-from gof.numbered import missing_numbers, number_files, usual_step
-from gof.terminal import console
+from gof.core.errors import DataFormatError, GofError
+from gof.core.numbered import missing_numbers, number_files, usual_step
+from gof.host import extras
+from gof.host.terminal import console
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, write_fire
 from gof_blender.pure.soot import black_body
 

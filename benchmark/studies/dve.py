@@ -15,16 +15,16 @@ from typing import ClassVar
 import numpy as np
 import tyro
 
+from gof.core.fields import VelocityField
+from gof.core.files import write_json
+from gof.core.records import to_json
+from gof.core.rotations import rotation_matrices
 from gof.evaluate.closed_forms import Flow, abc, gaussian_vortex, linear, taylor_green
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import ORDERS, expected_velocity_plain
-from gof.fields import VelocityField
-from gof.files import write_json
-from gof.progress import progress_bar
-from gof.records import to_json
-from gof.rotations import rotation_matrices
-from gof.show import line_chart
-from gof.show.paper import require_figure
+from gof.host.progress import progress_bar
+from gof.look import line_chart
+from gof.look.paper import require_figure
 
 HALF = 0.6  # m; the Gaussians stay well inside the box of this half width
 WAVE_NUMBER = 10.0  # 1/m, of the periodic flows; `k_sigma` is this times a Gaussian's width

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.fields import VelocitySequence
-from gof.files import atomic_path, read_json, write_json
-from gof.show import line_chart
-from gof.show.paper import require_figure
-from gof.zarr_array import ZarrArray
+from gof.core.fields import VelocitySequence
+from gof.core.files import atomic_path, read_json, write_json
+from gof.core.zarr_array import ZarrArray
+from gof.look import line_chart
+from gof.look.paper import require_figure
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.layout import Layout

@@ -9,9 +9,9 @@ import numpy as np
 import tyro
 
 from gof.dataset import Dataset
+from gof.look import line_chart
+from gof.look.paper import require_figure
 from gof.reconstruct.presets import PRESETS
-from gof.show import line_chart
-from gof.show.paper import require_figure
 from gof_benchmark.studies.variants import Row, Setting, VariantStudy, run_one, table, write_page
 
 FACTORS = (0.25, 0.5, 1, 2)  # of the preset's iterations, Gaussians and picture size

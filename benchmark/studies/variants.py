@@ -8,14 +8,14 @@ from typing import Annotated, Any
 
 import tyro
 
-from gof.costs import StageLog
+from gof.core.costs import StageLog
+from gof.core.files import atomic_path, read_json, write_json
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
-from gof.files import atomic_path, read_json, write_json
-from gof.processes import python_command
+from gof.host.processes import python_command
+from gof.host.worker import run_worker
 from gof.reconstruct.curve import Curve
 from gof.reconstruct.presets import PRESETS, Effort, PresetName
-from gof.worker import run_worker
 
 Setting = int | str | bool
 Row = dict[str, Any]

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from gof.errors import GofError
-from gof.files import read_json
-from gof.records import read_record
+from gof.core.errors import GofError
+from gof.core.files import read_json
+from gof.core.records import read_record
 from gof_benchmark.fires import SPLITS, Split, check_seal, fires
 from gof_benchmark.scenes import FOLDER as BUILT_IN
 from gof_benchmark.solvers.openfoam.case import FoamFire

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from gof.core.errors import DataFormatError
+from gof.core.files import read_json
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.files import read_json
 from gof_benchmark.suite import Size, SuiteScene, scenes_of
 from gof_benchmark.views.shrunk import SHRUNK
 from gof_blender.pure.checked_json import SpecError

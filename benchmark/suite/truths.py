@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from gof.core.records import read_record
 from gof.dataset import Dataset
 from gof.dataset.truth import Truth
-from gof.records import read_record
 from gof_benchmark.suite import FOLDER, Size, SuiteScene
 
 FILE = FOLDER / "truth.json"

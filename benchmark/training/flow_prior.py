@@ -23,10 +23,10 @@ import numpy as np
 import torch
 import tyro
 
+from gof.core.errors import GofError
+from gof.core.files import atomic_path, read_json
 from gof.dataset import Dataset
-from gof.errors import GofError
-from gof.files import atomic_path, read_json
-from gof.progress import progress_bar
+from gof.host.progress import progress_bar
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
 from gof.reconstruct.observation import observe

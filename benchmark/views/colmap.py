@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.cameras import Camera
-from gof.files import atomic_path, path_in
-from gof.rotations import quaternions_wxyz
+from gof.core.cameras import Camera
+from gof.core.files import atomic_path, path_in
+from gof.core.rotations import quaternions_wxyz
 
 from .source import ViewSource
 

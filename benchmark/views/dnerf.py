@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.files import write_json
 
 from .source import ViewSource
 

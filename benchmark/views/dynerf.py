@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.files import atomic_path, path_in
+from gof.core.files import atomic_path, path_in
 
 from .links import link
 from .source import ViewSource

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path, path_in, write_json
+from gof.core.ply import splat_columns
+from gof.core.ply import write as write_ply
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.files import atomic_path, path_in, write_json
-from gof.flame_mask import flame_mask
-from gof.ply import splat_columns
-from gof.ply import write as write_ply
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.methods import PAPER
 from gof.reconstruct.observation import Observation, observe

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.files import atomic_path, path_in
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path, path_in
 
 from .colmap import write_model
 from .links import link

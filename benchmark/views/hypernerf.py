@@ -11,8 +11,8 @@ import json
 
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.files import atomic_path, path_in
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path, path_in
 
 from .dnerf import field_of_view
 from .links import link

@@ -6,7 +6,7 @@ import os
 import shutil
 from pathlib import Path
 
-from gof.files import atomic_path
+from gof.core.files import atomic_path
 
 
 def link(source: Path, target: Path) -> None:

@@ -14,8 +14,8 @@ import struct
 
 import numpy as np
 
-from gof.files import atomic_path, path_in
-from gof.rotations import quaternions_wxyz
+from gof.core.files import atomic_path, path_in
+from gof.core.rotations import quaternions_wxyz
 
 from .dnerf import field_of_view
 from .dynerf import poses_bounds

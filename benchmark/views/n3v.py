@@ -12,9 +12,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.files import atomic_path, path_in
-from gof.pictures import read_picture
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path, path_in
+from gof.footage.pictures import read_picture
 
 from .dnerf import field_of_view
 from .dynerf import poses_bounds

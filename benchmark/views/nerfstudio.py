@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from gof.files import write_json
+from gof.core.files import write_json
 
 from .source import ViewSource
 

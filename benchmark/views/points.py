@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.files import atomic_path, path_in
-from gof.flame_mask import flame_mask
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path, path_in
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.voxels import carve
 
 from .colmap import surface_points

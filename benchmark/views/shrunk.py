@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 import tyro
 
-from gof import extras
+from gof.core.description import FILE
+from gof.core.drafts import whole_folder
+from gof.core.errors import GofError
+from gof.core.files import atomic_path, path_in
 from gof.dataset import CameraEntry, Dataset
-from gof.dataset.description import FILE
-from gof.drafts import whole_folder
-from gof.errors import GofError
-from gof.files import atomic_path, path_in
-from gof.terminal import console
+from gof.host import extras
+from gof.host.terminal import console
 from gof_blender.pure.layout import Layout
 
 from . import write as write_view

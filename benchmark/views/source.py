@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gof import extras
+from gof.core.errors import DataFormatError
+from gof.core.files import path_in
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.files import path_in
+from gof.host import extras
 
 FAR = 1e6  # metres; Blender writes 1e10 where nothing is
 

@@ -1,4 +1,4 @@
-"""costs.json: what the stages of a dataset cost. `gof.costs` is the library's own form of it."""
+"""costs.json: what the stages of a dataset cost. `gof.core.costs` is the library's own form of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""dataset.json: what a finished dataset says of itself. `gof.dataset.description` is the library's own form of it."""
+"""dataset.json: what a finished dataset says of itself. `gof.core.description` is the library's own form of it."""
 
 from __future__ import annotations
 

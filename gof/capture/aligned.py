@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 
 from gof.capture.times import FrameTimesFile, SyncedVideo
-from gof.errors import DataFormatError, GofError
-from gof.files import atomic_path
-from gof.footage import stored_frames
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import atomic_path
+from gof.footage.videos import stored_frames
 
 Layout = Literal["plain", "pose2sim", "freemocap", "opencap"]
 Codec = Literal["lossless", "mpeg4"]

@@ -14,12 +14,12 @@ from gof.capture.board_points import BoardPoints
 from gof.capture.locate import BoardNotFound, Summary, locate
 from gof.capture.mask import board_mask
 from gof.capture.template import BoardTemplate
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import path_in
 from gof.dataset import CameraEntry, Dataset
-from gof.errors import DataFormatError, GofError
-from gof.files import path_in
-from gof.footage import stored_frames
-from gof.lens import ROLL_DEG, Lens, Turn, prepare, read_cameras
-from gof.pictures import write_picture
+from gof.footage.lens import ROLL_DEG, Lens, Turn, prepare, read_cameras
+from gof.footage.pictures import write_picture
+from gof.footage.videos import stored_frames
 
 LOOK_AT = 160  # frames in which the board is looked for
 MUCH_COVERED, MOST_COVERED = 0.25, 0.6  # of the picture; the published clips have 0.08 to 0.15
@@ -45,7 +45,7 @@ def annotate(
         what was added, or why not, in words, by camera.
     Raises:
         GofError: another number of videos than cameras, or in another order than when the dataset was made.
-        DataFormatError: see `gof.lens.read_cameras`; footage of another size than the lens; a roll that is no turn.
+        DataFormatError: see `read_cameras`; footage of another size than the lens; a roll that is no turn.
     """
     count = len(dataset.cameras)
     if footage and len(footage) != count:

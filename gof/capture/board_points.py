@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.template import BoardTemplate
-from gof.errors import DataFormatError
-from gof.files import read_json
-from gof.records import convert_json
+from gof.core.errors import DataFormatError
+from gof.core.files import read_json
+from gof.core.records import convert_json
 
 CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of the marker, in its sides
 FEWEST = 4  # points that a plane's perspective needs

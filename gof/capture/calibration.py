@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gof.capture.charuco import MINIMUM_CORNERS, Charuco
-from gof.errors import GofError
-from gof.lens import CalibratedCamera, Lens
+from gof.core.errors import GofError
+from gof.footage.lens import CalibratedCamera, Lens
 
 MINIMUM_VIEWS = 8
 BAD_VIEW = 3.0  # times the median reprojection error; such a view was blurred, or the target bent

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from gof import extras
 from gof.capture.protocol import (
     VERSION,
     FrameReader,
@@ -23,7 +22,8 @@ from gof.capture.protocol import (
     decode_reply,
     encode_request,
 )
-from gof.errors import GofError
+from gof.core.errors import GofError
+from gof.host import extras
 
 BAUD = 115200
 READY_S = 3.5  # after its port was opened: many boards reset then, and are busy with their boot loader for up to 3 s

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.times import CounterReading, DecodingCost, FrameTime, VideoTimes
-from gof.errors import GofError
-from gof.footage import stated_fps, stored_frames
+from gof.core.errors import GofError
+from gof.footage.videos import stated_fps, stored_frames
 
 BIN_PX = 4  # lines that are summed
 SCALES = np.geomspace(0.8, 1.25, 13)  # of one camera's picture against the other's

@@ -9,7 +9,7 @@ import numpy as np
 from gof.capture.board_points import BoardPoints
 from gof.capture.brightness import sample, white
 from gof.capture.template import BoardTemplate
-from gof.errors import GofError
+from gof.core.errors import GofError
 
 MIN_FLICKER = 12.0  # grey levels between strips and gaps; a codec's noise is a few
 MIN_TEETH = 3  # of the five strips in the picture, to tell teeth from gaps

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.decode import CameraTimes
-from gof.pictures import write_picture
+from gof.footage.pictures import write_picture
 
 WIDTH, HEIGHT, LEFT, RIGHT = 1100, 620, 80, 20
 COLOURS = ((40, 40, 220), (30, 140, 240), (60, 160, 60), (200, 120, 30), (170, 50, 150))  # BGR, strips in slot order

@@ -13,7 +13,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 
 VERSION = 1
 PAYLOAD_MAX = 64

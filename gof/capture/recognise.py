@@ -24,7 +24,7 @@ from gof.capture.locate import (
 from gof.capture.ring_board import RING_BOARDS, RingBoard, load_board
 from gof.capture.ring_signals import find_board, read_frame
 from gof.capture.template import BUILT_IN, BoardTemplate
-from gof.errors import GofError
+from gof.core.errors import GofError
 
 AUTO = "auto"
 LOOK_AT = 160  # frames

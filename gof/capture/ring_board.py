@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from gof.capture.template import BUILT_IN, BoardTemplate, MarkerEntry, Point, require_places
-from gof.errors import DataFormatError
-from gof.files import read_json
-from gof.records import read_record
+from gof.core.errors import DataFormatError
+from gof.core.files import read_json
+from gof.core.records import read_record
 
 RING_BOARDS = ("rocsync",)
 MOST_LEDS = 1000

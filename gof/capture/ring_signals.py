@@ -12,7 +12,7 @@ import numpy as np
 from gof.capture.brightness import sample
 from gof.capture.locate import MARKER_CORNERS, bright_spots, in_picture, marker_in, project
 from gof.capture.ring_board import RingBoard
-from gof.footage import stored_frames
+from gof.footage.videos import stored_frames
 
 SCALES = (1, 0.5, 2)  # at which the marker is looked for: reduced where blurred, enlarged where small
 LED_REACH = 0.15  # of the ring's spacing: half the patch over which an LED's light is averaged

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import ClassVar
 
-from gof.errors import DataFormatError
-from gof.records import read_record
+from gof.core.errors import DataFormatError
+from gof.core.records import read_record
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from gof.capture.brightness import sample, white
 from gof.capture.locate import BoardInImage, MarkerNotFound, Summary, locate
 from gof.capture.marker import marker_likeness, marker_pattern
 from gof.capture.template import BoardTemplate
-from gof.footage import stored_frames
+from gof.footage.videos import stored_frames
 
 LED_CHANGE = 40.0  # grey levels: far above a codec's noise, half of what a dim LED changes by
 

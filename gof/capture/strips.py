@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 
 BIN_US = 20.0  # of the learned curves: a fraction of the shortest flank, that of a 100 us exposure
 HUBER = 1.345  # standard deviations; 95 % efficient on Gaussian noise (Huber, Robust Statistics)

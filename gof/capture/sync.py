@@ -31,9 +31,9 @@ from gof.capture.times import (
     SyncedVideo,
     VideoTimes,
 )
-from gof.errors import GofError
-from gof.footage import distinct_names, fingerprint, require_different, stated_fps, stated_frames
-from gof.progress import progress_bar
+from gof.core.errors import GofError
+from gof.footage.videos import distinct_names, fingerprint, require_different, stated_fps, stated_frames
+from gof.host.progress import progress_bar
 
 
 def synchronise(

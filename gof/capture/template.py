@@ -11,8 +11,8 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.records import read_record
+from gof.core.errors import DataFormatError
+from gof.core.records import read_record
 
 BUILT_IN = ("paper_rig", "gof_board")
 MOST_BITS = 24

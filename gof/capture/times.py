@@ -97,7 +97,7 @@ class SyncedVideo:
     """One video: its times, or why it has none.
 
     Attributes:
-        fingerprint: by which `gof ingest` knows it again (`gof.footage.fingerprint`); None in older files.
+        fingerprint: by which `gof ingest` knows it again (`gof.footage.videos.fingerprint`); None in older files.
     """
 
     name: str

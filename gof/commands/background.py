@@ -8,8 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from gof.costs import StageLog
-from gof.files import write_json
+from gof.core.costs import StageLog
+from gof.core.files import write_json
 from gof.reconstruct.background import BackgroundOptions, add_flame, make_background
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
-from gof import extras
-from gof.processes import python_command, run
+from gof.host import extras
+from gof.host.processes import python_command, run
 
 # Threads that wait by turning round cost several times the work itself where cores are few.
 ENVIRONMENT = {"OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.recognise import LOOK_AT
-from gof.footage import distinct_names, stored_frames
+from gof.footage.videos import distinct_names, stored_frames
 
 OLD = "--template"
 

@@ -12,10 +12,10 @@ from gof.capture.annotate import annotate, training_frames
 from gof.capture.board_points import read_board_points
 from gof.capture.recognise import recognise, require_strips
 from gof.commands.board_option import first_frames, renamed
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
-from gof.files import write_json
-from gof.footage import distinct_names
+from gof.footage.videos import distinct_names
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import tyro
 
 from gof.capture.controller import RESET_SAID, Board, BoardError, ask_ports, candidate_ports, only_board
 from gof.capture.protocol import State, Status
-from gof.files import write_json
-from gof.options import require_number
+from gof.core.files import write_json
+from gof.host.options import require_number
 
 MOST_JITTER_US = 20.0  # of a tick: the order of what cameras' times are read to
 MOST_DAMAGED = 10

@@ -10,12 +10,12 @@ import tyro
 
 from gof.capture.calibration import Calibration, calibrate, sharpest
 from gof.capture.charuco import Charuco
-from gof.errors import GofError
-from gof.footage import distinct_names, stated_frames, stored_frames
-from gof.lens import CamerasFile
-from gof.options import require_number, require_positive
-from gof.progress import progress_bar
-from gof.records import write_record
+from gof.core.errors import GofError
+from gof.core.records import write_record
+from gof.footage.lens import CamerasFile
+from gof.footage.videos import distinct_names, stated_frames, stored_frames
+from gof.host.options import require_number, require_positive
+from gof.host.progress import progress_bar
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import tyro
 
 from gof.capture.template import BoardTemplate, draw_svg
 from gof.commands.board_option import renamed
-from gof.files import atomic_path, write_json
-from gof.options import require_number
+from gof.core.files import atomic_path, write_json
+from gof.host.options import require_number
 
 MOST_MM = 10_000.0
 

@@ -16,13 +16,13 @@ from gof.capture.recognise import AUTO, recognise
 from gof.capture.ring_board import RingBoard
 from gof.capture.sensors import sensor
 from gof.capture.sync import synchronise
-from gof.capture.sync_report import write_report
 from gof.capture.times import FILE, FrameTimesFile, Readout, SyncedVideo
 from gof.commands.board_option import first_frames, renamed
-from gof.errors import GofError
-from gof.footage import distinct_names, require_different
-from gof.options import require_all_positive, require_number, require_positive
-from gof.records import write_record
+from gof.core.errors import GofError
+from gof.core.records import write_record
+from gof.footage.videos import distinct_names, require_different
+from gof.host.options import require_all_positive, require_number, require_positive
+from gof.look.sync_report import write_report
 
 NO_MARKER = (
     "is it whole, lit, and at least about 20 pixels wide? A board of your own wants --board FILE; where its marker is "

@@ -9,9 +9,9 @@ from typing import Annotated
 import tyro
 
 from gof.capture.charuco import Charuco, draw_pdf, draw_svg, page
-from gof.errors import GofError
-from gof.files import atomic_path, write_json
-from gof.options import require_positive
+from gof.core.errors import GofError
+from gof.core.files import atomic_path, write_json
+from gof.host.options import require_positive
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from typing import Annotated
 import tyro
 
 from gof.commands.foreign_options import ForeignOptions
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
-from gof.files import write_json
+from gof.host.terminal import console
 from gof.io.convert import convert
 from gof.io.importers import Imported, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
-from gof.terminal import console
 
 
 @dataclass

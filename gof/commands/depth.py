@@ -8,11 +8,11 @@ from typing import Annotated
 
 import tyro
 
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
-from gof.files import write_json
+from gof.host.progress import progress_bar
 from gof.ingest.frame_depth import write_frame_depths
-from gof.progress import progress_bar
 
 LITTLE = 0.05  # of the pixels; where stereo finds less the maps are mostly guessed
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import tyro
 
-from gof.checks import checks, examine
-from gof.errors import GofError, printable
-from gof.files import write_json
-from gof.terminal import console
+from gof.core.errors import GofError, printable
+from gof.core.files import write_json
+from gof.host.checks import checks, examine
+from gof.host.terminal import console
 
 DEMO = ("OpenEXR", "Blender", "Mantaflow")  # what making fires needs, and nothing else
 STYLES = {"ok": "green", "missing": "yellow", "broken": "bold red"}

@@ -10,17 +10,17 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from gof.cameras import in_words
 from gof.commands.foreign_options import ForeignOptions
+from gof.core.cameras import in_words
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
 from gof.evaluate import Extras, Scores, evaluate
 from gof.evaluate.controls import BOUNDS
 from gof.evaluate.published import THEIRS
 from gof.evaluate.scores import VelocityScore
-from gof.progress import progress_bar
+from gof.host.progress import progress_bar
+from gof.host.terminal import console
 from gof.reconstruct.optical_flow import dis
-from gof.terminal import console
 
 PICTURE_ROWS = (
     ("psnr_flame", "PSNR flame (dB)", 2),

@@ -10,18 +10,18 @@ import tyro
 
 from gof.commands.foreign_options import ForeignOptions
 from gof.commands.video import camera_number
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate.leaderboard import collect
-from gof.files import write_json
+from gof.host.options import require_number
+from gof.host.terminal import console
 from gof.io.importers import ImportOptions
-from gof.options import require_number
-from gof.share.opened import dataset_beside, open_moving
-from gof.show.comparison import KINDS, Kind, Moment, comparison, scored_subject, subject
-from gof.show.panels import Subject
-from gof.show.paper import WIDTH_IN, require_figure, write_sheet
-from gof.show.tiles import Box, facts
-from gof.terminal import console
+from gof.look.comparison import KINDS, Kind, Moment, comparison, scored_subject, subject
+from gof.look.panels import Subject
+from gof.look.paper import WIDTH_IN, require_figure, write_sheet
+from gof.look.player.opened import dataset_beside, open_moving
+from gof.look.tiles import Box, facts
 
 MOST_PARTS = 4
 

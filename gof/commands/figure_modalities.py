@@ -10,17 +10,17 @@ from typing import Annotated
 import tyro
 
 from gof.commands.video import camera_number
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
-from gof.files import write_json
-from gof.options import require_number
-from gof.progress import progress_bar
+from gof.host.options import require_number
+from gof.host.progress import progress_bar
+from gof.host.terminal import console
+from gof.look.modalities import Sources, modalities, training_frame
+from gof.look.paper import WIDTH_IN, require_figure, write_sheet
+from gof.look.player.opened import dataset_beside
+from gof.look.tiles import facts
 from gof.reconstruct.seen import see_again
-from gof.share.opened import dataset_beside
-from gof.show.modalities import Sources, modalities, training_frame
-from gof.show.paper import WIDTH_IN, require_figure, write_sheet
-from gof.show.tiles import facts
-from gof.terminal import console
 
 PORTRAIT, LANDSCAPE = 6, 4  # tiles in a row
 

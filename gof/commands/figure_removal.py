@@ -9,15 +9,15 @@ from typing import Annotated
 import tyro
 
 from gof.commands.video import camera_number
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.files import write_json
-from gof.options import require_number
-from gof.share.opened import newest
-from gof.show.comparison import Moment
-from gof.show.fire_removal import fire_removal
-from gof.show.paper import WIDTH_IN, require_figure, write_sheet
-from gof.show.tiles import facts
-from gof.terminal import console
+from gof.host.options import require_number
+from gof.host.terminal import console
+from gof.look.comparison import Moment
+from gof.look.fire_removal import fire_removal
+from gof.look.paper import WIDTH_IN, require_figure, write_sheet
+from gof.look.player.opened import newest
+from gof.look.tiles import facts
 
 
 @dataclass

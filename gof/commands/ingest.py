@@ -13,11 +13,13 @@ import tyro
 from gof.capture.recognise import BoardUnclear, recognise, require_strips
 from gof.capture.template import BoardTemplate
 from gof.commands.board_option import first_frames
-from gof.costs import StageLog
+from gof.core.costs import StageLog
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset.poses import UpReport
-from gof.errors import GofError
-from gof.files import write_json
-from gof.footage import require_different, stated_fps
+from gof.footage.lens import Turn
+from gof.footage.videos import require_different, stated_fps
+from gof.host.options import require_all_positive, require_number, require_positive
 from gof.ingest.accelerometer import read_tilt
 from gof.ingest.evidence import PoseOptions, Rig, Solver
 from gof.ingest.fire_free import PlateKind, PlateOptions
@@ -28,8 +30,6 @@ from gof.ingest.pipeline import Ingested, make_dataset, require_new
 from gof.ingest.plates import MOST_FIRE_LEFT, find_plates
 from gof.ingest.published import PublishedFootage, is_published
 from gof.ingest.up import UpChoice
-from gof.lens import Turn
-from gof.options import require_all_positive, require_number, require_positive
 
 MOST_FOV_DEG = 170.0
 TAGGED = ("auto", "accelerometer")  # ways up that ask the files' sensors

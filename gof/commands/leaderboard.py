@@ -10,8 +10,9 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from gof.core.files import atomic_path
+from gof.core.records import write_record
 from gof.dataset import Dataset
-from gof.evaluate.accuracy_chart import accuracy_charts
 from gof.evaluate.leaderboard import (
     COLUMNS,
     Leaderboard,
@@ -22,15 +23,14 @@ from gof.evaluate.leaderboard import (
     to_markdown,
     used_columns,
 )
-from gof.evaluate.leaderboard_page import stream_plots, to_html
-from gof.files import atomic_path
-from gof.options import require_number
-from gof.records import write_record
-from gof.show.comparison import Moment
-from gof.show.curves import Kind, write_accuracy
-from gof.show.flat import side_by_side
-from gof.show.paper import require_figure
-from gof.terminal import console
+from gof.host.options import require_number
+from gof.host.terminal import console
+from gof.look.accuracy_chart import accuracy_charts
+from gof.look.comparison import Moment
+from gof.look.curves import Kind, write_accuracy
+from gof.look.flat import side_by_side
+from gof.look.leaderboard_page import stream_plots, to_html
+from gof.look.paper import require_figure
 
 SHOWN = (
     "flow_prior",

@@ -9,11 +9,11 @@ from typing import Annotated
 
 import tyro
 
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.dataset.pack import pack
-from gof.errors import GofError
-from gof.files import write_json
-from gof.progress import progress_bar
+from gof.host.progress import progress_bar
 
 
 @dataclass

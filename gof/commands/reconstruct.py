@@ -8,10 +8,10 @@ from typing import Annotated
 
 import tyro
 
-from gof.cameras import in_words, sizes_px
+from gof.core.cameras import in_words, sizes_px
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
-from gof.files import write_json
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.methods import MethodName, SceneName
 from gof.reconstruct.optical_flow import FlowName

@@ -8,18 +8,19 @@ from typing import Annotated
 
 import tyro
 
-from gof.costs import StageCost, StageLog
+from gof.core.costs import StageCost, StageLog
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate.scores import Scores
-from gof.files import write_json
-from gof.progress import progress_bar
-from gof.report import Preview, build_report
-from gof.report.animation import brightest_frame
-from gof.show.curves import Kind, write_frame_scores
-from gof.show.fire_removal import fire_removal
-from gof.show.flat import page_pictures
-from gof.show.paper import require_figure
+from gof.host.progress import progress_bar
+from gof.look.animation import brightest_frame
+from gof.look.curves import Kind, write_frame_scores
+from gof.look.fire_removal import fire_removal
+from gof.look.flat import page_pictures
+from gof.look.paper import require_figure
+from gof.look.preview import Preview
+from gof.look.report import build_report
 
 
 @dataclass

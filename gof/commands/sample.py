@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from gof.files import write_json
+from gof.core.files import write_json
 from gof.sample import CONTENTS, unpack_sample
 
 NEXT = """\

@@ -10,14 +10,14 @@ from typing import Annotated
 import tyro
 
 from gof.commands.foreign_options import ForeignOptions
+from gof.core.errors import GofError
+from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.errors import GofError
-from gof.files import write_json
-from gof.options import require_number
-from gof.progress import progress_bar
-from gof.share.opened import dataset_beside, open_result
-from gof.share.page import in_words, share_page
-from gof.terminal import console
+from gof.host.options import require_number
+from gof.host.progress import progress_bar
+from gof.host.terminal import console
+from gof.look.player.opened import dataset_beside, open_result
+from gof.look.player.page import in_words, share_page
 
 
 @dataclass

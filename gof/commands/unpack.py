@@ -8,9 +8,9 @@ from typing import Annotated
 
 import tyro
 
+from gof.core.files import write_json
 from gof.dataset.pack import unpack, verify
-from gof.files import write_json
-from gof.progress import progress_bar
+from gof.host.progress import progress_bar
 
 
 @dataclass

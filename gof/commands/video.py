@@ -8,24 +8,24 @@ from typing import Annotated
 
 import tyro
 
-from gof.cameras import Camera
 from gof.commands.foreign_options import ForeignOptions
+from gof.core.cameras import Camera
+from gof.core.errors import GofError
+from gof.core.files import digest, write_json
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.errors import GofError
 from gof.evaluate.scoring import is_flame_alone
-from gof.files import digest, write_json
-from gof.gaussians import TransientGaussians
+from gof.host.options import require_number, require_positive
+from gof.host.progress import progress_bar
+from gof.host.terminal import console
 from gof.io.importers import ImportOptions
-from gof.options import require_number, require_positive
-from gof.progress import progress_bar
-from gof.share.opened import Opened, dataset_beside, middle_of, open_moving, time_span
-from gof.share.page import front_camera
-from gof.show.encoder import STILL, require_film
-from gof.show.film import FilmOptions, Recorded, fitted, make_film
-from gof.show.panels import Panel, Subject
-from gof.show.path import Clock, Journey, Shot, Way, clock, orbit, shots, stay, through
-from gof.terminal import console
+from gof.look.encoder import STILL, require_film
+from gof.look.film import FilmOptions, Recorded, fitted, make_film
+from gof.look.panels import Panel, Subject
+from gof.look.path import Clock, Journey, Shot, Way, clock, orbit, shots, stay, through
+from gof.look.player.opened import Opened, dataset_beside, middle_of, open_moving, time_span
+from gof.look.player.page import front_camera
 
 MOST_HEIGHT = 2160
 

@@ -9,8 +9,8 @@ from typing import Annotated
 import tyro
 
 from gof.dataset import Dataset
-from gof.options import require_number
-from gof.report.viewer import Viewer
+from gof.host.options import require_number
+from gof.look.viewer import Viewer
 
 
 @dataclass

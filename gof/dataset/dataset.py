@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.cameras import Camera
-from gof.dataset.description import FILE, CameraEntry, DatasetDescription
-from gof.datum import Datum
-from gof.errors import DataFormatError
-from gof.fields import VelocitySequence
-from gof.files import path_in, stamp
-from gof.pictures import read_picture
-from gof.records import to_json
+from gof.core.cameras import Camera
+from gof.core.datum import Datum
+from gof.core.description import FILE, CameraEntry, DatasetDescription
+from gof.core.errors import DataFormatError
+from gof.core.fields import VelocitySequence
+from gof.core.files import path_in, stamp
+from gof.core.records import to_json
+from gof.footage.pictures import read_picture
 
 SEEN = ("rgb", "static", "mask", "board_mask")  # kinds of files that are made something from
 

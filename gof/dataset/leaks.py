@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from gof.core.errors import DataFormatError
+from gof.core.records import read_record, write_record
 from gof.dataset.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.records import read_record, write_record
 
 FILE = "made_from.json"
 PLATES_OF_A_CLIP = ("steady", "minimum")  # provenance.plate of datasets that were made from videos

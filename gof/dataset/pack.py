@@ -18,11 +18,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
+from gof.core.drafts import whole_folder
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import atomic_path, is_name, is_relative_path, path_in
 from gof.dataset.card import card
 from gof.dataset.dataset import Dataset
-from gof.drafts import whole_folder
-from gof.errors import DataFormatError, GofError
-from gof.files import atomic_path, is_name, is_relative_path, path_in
 
 SUMS, CARD = "SHA256SUMS", "README.md"
 BLOCK = 2**20

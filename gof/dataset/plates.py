@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from gof.core.errors import DataFormatError
+from gof.core.files import path_in
 from gof.dataset.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.files import path_in
-from gof.pictures import read_picture, write_picture
+from gof.footage.pictures import read_picture, write_picture
 
 LEVELS = 65535  # 16 bits: plates are optimised and lit in steps finer than 1/255
 

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from gof.records import read_record, write_record
+from gof.core.records import read_record, write_record
 
 FILE = "poses.json"
 

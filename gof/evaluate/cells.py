@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import re
 
-from gof.errors import printable
+from gof.core.errors import printable
 
 
 def in_csv(name: str) -> str:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gof.errors import DataFormatError, GofError, require_finite
-from gof.files import path_in
-from gof.npz import read_npy
+from gof.core.errors import DataFormatError, GofError, require_finite
+from gof.core.files import path_in
+from gof.core.npz import read_npy
 
 
 class DepthScore(NamedTuple):

@@ -18,11 +18,11 @@ from typing import Literal
 
 import numpy as np
 
-from gof.errors import GofError, NonFiniteError
+from gof.core.errors import GofError, NonFiniteError
+from gof.core.gaussians import MovingGaussians
 from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.quadrature import VelocityLike
 from gof.evaluate.wavelength import share_of_short_waves
-from gof.gaussians import MovingGaussians
 
 Opacity = Literal["temporal", "base"]
 

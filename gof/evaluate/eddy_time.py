@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import toeplitz
 
+from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.draws import own_generator
-from gof.errors import GofError
+from gof.evaluate.draws import own_generator
 from gof.evaluate.emission import flame_grid
 from gof.evaluate.sparse_grid import StoredField
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from gof.core.fields import VelocityField
 from gof.evaluate.quadrature import Expectation, VelocityLike, expected_velocity_plain, product_rule
 from gof.evaluate.sparse_grid import StoredField, cell_ranges, parts, pool_of
-from gof.fields import VelocityField
 
 COMPILED_FROM = 100_000  # quadrature points; below, loading the compiler takes longer than numpy
 

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.draws import own_generator
+from gof.core.fields import VelocitySequence
+from gof.core.gaussians import MovingGaussians
+from gof.evaluate.draws import own_generator
 from gof.evaluate.emission import COVERED, FlameGrid, velocity_at
 from gof.evaluate.sparse_grid import StoredField
-from gof.fields import VelocitySequence
-from gof.gaussians import MovingGaussians
 
 POINTS = 256  # places per frame
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 
+from gof.core.fields import CHUNK, VelocityField
 from gof.evaluate.quadrature import Expectation, product_rule
 from gof.evaluate.sparse_grid import EDGE, FAR, Pool, StoredField, cell_ranges, parts, pool_of
-from gof.fields import CHUNK, VelocityField
 from gof.render.backend import Array4f, Float, Int, UInt, floats
 
 LAUNCH = 1 << 20  # Gaussians per launch: bounds memory at about 150 MB, whatever their number

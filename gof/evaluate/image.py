@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from gof.errors import GofError, require_finite
+from gof.core.errors import GofError, require_finite
 
 WINDOW, SIGMA = 11, 1.5  # the Gaussian window of Wang et al. 2004, which the 3DGS literature uses
 MOST_DB = 100.0  # infinity would leave a perfect picture out of every mean, and would be the mean of one

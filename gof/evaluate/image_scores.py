@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.cameras import sizes_px
+from gof.core.cameras import sizes_px
+from gof.core.errors import MissingDependencyError, NonFiniteError
+from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
-from gof.errors import MissingDependencyError, NonFiniteError
 from gof.evaluate import perceptual
 from gof.evaluate.depth import read_depth, rmse_to_map
 from gof.evaluate.image import psnr, ssim, temporal_l2
 from gof.evaluate.published import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
 from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore, PublishedFigures
 from gof.evaluate.video import VideoQuality, available, clip_length
-from gof.gaussians import MovingGaussians
 
 Progress = Callable[..., None]  # progress(done, total, stage=...)
 Weights = np.ndarray | None  # (H, W) what a pixel counts for, 0..1; None = all count

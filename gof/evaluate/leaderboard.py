@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
-from gof.costs import StageCost, StageLog
-from gof.errors import DataFormatError
+from gof.core.costs import StageCost, StageLog
+from gof.core.errors import DataFormatError
 from gof.evaluate.cells import in_csv, in_markdown
 from gof.evaluate.controls import BOUNDS
 from gof.evaluate.method import AboutMethod

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from gof.errors import DataFormatError
-from gof.files import read_json
-from gof.records import convert_json
+from gof.core.errors import DataFormatError
+from gof.core.files import read_json
+from gof.core.records import convert_json
 
 TEXTS = ("made_by", "unfinished", "code", "commit", "licence", "hardware")
 ASKED = ("name", "authors", "code", "commit", "licence", "hardware", "train_seconds", "given", "random")

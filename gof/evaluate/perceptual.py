@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gof import extras
-from gof.errors import DataFormatError, MissingDependencyError
+from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.evaluate.image import _mean, _pair
+from gof.host import extras
 
 TRUNK = "alexnet-owt-7be5be79.pth"  # torchvision's AlexNet, ImageNet-trained
 HEADS = "lpips_alex_v0.1.pth"  # of the lpips package, where it is called weights/v0.1/alex.pth

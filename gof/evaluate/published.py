@@ -13,12 +13,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gof.cameras import Camera
-from gof.errors import MissingDependencyError
+from gof.core.cameras import Camera
+from gof.core.errors import MissingDependencyError
+from gof.core.gaussians import TransientGaussians
 from gof.evaluate import perceptual
 from gof.evaluate.image import psnr, ssim
 from gof.evaluate.scores import PublishedFigures
-from gof.gaussians import TransientGaussians
 
 Flow = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of two pictures (H, W) uint8: (H, W, 2) px
 

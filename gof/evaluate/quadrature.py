@@ -7,15 +7,15 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
-from gof.errors import GofError
-from gof.rotations import rotation_matrices
+from gof.core.errors import GofError
+from gof.core.rotations import rotation_matrices
 
 ORDERS = (1, 3, 5, 7)
 CHUNK_POINTS = 1 << 15  # quadrature points held at once; small enough for a cache, which is worth a factor of two
 
 
 class VelocityLike(Protocol):
-    """What the evaluator needs of a field: `gof.fields.VelocityField`, or an analytic field."""
+    """What the evaluator needs of a field: `gof.core.fields.VelocityField`, or an analytic field."""
 
     voxel_size: float
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
+from gof.core.files import without_place
+from gof.core.records import read_record, write_record
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
 from gof.evaluate.gradients import GradientErrors
-from gof.files import without_place
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
 from gof.io.importers.source import WorldBy
-from gof.records import read_record, write_record
 
 # ---------------------------------------------------------------- velocities
 

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import background
-from gof.errors import DataFormatError
 from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import DVESequence, Opacity
 from gof.evaluate.emission import EmissionScore, flame_grid, score_on_emission
@@ -28,7 +29,6 @@ from gof.evaluate.scores import (
     VelocityScore,
 )
 from gof.evaluate.sequence import dve_sequence, sanity_warnings
-from gof.gaussians import MovingGaussians, TransientGaussians
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
 
@@ -58,7 +58,7 @@ def evaluate(
 
     Args:
         result: file or folder of any known method (gof.io.importers), or the Gaussians. Nobody says whose those in
-            memory are: `TransientGaussians` count as ours, trajectories and functions of time (`gof.motion`) do not.
+            memory are: `TransientGaussians` count as ours, trajectories and functions of time do not.
         dataset: what it was made from.
         order, opacity: of `dve`.
         images: also render and score pictures.

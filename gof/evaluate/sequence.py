@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gof.errors import GofError
+from gof.core.errors import GofError
+from gof.core.fields import VelocitySequence
+from gof.core.gaussians import MovingGaussians
 from gof.evaluate.controls import fluctuation, score_controls
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity, Samples, Sums, probe, weighted_sums
 from gof.evaluate.sparse_grid import StoredField
-from gof.fields import VelocitySequence
-from gof.gaussians import MovingGaussians
 
 
 def dve_sequence(

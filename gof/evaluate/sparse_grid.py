@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gof.fields import CHUNK, VelocityField, VelocitySequence
+from gof.core.fields import CHUNK, VelocityField, VelocitySequence
 
 EDGE = CHUNK + 1
 POOL_BYTES = 1 << 30  # larger pools are worked through in parts

@@ -18,7 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from gof.errors import GofError, require_finite
+from gof.core.errors import GofError, require_finite
 
 CONFIDENCE = 0.95
 

@@ -18,15 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.core.errors import DataFormatError
+from gof.core.files import is_name, path_in
+from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.errors import DataFormatError
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
-from gof.files import is_name, path_in
-from gof.gaussians import MovingGaussians
+from gof.footage.pictures import write_picture
 from gof.io.importers import ImportOptions, read_result
-from gof.pictures import write_picture
 
 SCORES, PICTURES = "scores.json", "pictures"
 ADDING = ".adding"  # in a submission: where a run is put together before it has its name

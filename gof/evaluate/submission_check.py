@@ -11,10 +11,11 @@ from typing import Literal
 
 import numpy as np
 
+from gof.core.errors import GofError
+from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import FILE as MADE_FROM
 from gof.dataset.leaks import MadeFrom, leaks
-from gof.errors import GofError
 from gof.evaluate.image import psnr
 from gof.evaluate.image_scores import known_frames
 from gof.evaluate.scores import Scores
@@ -24,8 +25,7 @@ from gof.evaluate.submission import Run, Shown, Submission, draw, picture_file, 
 from gof.evaluate.suite_board import beyond_sense, too_good
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
-from gof.gaussians import MovingGaussians
-from gof.pictures import read_picture
+from gof.footage.pictures import read_picture
 
 Verdict = Literal["ok", "hint", "refused"]
 SIGNS: dict[Verdict, str] = {"ok": "✓", "hint": "?", "refused": "✗"}

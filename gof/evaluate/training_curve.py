@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 
 FILE = "curve.csv"  # beside a run's result; `gof baseline --curve` writes it
 LARGEST = 1e30  # and its inverse the smallest: sums and ratios of such numbers are numbers

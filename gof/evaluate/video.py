@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from gof import extras
-from gof.errors import DataFormatError, GofError, MissingDependencyError, require_finite
+from gof.core.errors import DataFormatError, GofError, MissingDependencyError, require_finite
 from gof.evaluate.perceptual import load_weights
+from gof.host import extras
 
 TRUNK = "r3d_18-b3b3357e.pth"  # torchvision's R3D-18, trained on Kinetics-400
 HEADS = {

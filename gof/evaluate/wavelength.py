@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.draws import own_generator
+from gof.core.rotations import rotation_matrices
+from gof.evaluate.draws import own_generator
 from gof.evaluate.quadrature import VelocityLike
-from gof.rotations import rotation_matrices
 
 LIMIT_RAD = 1.5
 SAMPLE = 128  # Gaussians looked at per frame; the share's standard error is below 4.5 %, pooled over 30 frames 0.8 %

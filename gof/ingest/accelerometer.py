@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.core.errors import DataFormatError
 from gof.dataset.poses import UpReport
-from gof.errors import DataFormatError
+from gof.footage.lens import CAMERA_AXES, Turn
 from gof.ingest.gpmf import Stream, streams
 from gof.ingest.up import angle_deg
-from gof.lens import CAMERA_AXES, Turn
 
 BODY_TO_PICTURE = np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]])  # rows: right, down, forward
 HERO5_ORDER = "ZXY"  # how a HERO5 stores them, and later ones that do not say

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gof.dataset.poses import PointCheck
+from gof.footage.lens import Lens
 from gof.ingest.bundle import Sightings, State, adjust
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.sfm import Features, Model, PoseError, epipolar_distance
-from gof.lens import Lens
 
 GATES_PX = (25.0, 8.0, 4.0, 2.5, 2.5)  # epipolar gates, each followed by a bundle adjustment
 SHAPES_PX = 5.0  # gate from which on all boards are held to

@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from gof.errors import DataFormatError, GofError
-from gof.footage import VideoInfo
-from gof.lens import Turn
-from gof.numbered import missing_numbers, usual_step
+from gof.core.errors import DataFormatError, GofError
+from gof.core.numbered import missing_numbers, usual_step
+from gof.footage.lens import Turn
+from gof.footage.videos import VideoInfo
 
 MAX_MISSING = 0.1  # share of a folder's pictures that may be missing by their numbers
 CLOCKS_DIFFER_S = 60  # cameras' clocks are set by hand

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.dataset.description import METRES
+from gof.core.description import METRES
+from gof.core.errors import DataFormatError
 from gof.dataset.poses import PointCheck, UpReport
-from gof.errors import DataFormatError
+from gof.footage.lens import Lens
 from gof.ingest import adjust, sfm
 from gof.ingest.accelerometer import up_from_tilts
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.plumb import says_up, up_from_points
 from gof.ingest.up import Edges, angle_deg, cameras_up, up_from_board, up_from_edges
-from gof.lens import Lens
 
 
 def metric_scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptions) -> tuple[float, str]:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from gof import extras, ply
-from gof.cameras import Camera
-from gof.errors import DataFormatError, GofError, MissingDependencyError
-from gof.files import atomic_path
+from gof.core import ply
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError, GofError, MissingDependencyError
+from gof.core.files import atomic_path
+from gof.host import extras
 
 
 def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:

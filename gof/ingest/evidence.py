@@ -10,17 +10,17 @@ from typing import Literal
 import numpy as np
 
 from gof.capture.template import BoardTemplate
+from gof.core.datum import Datum
+from gof.core.description import METRES
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
-from gof.dataset.description import METRES
-from gof.datum import Datum
-from gof.errors import DataFormatError, GofError
+from gof.footage.lens import Lens
 from gof.ingest import sfm
 from gof.ingest.accelerometer import Tilt
 from gof.ingest.board import board_points, board_region
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.over_time import largest_change
 from gof.ingest.up import UpChoice
-from gof.lens import Lens
 
 STILL_RANGE = 60  # of 255: pixels that change more over the clip show fire or LEDs and get no features
 MIN_JUDGED = 30  # matches from which on that share says something: some ten of any two pictures' are chance

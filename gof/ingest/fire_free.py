@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 from gof.ingest import plates
 from gof.ingest.footage import Clip, Footage
 from gof.ingest.over_time import MEDIAN_PASSES, darkest

@@ -9,15 +9,15 @@ from typing import Any, Literal
 
 import numpy as np
 
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Splits, held_out
-from gof.errors import DataFormatError, GofError
-from gof.footage import VideoInfo, chosen_frames, read_info, require_different
+from gof.footage.lens import CalibratedCamera, Lens, Turn, preparation, read_cameras
+from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_different
+from gof.host.progress import progress_bar
 from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turn_by_tags
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
 from gof.ingest.place import Placed, place_cameras
-from gof.lens import CalibratedCamera, Lens, Turn, preparation, read_cameras
-from gof.progress import progress_bar
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Footage:
     def open(
         cls, videos: list[Path], turn: Turn | Literal["auto"], cameras: Path | None, fov_deg: float | None
     ) -> Footage:
-        """With the intrinsics of a file of `gof.lens.read_cameras`, or one horizontal field of view for all.
+        """With the intrinsics of a file of `gof.footage.lens.read_cameras`, or one horizontal field of view for all.
 
         Poses are taken from the file if it has one of its own for every camera.
 

@@ -13,15 +13,15 @@ from typing import ClassVar
 
 import numpy as np
 
+from gof.core.errors import GofError
+from gof.core.files import atomic_path, only_run_in, path_in, stamp
+from gof.core.records import claim
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
-from gof.errors import GofError
-from gof.files import atomic_path, only_run_in, path_in, stamp
 from gof.ingest.depth import align, complete, from_relative, monocular
 from gof.ingest.stereo import stereo_depth
-from gof.records import claim
 
 KINDS = ("depth", "disparity")
 
@@ -32,7 +32,7 @@ class DepthSettings:
 
     Attributes:
         dataset: which one, see `gof.dataset.Dataset.identity`.
-        weights: which checkpoint of the network, as `gof.files.stamp` of its folder; None: stereo.
+        weights: which checkpoint of the network, as `gof.core.files.stamp` of its folder; None: stereo.
     """
 
     SCHEMA: ClassVar[str] = "gof-depth-settings"

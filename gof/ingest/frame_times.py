@@ -11,8 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
-from gof.errors import DataFormatError, GofError
-from gof.footage import VideoInfo, distinct_names
+from gof.core.errors import DataFormatError, GofError
+from gof.core.numbered import usual_step
+from gof.core.records import read_record
+from gof.footage.lens import Turn
+from gof.footage.videos import VideoInfo, distinct_names
 from gof.ingest.agreement import (
     number_notes,
     require_few_missing,
@@ -22,9 +25,6 @@ from gof.ingest.agreement import (
     require_whole,
 )
 from gof.ingest.pairing import Pairing, pair
-from gof.lens import Turn
-from gof.numbered import usual_step
-from gof.records import read_record
 
 CLOCKWISE = ("down", "left", "up", "right")  # readout directions, each a clockwise quarter after the one before
 QUARTERS = {"none": 0, "clockwise": 1, "half": 2, "counterclockwise": 3}

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.files import read_json
+from gof.core.errors import DataFormatError
+from gof.core.files import read_json
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.errors import DataFormatError, GofError
+from gof.core.errors import DataFormatError, GofError
 
 SAME_RATE = 0.01  # relative: cameras that differ by less have one rate
 NEAR = 0.6  # of a camera's step: how far its frame may lie from where its neighbours say it should

@@ -7,14 +7,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gof.cameras import Camera
-from gof.costs import StageLog
+from gof.core.cameras import Camera
+from gof.core.costs import StageLog
+from gof.core.drafts import remove
+from gof.core.errors import GofError
+from gof.core.files import only_run_in
 from gof.dataset import DatasetDescription
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
-from gof.drafts import remove
-from gof.errors import GofError
-from gof.files import only_run_in
+from gof.host.progress import progress_bar
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
 from gof.ingest.footage import Clip, Footage
@@ -24,7 +25,6 @@ from gof.ingest.place import Placed
 from gof.ingest.published import CAMERAS_FILE
 from gof.ingest.scene_depth import scene_depth, write_depth
 from gof.ingest.stored import StoredView, camera_entries, resized, stored_view, write_picture, write_pictures
-from gof.progress import progress_bar
 
 WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records
 UNFINISHED = ".unfinished-ingest"

@@ -7,13 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from gof.dataset.description import METRES
+from gof.core.description import METRES
 from gof.dataset.poses import FeatureFigures, PointCheck, PoseReport
+from gof.footage.lens import Lens
 from gof.ingest import adjust, sfm
 from gof.ingest.axes import find_up, metric_scale, upright_world
 from gof.ingest.evidence import MIN_JUDGED, Evidence, PoseOptions, require_still
 from gof.ingest.marked_points import MarkedPoint
-from gof.lens import Lens
 
 MIN_CONSISTENT = 0.6  # share of a pair's raw matches that must obey the poses
 MAX_POINT_PX = 1.5  # mean reprojection error of board or hand-marked points above which poses are not believed

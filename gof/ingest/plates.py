@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_fill_holes
 
-from gof.errors import DataFormatError
-from gof.footage import read_info
+from gof.core.errors import DataFormatError
+from gof.core.numbered import is_hidden
+from gof.footage.lens import Lens
+from gof.footage.pictures import read_picture, read_rotation
+from gof.footage.videos import read_info
 from gof.ingest.footage import Clip
 from gof.ingest.over_time import LUMA, median
-from gof.lens import Lens
-from gof.numbered import is_hidden
-from gof.pictures import read_picture, read_rotation
 
 WARM = 12  # display steps of 255 by which red outgrows blue where fire or its light passed
 GROW_PX = 3  # margin around these places

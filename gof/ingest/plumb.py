@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from gof.dataset.poses import UpReport
+from gof.footage.lens import Lens
 from gof.ingest.adjust import meetings
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.sfm import PoseError
 from gof.ingest.up import MOST_SPREAD_DEG, RESAMPLED, angle_deg
-from gof.lens import Lens
 
 CLICK_PX = 1.0  # how well a hand marks a pixel: standard deviation in x and in y
 MOST_OFF_DEG = 5.0  # a line or a surface that is further off than this is not what its name says

@@ -22,19 +22,19 @@ from typing import Any
 
 import numpy as np
 
+from gof.core.description import METRES
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import write_json
+from gof.core.npz import read_npz
 from gof.dataset import Splits, held_out
-from gof.dataset.description import METRES
 from gof.dataset.poses import PoseReport
-from gof.errors import DataFormatError, GofError
-from gof.files import write_json
+from gof.footage.lens import CAMERA_AXES, Lens, Turn, straightening
 from gof.ingest.axes import upright_world
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.pairing import pair
 from gof.ingest.place import Placed
-from gof.lens import CAMERA_AXES, Lens, Turn, straightening
-from gof.npz import read_npz
 
 META = "meta.npz"
 ZOOM = 1.03  # of their undistorted camera, so that no black borders are left

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.cameras import Camera
-from gof.files import atomic_path, path_in
+from gof.core.cameras import Camera
+from gof.core.files import atomic_path, path_in
 from gof.ingest.depth import back_project, whole_depth, write_points
 from gof.ingest.stereo import stereo_depth
 from gof.ingest.stored import StoredView

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from gof import extras
+from gof.core.errors import GofError
 from gof.dataset.poses import FeatureFigures
-from gof.errors import GofError
-from gof.lens import Lens
+from gof.footage.lens import Lens
+from gof.host import extras
 
 GATE_PX = 3.0  # a match within this of its epipolar lines obeys the poses
 PEAK_THRESHOLD = 0.003  # half COLMAP's contrast threshold: plates of compressed footage are soft

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 
 MARGIN = 1.3  # size of a rectified picture against the picture's own: little is cut off
 BLOCK = 5  # px, side of the windows that are compared

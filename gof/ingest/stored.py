@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
+from gof.core.files import path_in
 from gof.dataset import CameraEntry
-from gof.files import path_in
-from gof.flame_mask import flame_mask
+from gof.footage.flame_mask import flame_mask
+from gof.footage.lens import ROLL_DEG
+from gof.footage.pictures import write_picture as save_picture
 from gof.ingest.footage import Clip, Footage
 from gof.ingest.frame_times import FrameTimes
-from gof.lens import ROLL_DEG
-from gof.pictures import write_picture as save_picture
 
 
 @dataclass(frozen=True)

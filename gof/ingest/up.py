@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 
 from gof.dataset.poses import UpReport
+from gof.footage.lens import Lens
 from gof.ingest.marked_points import MarkedPoint
-from gof.lens import Lens
 
 UpChoice = Literal["auto", "points", "accelerometer", "edges", "board", "cameras"]
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gof import extras
-from gof.errors import DataFormatError
-from gof.files import atomic_path
-from gof.gaussians import TransientGaussians
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path
+from gof.core.gaussians import TransientGaussians
+from gof.core.ply import splat_columns, write
+from gof.host import extras
 from gof.io.gltf import Y_UP
-from gof.ply import splat_columns, write
 
 SUFFIXES = (".spz", ".sog")
 VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture

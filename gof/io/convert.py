@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError, NonFiniteError
-from gof.gaussians import TransientGaussians
+from gof.core.errors import DataFormatError, NonFiniteError
+from gof.core.gaussians import TransientGaussians
+from gof.host.options import require_number
 from gof.io import compressed, gltf, ply_frames
 from gof.io.importers import Imported, freetime, own
-from gof.options import require_number
 
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
 

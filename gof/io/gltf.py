@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 import gof
-from gof.colour import srgb_to_linear
-from gof.errors import DataFormatError, require_finite
-from gof.files import atomic_path
-from gof.gaussians import TransientGaussians
-from gof.harmonics import C0, plain_color
+from gof.core.colour import srgb_to_linear
+from gof.core.errors import DataFormatError, require_finite
+from gof.core.files import atomic_path
+from gof.core.gaussians import TransientGaussians
+from gof.core.harmonics import C0, plain_color
 
 EXTENSION = "KHR_gaussian_splatting"
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

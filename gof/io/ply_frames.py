@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.drafts import whole_folder
-from gof.errors import DataFormatError
-from gof.gaussians import TransientGaussians
-from gof.ply import splat_columns, write
+from gof.core.drafts import whole_folder
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import TransientGaussians
+from gof.core.ply import splat_columns, write
 
 VISIBLE = 1 / 255
 MOST_FRAMES = 100_000  # five digits

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 
 
 def main() -> int:

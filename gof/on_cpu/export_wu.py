@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gof.core.errors import DataFormatError
+from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.trajectory import Trajectory
 
 STEP_S = 1e-4  # of the differences, in float64: a ten thousandth of a second is a hundredth of a frame or less
 CLOCKS = {  # by the layout that it was trained on: the method's time at frame k of K, as its reader counts

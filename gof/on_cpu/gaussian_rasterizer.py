@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import torch
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.render import rasterize
 
 NEAR = 0.2

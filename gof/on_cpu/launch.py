@@ -9,13 +9,13 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from gof.errors import GofError, MissingDependencyError
+from gof.core.errors import GofError, MissingDependencyError
+from gof.host.processes import run
 from gof.on_cpu import gaussian_rasterizer, repairs
 from gof.on_cpu.curve import Curve
 from gof.on_cpu.devices import ProcessorForCuda, replace_cuda
 from gof.on_cpu.methods import Method, replace_gsplat
 from gof.on_cpu.small_modules import Unused
-from gof.processes import run
 from gof.render import gsplat
 
 
@@ -61,7 +61,7 @@ def _begin(method: Method, script: Path, mode: ProcessorForCuda) -> None:
     os.environ.setdefault("MPLBACKEND", "agg")  # matplotlib asks tkinter for a window otherwise, and it may be unused
     replace_cuda(mode)
     prepare(method)
-    sys.path.insert(0, str(script.parent.resolve()))  # as Python does; `gof.processes` has left the place empty
+    sys.path.insert(0, str(script.parent.resolve()))  # as Python does; `gof.host.processes` has left the place empty
 
 
 def prepare(method: Method) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 
 _kept: list[torch.library.Library] = []  # declarations last as long as these
 

@@ -8,7 +8,7 @@ from types import ModuleType
 import torch
 from scipy.spatial import cKDTree
 
-from gof.errors import MissingDependencyError
+from gof.core.errors import MissingDependencyError
 
 WINDOW, SIGMA = 11, 1.5  # SSIM of 3D Gaussian Splatting
 C1, C2 = 0.01**2, 0.03**2

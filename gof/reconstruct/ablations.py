@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 
 if TYPE_CHECKING:
     from gof.reconstruct.observation import Observation

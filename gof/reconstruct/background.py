@@ -12,21 +12,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from gof.cameras import Camera
-from gof.costs import StageLog
+from gof.core.cameras import Camera
+from gof.core.costs import StageLog
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import path_in, stamp
+from gof.core.gaussians import TransientGaussians
+from gof.core.npz import read_npy
+from gof.core.records import claim
 from gof.dataset import Dataset
 from gof.dataset.leaks import refuse_leaks
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
-from gof.errors import DataFormatError, GofError
-from gof.files import path_in, stamp
-from gof.gaussians import TransientGaussians
+from gof.host.progress import progress_bar
 from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
-from gof.npz import read_npy
-from gof.progress import progress_bar
 from gof.reconstruct.shrink import shrink
-from gof.records import claim
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class BackgroundSettings:
 
     Attributes:
         dataset: which one, see `gof.dataset.Dataset.identity`.
-        depth_weights: which checkpoint, as `gof.files.stamp` of its folder.
+        depth_weights: which checkpoint, as `gof.core.files.stamp` of its folder.
         steps, gaussians, longest_side, depth_term, seed: see `BackgroundOptions`.
     """
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from gof.errors import DataFormatError
-from gof.files import is_name
-from gof.records import read_record, write_record
+from gof.core.errors import DataFormatError
+from gof.core.files import is_name
+from gof.core.records import read_record, write_record
 
 FILE = "captions.json"
 

@@ -11,9 +11,9 @@ import drjit as dr
 import numpy as np
 from drjit.opt import Adam
 
-from gof.errors import DataFormatError
-from gof.files import atomic_path
-from gof.npz import read_npz
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path
+from gof.core.npz import read_npz
 
 REMEDY = "remove it, and the optimisation begins anew"
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from gof.records import read_record, write_record
+from gof.core.records import read_record, write_record
 
 FILE = "curve.json"
 

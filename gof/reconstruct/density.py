@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gof.cameras import Camera
-from gof.gaussians import TransientGaussians
-from gof.morton import morton_order
+from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
+from gof.core.morton import morton_order
 from gof.reconstruct.parameters import PER_GAUSSIAN, from_raw, to_raw
 from gof.reconstruct.splatting import LARGE, PULL, SPLIT_SHRINK, within
 from gof.render.adam import Adam

@@ -26,7 +26,7 @@ from zipfile import BadZipFile
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from gof.errors import DataFormatError, GofError
+from gof.core.errors import DataFormatError, GofError
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.log_light import LogLight, slope

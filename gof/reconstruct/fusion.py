@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 from gof.reconstruct.voxels import FlameVoxels
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.voxels import FlameVoxels
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.cameras import Camera, sizes_px
+from gof.core.cameras import Camera, sizes_px
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr, ssim
-from gof.flame_mask import flame_mask
-from gof.gaussians import TransientGaussians
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.curve import HeldOutScores
 from gof.render import render
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from gof.flame_mask import STRONG, WEAK, flame_mask
+from gof.footage.flame_mask import STRONG, WEAK, flame_mask
 
 LEAST_SEEN = 1 / 8  # share of the pictures in which a pixel must be free of flame for its median to be believed
 FILL = 1 / 24  # of the height: how far light is carried on behind the flame

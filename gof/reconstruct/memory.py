@@ -6,8 +6,8 @@ import sys
 
 import psutil
 
+from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.errors import GofError
 
 GB = 1e9
 # Bytes at the peaks of finding the flow field and of optimising, fitted to measured runs (docs/reliability.md).

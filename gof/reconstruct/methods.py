@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 
 MethodName = Literal["gof", "paper"]
 SceneName = Literal["plates", "gaussians"]  # what the flame is drawn in, see `gof.reconstruct.surroundings`

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from gof.cameras import Camera
-from gof.colour import srgb_to_linear
+from gof.core.cameras import Camera
+from gof.core.colour import srgb_to_linear
+from gof.core.errors import DataFormatError
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.flame_mask import flame_mask
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.lit_plate import faint_flame, lit_plate
 from gof.reconstruct.methods import OURS, Method
 from gof.reconstruct.occluders import blocked_views

@@ -11,8 +11,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from gof.cameras import Camera
-from gof.errors import DataFormatError
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError
 from gof.reconstruct.tomography import tomography
 from gof.reconstruct.voxels import carve
 

@@ -11,7 +11,7 @@ from typing import Literal, Protocol
 import cv2
 import numpy as np
 
-from gof.errors import DataFormatError, GofError
+from gof.core.errors import DataFormatError, GofError
 
 FlowName = Literal["dis", "deepflow", "tvl1", "memfof"]
 

@@ -13,9 +13,9 @@ from typing import Any, Protocol
 import drjit as dr
 import numpy as np
 
-from gof.cameras import Camera
-from gof.errors import NonFiniteError
-from gof.gaussians import TransientGaussians
+from gof.core.cameras import Camera
+from gof.core.errors import NonFiniteError
+from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.density import DensityControl
 from gof.reconstruct.methods import LAST_SHARE, Rates, cameras_extent

@@ -12,8 +12,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from gof.cameras import Camera
-from gof.gaussians import TransientGaussians
+from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.seeds import SCALE_MAX, SCALE_MIN
 from gof.render import Splats, shutter_delay, transient_state
 from gof.render.backend import Array3f, Array4f, Float, floats, opaque

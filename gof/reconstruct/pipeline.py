@@ -10,11 +10,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from gof.costs import StageLog
+from gof.core.costs import StageLog
+from gof.core.errors import GofError
+from gof.core.files import only_run_in
 from gof.dataset import Dataset
 from gof.dataset.leaks import refuse_leaked_work, refuse_leaks
-from gof.errors import GofError
-from gof.files import only_run_in
 from gof.reconstruct import memory, sanity, stages
 from gof.reconstruct.density import MOST_GROWTH
 from gof.reconstruct.flow_prior import VOXELS

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 
 PresetName = Literal["preview", "draft", "standard", "paper"]
 LEAST = {"iterations": 1, "gaussians": 1, "voxels": 4, "longest_side": 16}

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError, GofError
+from gof.core.precision import require_digits
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
-from gof.flame_mask import flame_mask
-from gof.precision import require_digits
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.lit_plate import faint_flame
 from gof.reconstruct.observation import light_above, was_delivered
 from gof.reconstruct.voxels import flame_box

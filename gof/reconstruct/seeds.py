@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.gaussians import TransientGaussians
-from gof.morton import morton_order
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import TransientGaussians
+from gof.core.morton import morton_order
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.methods import Seeding

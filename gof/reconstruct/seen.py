@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from gof.core.errors import GofError
+from gof.core.records import read_record
 from gof.dataset import Dataset
 from gof.dataset.leaks import refuse_leaks
-from gof.errors import GofError
 from gof.reconstruct import ablations
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import VOXELS, FlowPrior
@@ -19,7 +20,6 @@ from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.optical_flow import Flow, flow_method
 from gof.reconstruct.settings import FILE, ReconstructionSettings
 from gof.reconstruct.shrink import shrink
-from gof.records import read_record
 
 Progress = Callable[..., None]  # progress(done, total)
 

@@ -6,15 +6,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from gof.core.errors import GofError
+from gof.core.files import digest, stamp
+from gof.core.records import claim
 from gof.dataset import Dataset
-from gof.errors import GofError
-from gof.files import digest, stamp
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.flow_prior import WEIGHTS
 from gof.reconstruct.methods import METHODS, MethodName, SceneName
 from gof.reconstruct.optical_flow import FlowName
 from gof.reconstruct.presets import Effort
-from gof.records import claim
 
 FILE = "settings.json"
 Until = Literal["motion", "flow-field", "seeds", "result"]  # the stages that a reconstruction can stop after
@@ -31,9 +31,9 @@ class ReconstructionSettings:
         scene: what the flame is drawn in, see `gof.reconstruct.surroundings`.
         flow: see `gof.reconstruct.optical_flow`.
         flow_prior: whether the fused flow is corrected (`gof.reconstruct.flow_prior`), where the method has it.
-        flow_prior_weights: which weights correct it, as `gof.files.digest` of their file.
+        flow_prior_weights: which weights correct it, as `gof.core.files.digest` of their file.
         ablation: the part that is left out, see `gof.reconstruct.ablations`.
-        flow_weights: which checkpoint the flow "memfof" has, as `gof.files.stamp` of its folder.
+        flow_weights: which checkpoint the flow "memfof" has, as `gof.core.files.stamp` of its folder.
         seed: of the seeding and of the order of pictures.
 
     Raises:

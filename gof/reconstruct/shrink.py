@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 from gof.dataset import Dataset
 
 

@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 import drjit as dr
 import numpy as np
 
-from gof.cameras import Camera
-from gof.errors import NonFiniteError
-from gof.gaussians import TransientGaussians
-from gof.morton import morton_order
+from gof.core.cameras import Camera
+from gof.core.errors import NonFiniteError
+from gof.core.gaussians import TransientGaussians
+from gof.core.morton import morton_order
+from gof.core.rotations import rotation_matrices
 from gof.render import Splats, Target, l1_ssim, render_splats
 from gof.render.adam import Adam
 from gof.render.backend import Array3f, Array4f, Float
 from gof.render.rasterizer import Frame
-from gof.rotations import rotation_matrices
 
 SSIM_WEIGHT = 0.2
 DEPTH_WEIGHT = (100.0, 1.0)  # first and last step (paper: 100 times those of 3DGS)

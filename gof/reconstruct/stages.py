@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.cameras import in_words
-from gof.costs import StageCost, StageLog
+from gof.core.cameras import in_words
+from gof.core.costs import StageCost, StageLog
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.dataset.plates import save_plates
-from gof.gaussians import TransientGaussians
-from gof.progress import progress_bar
+from gof.host.progress import progress_bar
 from gof.reconstruct import ablations, stage_images
 from gof.reconstruct.background import BackgroundOptions, still_gaussians
 from gof.reconstruct.checkpoint import Spent, read_spent

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, Protocol
 import drjit as dr
 import numpy as np
 
-from gof.cameras import Camera
-from gof.gaussians import TransientGaussians
+from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.parameters import rows
 from gof.reconstruct.voxels import ROOM, FlameVoxels
 from gof.render import Splats, render, render_splats

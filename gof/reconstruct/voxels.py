@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.cameras import Camera
-from gof.errors import DataFormatError
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError
 
 ROOM = 4.0  # voxels around the hull that flame Gaussians, which may move, are still sure to be in
 LAYERS_POOLED = 2.0  # std-dev in voxels: a flame's middle and width change slowly with height

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 from gof.reconstruct.voxels import ROOM, FlameVoxels
 from gof.render.bins import BLOCK
 from gof.render.ssim import REACH

@@ -18,8 +18,8 @@ from pathlib import Path
 import drjit as dr
 import numpy as np
 
-from gof import extras
-from gof.errors import GofError, MissingDependencyError
+from gof.core.errors import GofError, MissingDependencyError
+from gof.host import extras
 
 THREADS_VARIABLE = "OMP_NUM_THREADS"  # what users and job schedulers set; NumPy, PyTorch and numba read it themselves
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"

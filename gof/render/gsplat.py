@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import torch
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.render.torch_api import rasterize
 
 MAX_ALPHA = 0.999

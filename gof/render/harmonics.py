@@ -1,11 +1,11 @@
-"""View-dependent colour of spherical-harmonics coefficients, differentiable; the basis is `gof.harmonics`."""
+"""View-dependent colour of spherical-harmonics coefficients, differentiable; the basis is `gof.core.harmonics`."""
 
 from __future__ import annotations
 
 import drjit as dr
 
-from gof.errors import DataFormatError
-from gof.harmonics import basis
+from gof.core.errors import DataFormatError
+from gof.core.harmonics import basis
 from gof.render.backend import Array3f, Float
 
 

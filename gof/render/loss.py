@@ -15,7 +15,7 @@ from functools import cache
 import drjit as dr
 import numpy as np
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.render.backend import Float, UInt, floats, kernels, shifted
 from gof.render.ssim import C1, C2, REACH, WINDOW
 

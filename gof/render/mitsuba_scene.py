@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof import extras
-from gof.cameras import Camera
-from gof.errors import DataFormatError
-from gof.gaussians import TransientGaussians
-from gof.harmonics import C0
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import TransientGaussians
+from gof.core.harmonics import C0
+from gof.host import extras
 
 DILATION_SIGMA_PX = 0.3**0.5  # a Gaussian pixel filter this wide does what the 0.3 px^2 dilation stands for
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import drjit as dr
 
-from gof.cameras import Camera
-from gof.errors import DataFormatError
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError
 from gof.render.backend import Array3f, Array4f, Bool, Float, opaque
 
 LOG2_E = 1.4426950408889634

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 
-from gof.cameras import Camera
-from gof.errors import DataFormatError
-from gof.gaussians import TransientGaussians
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import TransientGaussians
 from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, kernels, opaque
 from gof.render.bins import BLOCK, PAIR_BUDGET
 from gof.render.blend import MAX_ALPHA, DrJitBlend, Trace

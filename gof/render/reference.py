@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 
 MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE = 0.99, 1 / 255, 1e-4
 

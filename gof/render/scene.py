@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 
-from gof.errors import DataFormatError, NonFiniteError
+from gof.core.errors import DataFormatError, NonFiniteError
 from gof.render.backend import Array3f, Array4f, Bool, Float, floats, opaque
 
 MAX_CHANNELS = 8

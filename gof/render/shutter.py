@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import drjit as dr
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 from gof.render.backend import Array3f, Float, opaque
 from gof.render.project import camera_axes
 

@@ -9,9 +9,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from gof import extras
-from gof.cameras import Camera
-from gof.errors import DataFormatError, MissingDependencyError, require_finite
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError, MissingDependencyError, require_finite
+from gof.host import extras
 from gof.render.backend import Array3f, Array4f, Float, floats, opaque
 from gof.render.blend import MAX_ALPHA
 from gof.render.harmonics import harmonics_color

@@ -7,8 +7,8 @@ import zipfile
 from importlib import resources
 from pathlib import Path
 
-from gof.errors import DataFormatError
-from gof.files import atomic_path, path_in
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path, path_in
 
 CHANGED_NS = 315532800 * 10**9  # 1980: a result knows its dataset by the times of change, too
 CONTENTS = {

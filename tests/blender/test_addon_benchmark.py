@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-import gof.costs
+import gof.core.costs
+from gof.core.records import read_record
 from gof.dataset import Dataset
-from gof.records import read_record
 from gof_benchmark.commands import generate
 from gof_blender.pure import report
 from gof_blender.pure import spec as scene_spec
@@ -65,7 +65,7 @@ def test_dataset_of_the_users_scene(made):
     np.testing.assert_allclose(heights, [0.9, 1.1, 0.9], atol=1e-5)
     assert dataset.static(1)[-1].mean() > 1.3 * dataset.static(1)[0].mean(), "the lit cube is below, the world above"
     assert dataset.mask(1, 3).sum() > 3
-    costs = read_record(gof.costs.Costs, made.costs)
+    costs = read_record(gof.core.costs.Costs, made.costs)
     log = {cost.name: cost for cost in costs.stages}
     assert list(log) == ["bake", "render", "ground-truth", "finish"] == stages(scene_spec.load(made.spec))
     assert all(cost.seconds > 0 and 100 < cost.peak_mb < 2000 for cost in log.values())

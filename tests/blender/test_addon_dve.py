@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.core.datum import Datum
+from gof.core.gaussians import TransientGaussians
+from gof.core.rotations import rotation_matrices
 from gof.dataset import CameraEntry, Dataset, DatasetDescription, Splits
-from gof.datum import Datum
 from gof.evaluate.sequence import dve_sequence
-from gof.gaussians import TransientGaussians
-from gof.rotations import rotation_matrices
 from gof_blender.pure import dve
 from gof_blender.pure.io import FileFormatError, gaussians_file
 from gof_blender.pure.io.velocity_reader import TrueVelocity

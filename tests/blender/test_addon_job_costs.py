@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-import gof.costs
-from gof.records import read_record
+import gof.core.costs
+from gof.core.records import read_record
 from gof_blender.pure import cost_model
 from gof_blender.pure.costs import Costs, StageCost
 from gof_blender.pure.dataset_process import expected_s, left_s, stages
@@ -28,7 +28,7 @@ def test_costs_add_up_and_the_library_reads_them(tmp_path):
     for seconds, peak, clock_s in ((2.0, 300.0, 2.5), (1.0, 200.0, 1.25)):
         Costs.read(path).adding(StageCost("bake", seconds, peak, {"steps": 5}), clock_s).write(path)
     Costs.read(path).adding(StageCost("render", 4.0, 100.0), 4.5).write(path)
-    read = read_record(gof.costs.Costs, path)
+    read = read_record(gof.core.costs.Costs, path)
     assert [(s.name, s.seconds, s.peak_mb, s.settings) for s in read.stages] == [
         ("bake", 3.0, 300.0, {"steps": 5, "wall_s": 3.0}),
         ("render", 4.0, 100.0, {"wall_s": 4.0}),
@@ -38,12 +38,12 @@ def test_costs_add_up_and_the_library_reads_them(tmp_path):
 
 def test_costs_of_the_library_go_on_here(tmp_path):
     path = tmp_path / "costs.json"
-    gof.costs.StageLog(path).record("bake", 3.0, 300.0, {"steps": 5, "wall_s": 2.0})
-    before = read_record(gof.costs.Costs, path).wall_s
+    gof.core.costs.StageLog(path).record("bake", 3.0, 300.0, {"steps": 5, "wall_s": 2.0})
+    before = read_record(gof.core.costs.Costs, path).wall_s
     Costs.read(path).adding(StageCost("bake", 1.0, 100.0, {"steps": 5}), 1.5).write(path)
-    (stage,) = read_record(gof.costs.Costs, path).stages
+    (stage,) = read_record(gof.core.costs.Costs, path).stages
     assert (stage.seconds, stage.peak_mb, stage.settings["wall_s"]) == (4.0, 300.0, 3.0)
-    assert read_record(gof.costs.Costs, path).wall_s == pytest.approx(before + 1.5, abs=1e-3)
+    assert read_record(gof.core.costs.Costs, path).wall_s == pytest.approx(before + 1.5, abs=1e-3)
 
 
 def test_what_is_left_is_not_paid_again(tmp_path):

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof_blender.pure.io import camera_files
 from tests.blender.runs import in_blender
 from tests.conftest import arc, random_gaussians, write_dataset

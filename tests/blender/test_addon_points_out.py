@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof_blender.pure import points
 from gof_blender.pure.io.cloud import GaussianCloud
 from gof_blender.pure.io.gaussians_file import load

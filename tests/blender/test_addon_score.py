@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate import scores as gof_scores
 from gof.evaluate.sequence import dve_sequence
-from gof.gaussians import TransientGaussians
 from gof_blender.pure.io.velocity_store import VelocityWriter
 from gof_blender.pure.score_process import Evaluation, EvaluationError
 from gof_blender.pure.scores import Scores

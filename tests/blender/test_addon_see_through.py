@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from tests.blender.runs import in_blender
 
 START = """

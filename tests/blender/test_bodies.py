@@ -163,7 +163,7 @@ def test_a_look_into_the_users_file_names_what_stands_in_the_flame(users):
 @pytest.mark.blender
 def test_gas_flows_around_effectors_of_the_file_and_through_everything_else(users, tmp_path):
     """Seen and hidden ones, and again from the surroundings that the dataset keeps."""
-    from gof.fields import VelocitySequence
+    from gof.core.fields import VelocitySequence
     from gof_benchmark.generator.blender_process import run_stage
 
     layout = Layout(tmp_path / "data")

@@ -7,8 +7,8 @@ from dataclasses import replace
 import psutil
 import pytest
 
-from gof.cli import main
-from gof.errors import GofError
+from gof.commands.cli import main
+from gof.core.errors import GofError
 from gof_benchmark.generator import machine
 from gof_benchmark.scenes import load_scene
 from gof_blender.pure import spec as scene_spec

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof_benchmark.commands import generate
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec

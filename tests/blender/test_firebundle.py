@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
 from gof_benchmark import views
 from tests.plys import read_ply
 from tests.reconstruct.rising_flame import DT, RISE, edit, write_flame

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.datum import Datum
-from gof.gaussians import TransientGaussians
+from gof.core.datum import Datum
+from gof.core.gaussians import TransientGaussians
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io.cloud import SH_C0
 from gof_blender.pure.io.gaussians_file import Clock, count, load

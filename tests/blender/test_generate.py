@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof_benchmark.commands import generate
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure import spec as scene_spec

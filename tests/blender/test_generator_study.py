@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gof.cli import main
+from gof.commands.cli import main
 from gof_benchmark.scenes import load_scene
 
 

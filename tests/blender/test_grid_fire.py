@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.core.errors import GofError
+from gof.core.fields import VelocitySequence
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.evaluate.emission import FlameGrid, score_on_emission
-from gof.fields import VelocitySequence
-from gof.gaussians import TransientGaussians
 from gof_benchmark.commands import generate
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim, load_scene

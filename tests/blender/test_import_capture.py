@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import CameraEntry, DatasetDescription, Splits
-from gof.gaussians import TransientGaussians
 from tests.blender.test_import_result import run, run_import
 from tests.conftest import look_at
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof_blender.pure.description import DatasetDescription, held_out
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.spec import SceneSpec

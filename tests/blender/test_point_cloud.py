@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof_blender.pure.io import gaussians_file
 from gof_blender.pure.io.cloud import GaussianCloud
 

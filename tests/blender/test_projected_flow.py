@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 from gof_blender.pure.io import projected_flow
 
 INDEX_TO_WORLD = np.array([[0.05, 0, 0, -0.5], [0, 0.05, 0, -0.4], [0, 0, 0.05, 0.1], [0, 0, 0, 1.0]])

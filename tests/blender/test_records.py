@@ -5,9 +5,9 @@ from dataclasses import fields
 
 import pytest
 
-import gof.costs
-import gof.dataset.description as library
-from gof.records import read_record, write_record
+import gof.core.costs
+import gof.core.description as library
+from gof.core.records import read_record, write_record
 from gof_blender.pure import costs, description
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io.files import atomic_path, write_json
@@ -55,11 +55,11 @@ def test_the_held_out_rule_is_the_librarys(count):
 
 def test_costs_go_both_ways(tmp_path):
     path = tmp_path / "costs.json"
-    write_record(path, gof.costs.Costs((gof.costs.StageCost("bake", 1.0, 2.0, {"wall_s": 1.0}),), 3.0))
+    write_record(path, gof.core.costs.Costs((gof.core.costs.StageCost("bake", 1.0, 2.0, {"wall_s": 1.0}),), 3.0))
     ours = costs.Costs.read(path)
     assert ours == costs.Costs((costs.StageCost("bake", 1.0, 2.0, {"wall_s": 1.0}),), 3.0)
     ours.write(path)
-    assert read_record(gof.costs.Costs, path).stages[0].name == "bake"
+    assert read_record(gof.core.costs.Costs, path).stages[0].name == "bake"
 
 
 @pytest.mark.parametrize(

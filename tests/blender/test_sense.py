@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.cameras import Camera
-from gof.errors import GofError
+from gof.core.cameras import Camera
+from gof.core.errors import GofError
 from gof_benchmark.commands import generate
 from gof_benchmark.fires import __file__ as FIRES
 from gof_benchmark.generator import looks
@@ -97,7 +97,7 @@ def test_cameras_stand_outside_the_fire_and_see_it():
 
 @pytest.mark.parametrize("roll", [0, 90])
 def test_what_a_camera_sees_is_what_the_library_projects(roll):
-    """Against the pinhole model of `gof.cameras`, for cameras on the arc and the same ones placed by hand."""
+    """Against the pinhole model of `gof.core.cameras`, for cameras on the arc and the same ones placed by hand."""
     rig = Rig(count=3, eval_count=1, roll_deg=roll)
     width, height = (720, 1280) if roll else (1280, 720)
     points = np.random.default_rng(0).uniform(-2.5, 2.5, (400, 3))

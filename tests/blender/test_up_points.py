@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gof.commands.ingest import IngestConfig, ingest
+from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.ingest import accelerometer, gpmf
 from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY, in_blender

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from gof.fields import VelocityField, VelocitySequence
+from gof.core.fields import VelocityField, VelocitySequence
 from gof_blender.pure.description import DatasetDescription, held_out
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io.velocity_reader import TrueVelocity, of_dataset

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import zarr
 
-from gof.fields import VelocitySequence
+from gof.core.fields import VelocitySequence
 from gof_blender.pure.io import FileFormatError
 from gof_blender.pure.io.velocity_store import VelocityWriter
 

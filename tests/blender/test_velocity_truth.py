@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.fields import VelocitySequence
+from gof.core.fields import VelocitySequence
 from gof_benchmark.evidence import velocity_truth
 
 

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from gof.cameras import Camera
-from gof.errors import DataFormatError
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError
 from gof_benchmark import views
 from gof_benchmark.views.colmap import is_flat
 from gof_benchmark.views.source import ViewSource

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof_blender.pure import voxels
 from gof_blender.pure.io.cloud import GaussianCloud
 from tests.blender.runs import in_blender

@@ -24,8 +24,8 @@ from gof.capture.protocol import (
     encode_frame,
     encode_request,
 )
-from gof.cli import main as gof
 from gof.commands import capture_board
+from gof.commands.cli import main as gof
 
 pytestmark = pytest.mark.long
 

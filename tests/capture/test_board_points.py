@@ -12,10 +12,10 @@ from gof.capture.locate import BoardNotFound, project
 from gof.capture.signals import read_signals
 from gof.capture.synthetic import SyntheticShot, render
 from gof.capture.template import BoardTemplate
-from gof.cli import main as gof
+from gof.commands.cli import main as gof
+from gof.core.errors import DataFormatError
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
-from gof.pictures import write_picture
+from gof.footage.pictures import write_picture
 from gof_benchmark.evidence.capture_accuracy import errors
 from tests.conftest import look_at, write_dataset
 

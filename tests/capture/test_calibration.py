@@ -17,11 +17,11 @@ from gof.capture.mask import board_mask
 from gof.capture.sensors import sensor
 from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
-from gof.cli import main as gof
+from gof.commands.cli import main as gof
+from gof.core.errors import DataFormatError, GofError
+from gof.core.records import write_record
 from gof.dataset import Dataset, DatasetDescription
-from gof.errors import DataFormatError, GofError
-from gof.lens import CalibratedCamera, CamerasFile, Lens, read_cameras
-from gof.records import write_record
+from gof.footage.lens import CalibratedCamera, CamerasFile, Lens, read_cameras
 from tests.conftest import look_at, write_dataset
 
 pytestmark = pytest.mark.long

@@ -20,9 +20,9 @@ from gof.capture.sync import synchronise
 from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.capture.times import CounterReading, DecodingCost, FrameTime, SyncedVideo, VideoTimes
-from gof.cli import main as gof
-from gof.errors import GofError
-from gof.footage import stored_frames
+from gof.commands.cli import main as gof
+from gof.core.errors import GofError
+from gof.footage.videos import stored_frames
 
 BOARD, PAPER = BoardTemplate.load("gof_board"), BoardTemplate.load("paper_rig")
 

@@ -13,8 +13,8 @@ from gof.capture.ring_board import RingBoard
 from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.synthetic_ring import RingShot, render_ring
 from gof.capture.template import BoardTemplate
-from gof.cli import main as gof
-from gof.footage import stored_frames
+from gof.commands.cli import main as gof
+from gof.footage.videos import stored_frames
 
 pytestmark = pytest.mark.long
 

@@ -15,8 +15,8 @@ from gof.capture.strips import NotDecodable
 from gof.capture.synthetic import write_video
 from gof.capture.synthetic_ring import RingShot, render_ring
 from gof.capture.template import BoardTemplate
-from gof.cli import main as gof
-from gof.errors import DataFormatError
+from gof.commands.cli import main as gof
+from gof.core.errors import DataFormatError
 from gof_benchmark.evidence.ring_accuracy import USUAL as CAMERA
 
 BOARD = RingBoard.load("rocsync")

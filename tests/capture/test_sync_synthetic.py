@@ -11,8 +11,8 @@ from gof.capture.locate import BoardNotFound, Summary, locate
 from gof.capture.strips import NotDecodable, robust_line
 from gof.capture.synthetic import SyntheticShot, lit_share, render, write_video
 from gof.capture.template import BoardTemplate
-from gof.cli import main as gof
-from gof.pictures import write_picture
+from gof.commands.cli import main as gof
+from gof.footage.pictures import write_picture
 from gof_benchmark.evidence.capture_accuracy import errors, measure, signals_of
 
 pytestmark = pytest.mark.long

@@ -10,8 +10,8 @@ import pytest
 
 from gof.capture.ring_board import load_board
 from gof.capture.template import BoardTemplate, draw_svg
-from gof.cli import main as gof
-from gof.errors import DataFormatError
+from gof.commands.cli import main as gof
+from gof.core.errors import DataFormatError
 
 
 @pytest.mark.parametrize("name, leds", [("gof_board", 16), ("paper_rig", 15)])

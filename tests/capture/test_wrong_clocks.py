@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof_benchmark.evidence.wrong_clocks import believing, mistakes
 
 

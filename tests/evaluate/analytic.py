@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.gaussians import TransientGaussians
-from gof.rotations import rotation_matrices
+from gof.core.gaussians import TransientGaussians
+from gof.core.rotations import rotation_matrices
 
 
 class Analytic:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.fields import VelocityField
-from gof.gaussians import TransientGaussians
+from gof.core.fields import VelocityField
+from gof.core.gaussians import TransientGaussians
 from gof.render import render
 from tests.conftest import arc, write_dataset
 

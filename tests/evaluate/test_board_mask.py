@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
 from gof.evaluate import evaluate
 from gof.evaluate.image import ssim_map
 from tests.conftest import arc, random_gaussians, write_dataset

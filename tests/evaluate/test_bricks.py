@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
+from gof.core.fields import CHUNK, VelocityField, VelocitySequence
 from gof.evaluate import dve_sequence
 from gof.evaluate import sparse_grid as bricks
 from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import expected_velocity_plain
 from gof.evaluate.sparse_grid import StoredField, cell_ranges, pool_of, touched_chunks
-from gof.fields import CHUNK, VelocityField, VelocitySequence
 from tests.evaluate.analytic import Sequence, make_gaussians
 
 SHAPE = (150, 70, 130)  # 3 x 2 x 3 chunks, most of them cut off by the end of the grid
@@ -112,8 +112,8 @@ def test_touched_chunks_against_counting():
 
 
 def test_every_node_falls_into_its_cell_range():
+    from gof.core.rotations import rotation_matrices
     from gof.evaluate.quadrature import product_rule
-    from gof.rotations import rotation_matrices
 
     g = make_gaussians(500)
     field = VelocityField(np.zeros((4, 4, 4, 3)), np.diag([0.1, 0.3, 0.2, 1]))

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.draws import own_generator
 from gof.evaluate import dve_sequence
 from gof.evaluate.controls import CONTROLS, skill
+from gof.evaluate.draws import own_generator
 from gof.evaluate.dve_frame import probe, weighted_sums
 from tests.evaluate.analytic import Analytic, Sequence, make_gaussians
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError, GofError, NonFiniteError
+from gof.core.errors import DataFormatError, GofError, NonFiniteError
+from gof.core.fields import VelocityField, VelocitySequence
 from gof.evaluate import dve, dve_sequence
 from gof.evaluate.dve_frame import CULL_SHARE, Samples, Sums, _sum, probe, weighted_sums
 from gof.evaluate.sequence import sanity_warnings
-from gof.fields import VelocityField, VelocitySequence
 from tests.evaluate.analytic import Analytic, Sequence, covariance, make_gaussians, waves
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from gof.commands.evaluate import velocity_table
+from gof.core.errors import DataFormatError
+from gof.core.fields import VelocityField, VelocitySequence
+from gof.core.zarr_array import ZarrArray
 from gof.dataset import Dataset
-from gof.errors import DataFormatError
 from gof.evaluate import evaluate
 from gof.evaluate.emission import EXPONENT, FlameGrid, score_on_emission, velocity_at
-from gof.fields import VelocityField, VelocitySequence
-from gof.zarr_array import ZarrArray
 from gof_blender.pure.io.velocity_store import VelocityWriter, scalar
 from tests.evaluate.analytic import make_gaussians
 from tests.evaluate.synthetic_flame import flame_dataset, plume

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from gof.core.fields import VelocityField
 from gof.evaluate import quadrature
 from gof.evaluate.expectation import COMPILED_FROM, expected_velocity
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import expected_velocity_plain
-from gof.fields import VelocityField
 from tests.evaluate.analytic import make_gaussians
 
 

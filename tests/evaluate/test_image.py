@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.errors import GofError, NonFiniteError
+from gof.core.errors import GofError, NonFiniteError
 from gof.evaluate.image import C1, psnr, ssim, ssim_map
 
 

@@ -15,13 +15,13 @@ import pytest
 
 from gof.commands.evaluate import main as evaluate_main
 from gof.commands.leaderboard import SHOWN, _table, main
-from gof.costs import Costs, StageCost
-from gof.errors import DataFormatError
+from gof.core.costs import Costs, StageCost
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import TransientGaussians
+from gof.core.records import read_record, write_record
 from gof.evaluate.leaderboard import Leaderboard, best_rows, collect, pareto, rows_of, to_csv, to_markdown, used_columns
-from gof.evaluate.streams import draw, max_projection, streamlines, volume, x_slice
-from gof.gaussians import TransientGaussians
-from gof.records import read_record, write_record
-from gof.terminal import console
+from gof.host.terminal import console
+from gof.look.streams import draw, max_projection, streamlines, volume, x_slice
 from tests.evaluate.synthetic_flame import flame_dataset
 
 pytestmark = pytest.mark.long

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError, GofError, MissingDependencyError, NonFiniteError
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError, MissingDependencyError, NonFiniteError
 from gof.evaluate import Extras, evaluate
 from gof.evaluate.depth import read_depth, rmse_depth
 from gof.evaluate.image import temporal_l2

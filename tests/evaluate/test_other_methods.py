@@ -14,12 +14,12 @@ import pytest
 
 pytest.importorskip("torch")
 
-from gof.cli import main
+from gof.commands.cli import main
+from gof.core.fields import VelocityField
+from gof.core.motion import Motion, State
+from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
 from gof.evaluate import evaluate as score_it
-from gof.fields import VelocityField
-from gof.motion import Motion, State
-from gof.trajectory import Trajectory
 from tests.conftest import arc, random_gaussians, write_dataset
 from tests.io import lookalikes
 from tests.io.lookalikes import logistic, yang_covariance

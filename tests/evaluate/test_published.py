@@ -7,11 +7,11 @@ import pytest
 
 from gof.commands.evaluate import beaten_controls, published_table
 from gof.commands.evaluate import main as evaluate_command
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.evaluate import Scores
 from gof.evaluate.leaderboard import EvaluatedResult, best_rows, rows_of, to_csv, to_markdown
-from gof.evaluate.leaderboard_page import to_html
 from gof.evaluate.published import (
     PublishedFigures,
     PublishedFrame,
@@ -22,7 +22,7 @@ from gof.evaluate.published import (
     rmse_disparity,
 )
 from gof.evaluate.scores import ControlScore, Origin, VelocityScore
-from gof.gaussians import TransientGaussians
+from gof.look.leaderboard_page import to_html
 from tests.conftest import look_at
 from tests.reconstruct.rising_flame import column, write_flame
 

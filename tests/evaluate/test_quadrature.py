@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gof.errors import GofError
+from gof.core.errors import GofError
+from gof.core.fields import VelocityField
+from gof.core.rotations import rotation_matrices
 from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.quadrature import CHUNK_POINTS, ORDERS, product_rule
-from gof.fields import VelocityField
-from gof.rotations import rotation_matrices
 from tests.evaluate.analytic import Analytic, covariance, make_gaussians, waves
 
 

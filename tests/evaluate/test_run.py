@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.cli import main as gof
+from gof.commands.cli import main as gof
 from gof.commands.evaluate import main
+from gof.core.errors import DataFormatError, GofError
+from gof.core.gaussians import TransientGaussians
+from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
 from gof.evaluate import Scores, evaluate
-from gof.gaussians import TransientGaussians
-from gof.trajectory import Trajectory
 from tests.evaluate.synthetic_flame import flame_dataset
 
 pytestmark = pytest.mark.long

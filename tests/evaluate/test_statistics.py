@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gof.errors import GofError, NonFiniteError
+from gof.core.errors import GofError, NonFiniteError
 from gof.evaluate.eddy_time import integral_time
 from gof.evaluate.statistics import (
     Estimate,

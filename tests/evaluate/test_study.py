@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from gof.core.rotations import rotation_matrices
 from gof.evaluate.closed_forms import abc, gaussian_vortex, linear, taylor_green
-from gof.rotations import rotation_matrices
 from gof_benchmark.studies.dve import LINES, gaussians, main
 from tests.show.printed import marks, texts
 

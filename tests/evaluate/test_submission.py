@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
-from gof.errors import DataFormatError
 from gof.evaluate.scores import Scores
 from gof.evaluate.scoring import evaluate
 from gof.evaluate.submission import Run, Submission, picture_file, write_pictures
 from gof.evaluate.submission_check import check
-from gof.gaussians import TransientGaussians
 from tests.evaluate.synthetic_flame import flame_dataset
 
 pytestmark = pytest.mark.long

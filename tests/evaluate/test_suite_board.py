@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
+from gof.core.records import read_record, write_record
 from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import FrameScore, PictureScore, Scores
 from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference
-from gof.evaluate.suite_page import marks_of, remark, to_html, to_markdown
 from gof.evaluate.training_curve import TrainingCurve
+from gof.look.suite_page import marks_of, remark, to_html, to_markdown
 from gof.on_cpu.curve import Curve
-from gof.records import read_record, write_record
 
 GOLDEN = Scores.read(Path(__file__).parents[1] / "golden/gof-scores.json")
 FRAMES = 36

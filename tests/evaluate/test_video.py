@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError, GofError, MissingDependencyError, NonFiniteError
+from gof.core.errors import DataFormatError, GofError, MissingDependencyError, NonFiniteError
 from gof.evaluate.video import CHANNELS, HEADS, TRUNK, VideoQuality, available, clip_length, trunk_shapes
 
 pytestmark = pytest.mark.long

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gof.core.fields import VelocityField
 from gof.evaluate import dve
 from gof.evaluate.wavelength import LIMIT_RAD, phase_spread, share_of_short_waves
-from gof.fields import VelocityField
 from tests.evaluate.analytic import Analytic, covariance, make_gaussians, waves
 
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
+from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, MissingDependencyError
 from gof_benchmark.fires import FOLDER, SPLITS, __main__, check_seal, fires, making
 from gof_benchmark.fires.twins import Traits, differences, near_twins, nearest, traits, traits_by_name
 from gof_blender.pure import spec as scene_spec

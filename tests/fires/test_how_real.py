@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError
+from gof.core.fields import VelocityField
 from gof.dataset import Dataset, DatasetDescription
-from gof.errors import DataFormatError
-from gof.fields import VelocityField
-from gof.show.line_chart import COLOURS
+from gof.look.line_chart import COLOURS
 from gof_benchmark.fires import how_real
 from gof_benchmark.fires.flames import flame_of
 from gof_benchmark.fires.laws import (

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, _cast, cameras
 
 DISTORTION = np.array([-0.18, 0.05, 0.002, -0.001, 0.0])

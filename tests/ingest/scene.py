@@ -5,8 +5,8 @@ from functools import cache
 import cv2
 import numpy as np
 
-from gof.cameras import Camera
-from gof.lens import Lens
+from gof.core.cameras import Camera
+from gof.footage.lens import Lens
 from tests.conftest import look_at
 
 WIDTH, HEIGHT, FOCAL = 240, 320, 260.0

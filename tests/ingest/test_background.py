@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.poses import PoseReport, Poses
-from gof.errors import DataFormatError
 from gof.evaluate.image import psnr
-from gof.gaussians import TransientGaussians
 from gof.ingest.stereo import consistent, neighbours_matched
 from gof.reconstruct.background import BackgroundOptions, add_flame, make_background, plate_depths, seed_background
 from gof.reconstruct.splatting import optimize_background

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from gof.commands.ingest import IngestConfig, fire_left_in_words, ingest
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
 from gof.dataset.poses import Poses
-from gof.errors import DataFormatError, GofError
-from gof.footage import stated_info
+from gof.footage.lens import Lens, prepare
+from gof.footage.videos import stated_info
 from gof.ingest import plates
 from gof.ingest.fire_free import around
 from gof.ingest.footage import Clip, Footage
 from gof.ingest.over_time import LUMA, darkest, largest_change, median
 from gof.ingest.sfm import PoseError
-from gof.lens import Lens, prepare
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
 from tests.videos import tag_rotation, write_video
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gof.cameras import Camera
-from gof.errors import DataFormatError, GofError
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError, GofError
 from gof.ingest import depth as d
 from gof.ingest import stereo
 from tests.ingest.scene import cameras, draw

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.cli import main
+from gof.commands.cli import main
+from gof.core.errors import GofError
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
-from gof.errors import GofError
 from gof.evaluate import Extras, evaluate
 from gof.evaluate.depth import read_depth
-from gof.gaussians import TransientGaussians
 from gof.ingest import depth as d
 from gof.ingest import frame_depth
 from gof.ingest.frame_depth import write_frame_depths

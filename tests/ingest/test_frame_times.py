@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from gof.capture.times import CounterReading, DecodingCost, FrameTime, FrameTimesFile, SyncedVideo, VideoTimes
-from gof.errors import DataFormatError, GofError
-from gof.footage import VideoInfo
+from gof.core.errors import DataFormatError, GofError
+from gof.core.records import write_record
+from gof.footage.videos import VideoInfo
 from gof.ingest.frame_times import Timing, read_frame_times
 from gof.ingest.pairing import pair
-from gof.records import write_record
 
 
 def infos(*counts: int) -> list[VideoInfo]:

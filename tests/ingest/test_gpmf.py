@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.ingest import gpmf
 from gof.ingest.accelerometer import read_tilt
 from tests.ingest.gopro import box, film

@@ -9,19 +9,18 @@ import cv2
 import numpy as np
 import pytest
 
-from gof import cli
 from gof.capture.annotate import annotate
 from gof.capture.decode import DecodeOptions
 from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
-from gof.commands import capture_sync
+from gof.commands import capture_sync, cli
 from gof.commands.ingest import IngestConfig, ingest
+from gof.core.errors import DataFormatError, GofError
+from gof.core.records import read_record, write_record
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
-from gof.footage import fingerprint, require_different, stated_info
+from gof.footage.videos import fingerprint, require_different, stated_info
 from gof.ingest.frame_times import Timing, read_frame_times
 from gof.ingest.place import _together
-from gof.records import read_record, write_record
 from tests.ingest.test_frame_times import FrameTimesFile, clock, times_file
 from tests.videos import numbered, write_video
 

@@ -7,8 +7,8 @@ import signal
 
 import pytest
 
-from gof import cli
-from gof.files import only_run_in
+from gof.commands import cli
+from gof.core.files import only_run_in
 from gof.ingest import pipeline, stored
 from tests.ingest.test_picture_folders import moments, rig, words
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gof.commands.ingest import IngestConfig, ingest
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
-from gof.footage import chosen_frames, read_info, stated_fps, stated_frames, stored_frames
+from gof.footage.videos import chosen_frames, read_info, stated_fps, stated_frames, stored_frames
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof_benchmark.evidence.ordinary_footage import tagged_clockwise

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gof import cli
-from gof.footage import stored_frames
+from gof.commands import cli
+from gof.footage.videos import stored_frames
 from tests.videos import write_video
 
 WIDTH, HEIGHT, STEP = 128, 96, 5

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError
 from gof.dataset.poses import PoseReport, Poses
-from gof.errors import DataFormatError
 from gof.ingest import adjust, sfm
 from gof.ingest.axes import upright_world
 from gof.ingest.marked_points import MarkedPoint, read_points

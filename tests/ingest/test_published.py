@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gof.commands.ingest import IngestConfig, ingest
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
 from gof.dataset.poses import Poses
-from gof.errors import DataFormatError, GofError
 from gof.io.importers.alignment import align_cameras, read_cameras
 from tests.ingest import published_scene as published
 from tests.ingest.scene import HEIGHT, WIDTH, pose_errors

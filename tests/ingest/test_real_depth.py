@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof_benchmark.evidence.real_depth import Drawn, Moment, scores, what_is_drawn
 from tests.conftest import look_at
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gof.trajectory import Trajectory
+from gof.core.trajectory import Trajectory
 
 
 def moved_camera(similarity, camera_to_world):

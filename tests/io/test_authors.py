@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gof.errors import DataFormatError  # noqa: E402
+from gof.core.errors import DataFormatError  # noqa: E402
 from gof.io.importers import ImportOptions, read_result  # noqa: E402
 from tests.io import lookalikes  # noqa: E402
 from tests.io.lookalikes import logistic  # noqa: E402

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.cli import main as gof
-from gof.errors import DataFormatError, MissingDependencyError
-from gof.gaussians import TransientGaussians
+from gof.commands.cli import main as gof
+from gof.core.errors import DataFormatError, MissingDependencyError
+from gof.core.gaussians import TransientGaussians
+from gof.core.ply import Ply
+from gof.core.zarr_array import ZarrArray
 from gof.io import compressed
-from gof.ply import Ply
-from gof.zarr_array import ZarrArray
 from tests.conftest import random_gaussians
 
 needs_library = pytest.mark.skipif(

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gof.commands.convert import main
+from gof.core.errors import DataFormatError, GofError
+from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
 from gof.io.importers import ImportOptions, read_result
-from gof.trajectory import Trajectory
 from tests.conftest import random_gaussians
 from tests.io.motions import moved_camera, similarity, trained
 

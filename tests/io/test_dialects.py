@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
-from gof.files import read_json
+from gof.core.errors import DataFormatError
+from gof.core.files import read_json
 from gof.io.colmap import read_colmap
 from gof.io.importers.alignment import read_cameras
 from gof_blender.pure.io import FileFormatError, camera_files
@@ -232,7 +232,7 @@ def test_json_is_read_in_one_place_a_side():
 @pytest.mark.parametrize("digits", [400, 5000])
 def test_a_number_beyond_floats_is_refused_by_commands(tmp_path, capsys, digits):
     """Where a Python integer became a float, so that the commands ended in an OverflowError."""
-    from gof.cli import main
+    from gof.commands.cli import main
 
     number = "1" + "0" * digits
     (tmp_path / "poses.json").write_text('{"cam_0": [[' + number + "]]}")
@@ -405,7 +405,7 @@ PLYS = {
 
 
 def _splats_by_gof(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    from gof.ply import Ply
+    from gof.core.ply import Ply
 
     values = Ply.read(path).splats()
     return values["position"], values["scale"], values["opacity"]
@@ -469,7 +469,7 @@ STRANGERS = {
 
 @pytest.mark.parametrize("name", STRANGERS)
 def test_files_of_other_splat_programs_are_named(tmp_path, capsys, name):
-    from gof.cli import main
+    from gof.commands.cli import main
     from gof_blender.pure.io.gaussians_file import load
 
     data, words = STRANGERS[name]
@@ -482,7 +482,7 @@ def test_files_of_other_splat_programs_are_named(tmp_path, capsys, name):
 
 
 def test_a_folder_of_activated_plys_is_refused(tmp_path, capsys):
-    from gof.cli import main
+    from gof.commands.cli import main
 
     (tmp_path / "frames").mkdir()
     for k in range(3):
@@ -613,7 +613,7 @@ def test_fields_of_results_that_nobody_reads_are_refused(tmp_path, door, suffix,
     ],
 )
 def test_axes_and_frame_of_a_velocity_store(tmp_path, door, change, words):
-    from gof.fields import VelocityField, VelocitySequence
+    from gof.core.fields import VelocityField, VelocitySequence
     from gof_blender.pure.io.grid_reader import StoredGrid
 
     VelocitySequence.create(tmp_path / "v.zarr", [VelocityField(np.ones((2, 2, 2, 3)), np.eye(4), 0.0)])
@@ -639,7 +639,7 @@ def test_axes_and_frame_of_a_velocity_store(tmp_path, door, change, words):
     ],
 )
 def test_what_cameras_by_hand_say_besides(tmp_path, changes, words):
-    from gof.lens import read_cameras as read_lenses
+    from gof.footage.lens import read_cameras as read_lenses
 
     camera = {"width": 100, "height": 80, "K": [[90, 0, 50], [0, 90, 40], [0, 0, 1]]}
     (tmp_path / "cameras.json").write_text(json.dumps({"cameras": [camera | changes]}))
@@ -676,7 +676,7 @@ def test_an_alignment_says_what_it_leaves():
     ids=["swapped", "OpenGL", "mirrored"],
 )
 def test_another_rig_is_refused(source):
-    from gof.errors import GofError
+    from gof.core.errors import GofError
     from gof.io.importers.alignment import align_cameras
 
     with pytest.raises(GofError, match="the best fit leaves"):

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gof.files import atomic_path, write_json
+from gof.core.files import atomic_path, write_json
 
 
 def test_atomic_write_keeps_the_old_file_on_failure(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gof.commands.convert import main
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.io import gltf, ply_frames
 from gof.io.importers import ImportOptions, read_result
 from gof.render.reference import rotation_matrix

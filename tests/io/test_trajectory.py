@@ -7,10 +7,10 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gof.errors import DataFormatError, GofError  # noqa: E402
+from gof.core.errors import DataFormatError, GofError  # noqa: E402
+from gof.core.motion import Motion, State  # noqa: E402
+from gof.core.trajectory import Trajectory  # noqa: E402
 from gof.io.importers import ImportOptions, read_result  # noqa: E402
-from gof.motion import Motion, State  # noqa: E402
-from gof.trajectory import Trajectory  # noqa: E402
 from tests.io import lookalikes  # noqa: E402
 from tests.io.lookalikes import logistic  # noqa: E402
 from tests.io.motions import make_trajectory, similarity, swirl  # noqa: E402

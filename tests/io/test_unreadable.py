@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gof.errors import DataFormatError, GofError  # noqa: E402
+from gof.core.errors import DataFormatError, GofError  # noqa: E402
 from gof.io.importers import ImportOptions, Source, detect, read_result  # noqa: E402
 from tests.io import lookalikes  # noqa: E402
 

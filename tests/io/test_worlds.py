@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch")
 
-from gof.errors import DataFormatError, GofError  # noqa: E402
+from gof.core.errors import DataFormatError, GofError  # noqa: E402
 from gof.io.colmap import read_colmap  # noqa: E402
 from gof.io.importers import ImportOptions, read_result  # noqa: E402
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world  # noqa: E402
@@ -184,7 +184,7 @@ def test_cameras_give_the_similarity_back(count):
 
 def test_turned_gaussians_look_the_same_from_turned_cameras():
     """Colours included: rendering the moved Gaussians from moved cameras gives the same picture."""
-    from gof.cameras import Camera
+    from gof.core.cameras import Camera
     from gof.render import render
 
     T = similarity(scale=1.7)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch")
 
-from gof.errors import DataFormatError  # noqa: E402
+from gof.core.errors import DataFormatError  # noqa: E402
 from gof.io.importers import ImportOptions, read_result  # noqa: E402
 from tests.io import lookalikes  # noqa: E402
 from tests.io.lookalikes import logistic, yang_covariance  # noqa: E402

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("drjit")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError, MissingDependencyError
+from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.render import reference
 from tests.render.scenes import camera, gaussians
 

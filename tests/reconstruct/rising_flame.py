@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.core.fields import VelocityField
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.fields import VelocityField
-from gof.gaussians import TransientGaussians
 from gof.reconstruct import pipeline
 from gof.reconstruct.curve import Curve, HeldOutScores
 from gof.reconstruct.settings import ReconstructionSettings

@@ -6,7 +6,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof.reconstruct import optimize
 from gof.reconstruct.parameters import GROUP, PER_GAUSSIAN, alight, splats, to_raw
 from gof.render import render_splats

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.gaussians import TransientGaussians
 from gof.reconstruct import density, optimize, pipeline
 from gof.reconstruct.density import _Seen, changed
 from gof.reconstruct.methods import METHODS, PAPER

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from gof.core.datum import Datum
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.datum import Datum
 from gof.evaluate import evaluate
-from gof.gaussians import TransientGaussians
 from gof_benchmark.evidence.far_from_zero import moved_copy
 from tests.reconstruct.rising_flame import RISE, mean_velocity, reconstruct, write_flame
 

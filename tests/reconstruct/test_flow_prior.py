@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, FlameDescriber, FlowPrior, evaluate_network
 from gof.reconstruct.pace import Pace

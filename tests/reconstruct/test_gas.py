@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.gaussians import TransientGaussians
 from gof.reconstruct import seen
 from gof.reconstruct.flow_prior import VOXELS
 from gof.reconstruct.gas import gas_at, told_of_gas, with_gas_of

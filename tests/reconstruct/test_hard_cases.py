@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError, GofError
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
-from gof.gaussians import TransientGaussians
 from gof.reconstruct.observation import observe
 from tests.reconstruct.rising_flame import DT, RISE, edit, held_out, mean_velocity, reconstruct, write_flame
 

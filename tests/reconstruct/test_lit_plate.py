@@ -5,7 +5,7 @@ import warnings
 import cv2
 import numpy as np
 
-from gof.flame_mask import flame_mask
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.lit_plate import faint_flame, lit_plate
 
 HEIGHT, WIDTH, FRAMES = 96, 60, 12

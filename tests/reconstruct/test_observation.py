@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError
-from gof.flame_mask import flame_mask
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.observation import consistency, light_above, observe
 from gof.reconstruct.optical_flow import flow_method
 from tests.conftest import arc, write_dataset

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from gof.commands.reconstruct import ReconstructConfig
+from gof.core.errors import GofError
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.errors import GofError
 from gof.evaluate.image import psnr
-from gof.flame_mask import flame_mask
-from gof.gaussians import TransientGaussians
+from gof.footage.flame_mask import flame_mask
 from gof.reconstruct import ablations, optimize
 from gof.reconstruct.curve import Curve, HeldOutScores
 from gof.reconstruct.heldout import HeldOut

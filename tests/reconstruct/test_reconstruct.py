@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from gof.commands.reconstruct import main
-from gof.costs import StageLog
+from gof.core.costs import StageLog
+from gof.core.errors import DataFormatError, GofError, NonFiniteError
+from gof.core.gaussians import TransientGaussians
+from gof.core.records import read_record
 from gof.dataset import Dataset
-from gof.errors import DataFormatError, GofError, NonFiniteError
 from gof.evaluate import dve
-from gof.gaussians import TransientGaussians
 from gof.reconstruct import pipeline, stages
 from gof.reconstruct.curve import Curve
 from gof.reconstruct.settings import ReconstructionSettings
-from gof.records import read_record
 from gof.render import render
 from tests.reconstruct.rising_flame import RISE, mean_velocity, reconstruct, write_flame
 

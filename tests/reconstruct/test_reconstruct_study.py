@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gof.cli import main
+from gof.commands.cli import main
 from gof.commands.reconstruct import ReconstructConfig
 from gof.reconstruct.presets import Effort
 from gof_benchmark.studies import reconstruction

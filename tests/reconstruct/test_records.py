@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gof.errors import DataFormatError, GofError
+from gof.core.errors import DataFormatError, GofError
 from gof.reconstruct.captions import Caption, Captions
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint, HeldOutScores
 from gof.reconstruct.settings import ReconstructionSettings

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.cli import main
+from gof.commands.cli import main
+from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.errors import GofError
 from gof.reconstruct import memory
 from gof.reconstruct.sanity import doubts
 from tests.conftest import look_at

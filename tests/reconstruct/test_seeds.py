@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.methods import OURS, PAPER
 from gof.reconstruct.seeds import CROSSED, LIFETIME_FRAMES, lifetime_s, sample_seeds

@@ -6,7 +6,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.optimize import Schedule
 from gof.reconstruct.surroundings import Plates, StillScene
 from gof.reconstruct.voxels import FlameVoxels

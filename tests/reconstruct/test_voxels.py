@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.reconstruct import tomography as tomography_module
 from gof.reconstruct.tomography import round_flame, tomography
 from gof.reconstruct.voxels import carve, flame_box

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.cameras import READOUT_DIRECTIONS
-from gof.gaussians import TransientGaussians
+from gof.core.cameras import READOUT_DIRECTIONS
+from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.parameters import splats, to_raw
 from gof.reconstruct.voxels import ROOM, FlameVoxels
 from gof.reconstruct.windows import Windows

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gof.cameras import Camera
+from gof.core.cameras import Camera
 
 
 def camera(width=50, height=37, **kwargs) -> Camera:

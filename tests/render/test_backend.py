@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 from gof.render import backend
 from gof.render.backend import Float, floats, shifted
 

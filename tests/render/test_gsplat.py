@@ -5,7 +5,7 @@ import inspect
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.render import reference
 from tests.render.scenes import camera, gaussians
 

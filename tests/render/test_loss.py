@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 
 dr = pytest.importorskip("drjit")
 

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from gof.cameras import Camera
-from gof.errors import DataFormatError
-from gof.gaussians import TransientGaussians
+from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import TransientGaussians
 from tests.render.scenes import camera, gaussians
 
 pytest.importorskip("mitsuba")

@@ -7,7 +7,7 @@ import pytest
 
 dr = pytest.importorskip("drjit")
 
-from gof.gaussians import TransientGaussians  # noqa: E402
+from gof.core.gaussians import TransientGaussians  # noqa: E402
 from gof.render import reference, render, render_splats, shutter_delay  # noqa: E402
 from gof.render.backend import Array3f, Float, floats  # noqa: E402
 from gof.render.scene import columns  # noqa: E402

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError, NonFiniteError
-from gof.gaussians import TransientGaussians
+from gof.core.errors import DataFormatError, NonFiniteError
+from gof.core.gaussians import TransientGaussians
 
 dr = pytest.importorskip("drjit")
 

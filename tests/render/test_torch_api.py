@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError, NonFiniteError
+from gof.core.errors import DataFormatError, NonFiniteError
 from tests.render.scenes import camera, gaussians
 
 torch = pytest.importorskip("torch")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gof.errors import MissingDependencyError
+from gof.core.errors import MissingDependencyError
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireGrids, FireHistory, Hearth, write_fire
 from gof_benchmark.solvers.openfoam.case import Burner, FoamFire
 from gof_benchmark.solvers.openfoam.installation import Installation, find_installation

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError, MissingDependencyError
-from gof.records import from_json, to_json
+from gof.core.errors import DataFormatError, MissingDependencyError
+from gof.core.records import from_json, to_json
 from gof_benchmark.solvers.openfoam import installation
 from gof_benchmark.solvers.openfoam.__main__ import main
 from gof_benchmark.solvers.openfoam.case import (

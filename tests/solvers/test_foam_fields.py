@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof_benchmark.solvers.openfoam.chemistry import AMBIENT_K, FUELS, MOLAR_MASS, NASA, enthalpy, reactions
 from gof_benchmark.solvers.openfoam.emission import luminous_emission, planck, soot_share
 from gof_benchmark.solvers.openfoam.fields import Resampler, add_to_internal, frame_folder, on_mesh, read_internal

@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError, GofError
-from gof.records import write_record
+from gof.core.errors import DataFormatError, GofError
+from gof.core.records import write_record
 from gof_benchmark.solvers.grids import FireGrids
 from gof_benchmark.solvers.openfoam import run
 from gof_benchmark.solvers.openfoam.case import write_case

@@ -6,9 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError, NonFiniteError
-from gof.fields import VelocitySequence
-from gof.records import from_json, to_json
+from gof.core.errors import DataFormatError, NonFiniteError
+from gof.core.fields import VelocitySequence
+from gof.core.records import from_json, to_json
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireGrids, FireHistory, write_fire
 from tests.solvers.conftest import write_small_fire
 

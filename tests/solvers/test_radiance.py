@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof_benchmark.solvers import radiance
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, write_fire
 

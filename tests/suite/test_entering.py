@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gof.cli import main
+from gof.commands.cli import main
+from gof.core.errors import DataFormatError, GofError
+from gof.core.gaussians import TransientGaussians
+from gof.core.records import read_record
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.dataset.plates import save_plates
-from gof.errors import DataFormatError, GofError
 from gof.evaluate.scores import Scores
 from gof.evaluate.submission import Submission
 from gof.evaluate.suite_board import SuiteBoard
-from gof.gaussians import TransientGaussians
-from gof.records import read_record
 from gof_benchmark.commands import benchmark
 from gof_benchmark.evidence.scene_rows import table
 from gof_benchmark.suite import pick, scenes_of
@@ -263,7 +263,7 @@ def test_an_addition_that_was_stopped_is_finished_by_the_same_command(work, tmp_
     (tmp_path / "new/method.json").write_text(json.dumps(METHOD))
     adding = ["benchmark", "add", other, place, str(tmp_path / "new")]
     code = (
-        "import os, sys\nfrom gof.cli import main\nfrom gof_benchmark.commands import benchmark_add\n"
+        "import os, sys\nfrom gof.commands.cli import main\nfrom gof_benchmark.commands import benchmark_add\n"
         f"benchmark_add.{stopped_in} = lambda *a, **k: os._exit(9)\nmain({adding!r})\n"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 9

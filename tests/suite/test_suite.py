@@ -7,10 +7,10 @@ import subprocess
 
 import pytest
 
+from gof.core.errors import DataFormatError, GofError
+from gof.core.records import read_record
 from gof.dataset import Dataset
 from gof.dataset.truth import Truth
-from gof.errors import DataFormatError, GofError
-from gof.records import read_record
 from gof_benchmark import suite
 from gof_benchmark.commands import benchmark, benchmark_list
 from gof_benchmark.suite import pick, scenes_of

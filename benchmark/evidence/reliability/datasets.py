@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 from gof_benchmark.evidence.reliability.format import Format
 from gof_benchmark.evidence.reliability.malice import impossible
 
@@ -173,7 +173,7 @@ def rig(folder: Path) -> None:
     """Three cameras around a glowing ball that grows, whose pictures agree: nothing to doubt."""
     import cv2
 
-    from gof.cameras import Camera
+    from gof.core.cameras import Camera
 
     camera_entries, centre = [], np.array([0.0, 0.0, 0.5])
     for number, angle in enumerate(np.radians([0, 35, 70])):
@@ -228,7 +228,7 @@ def read_dataset(folder: Path):
 
 
 def _read_velocity(folder: Path):
-    from gof.fields import VelocitySequence
+    from gof.core.fields import VelocitySequence
 
     v = VelocitySequence.open(folder / "velocity.zarr")
     middle = (v.times_s[0] + v.times_s[-1]) / 2
@@ -249,9 +249,9 @@ def _read_flame(folder: Path):
 
 
 def _read_colmap(folder: Path):
+    from gof.core.similarity import decompose
     from gof.io.importers.alignment import read_cameras
     from gof.io.importers.normalisation import world_from_training
-    from gof.similarity import decompose
 
     places = np.random.default_rng(0).normal(size=(9, 3))
     return read_cameras(folder), decompose(world_from_training(folder, "gsplat", places)[0])

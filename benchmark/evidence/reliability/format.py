@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 from gof_benchmark.evidence.reliability.damage import Injury
 
 

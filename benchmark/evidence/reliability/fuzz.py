@@ -16,7 +16,7 @@ from zlib import crc32
 
 import numpy as np
 
-from gof.files import read_json, write_json
+from gof.core.files import read_json, write_json
 from gof_benchmark.evidence.reliability.damage import Instead, damaged, put
 from gof_benchmark.evidence.reliability.format import finite
 from gof_benchmark.evidence.reliability.formats import formats

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.processes import python_command
+from gof.host.processes import python_command
 
 MADE_ONCE = (
     "cameras/*/rgb/0*.png",

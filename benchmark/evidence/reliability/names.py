@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import GofError
+from gof.core.errors import GofError
 from gof_benchmark.evidence.reliability.datasets import dataset as write_dataset
 from gof_benchmark.evidence.reliability.datasets import read_dataset
 from gof_benchmark.evidence.reliability.format import Format
@@ -65,8 +65,8 @@ def _names(folder: Path) -> None:
 def _captions(folder: Path) -> None:
     import cv2
 
+    from gof.look.preview import Preview
     from gof.reconstruct.captions import Caption, Captions
-    from gof.report.preview import Preview
 
     dataset = _beside_secrets(folder)
     for name in ("1.png", "preview.png"):
@@ -77,9 +77,9 @@ def _captions(folder: Path) -> None:
 
 def _use_names(folder: Path):
     """Everything that reads and writes files by the names in a dataset.json."""
+    from gof.core.files import path_in
     from gof.dataset import Dataset
     from gof.dataset.plates import background, save_plates
-    from gof.files import path_in
     from gof_benchmark.views import dnerf, dynerf, nerfstudio
     from gof_benchmark.views.source import ViewSource
     from gof_blender.pure.description import DatasetDescription
@@ -116,8 +116,8 @@ def _use_names(folder: Path):
 def _use_captions(folder: Path):
     """The pictures that a report takes from files beside it."""
     from gof.dataset import Dataset
-    from gof.report.page import _preview, _stage_pictures
-    from gof.report.preview import Preview
+    from gof.look.preview import Preview
+    from gof.look.report import _preview, _stage_pictures
 
     dataset = folder / "dataset"
     if not (dataset / "dataset.json").exists():
@@ -197,8 +197,8 @@ def _open_submission(folder: Path):
 
 def _pages(folder: Path) -> None:
     """The texts that others write and our pages show: a dataset's, a method's, a board's."""
+    from gof.core.records import write_record
     from gof.evaluate.suite_board import BoardRow, BoardScene, Figure, SuiteBoard
-    from gof.records import write_record
 
     write_dataset(folder)
     file = folder / "dataset.json"
@@ -212,12 +212,12 @@ def _pages(folder: Path) -> None:
 
 def _show_pages(folder: Path):
     """The suite's board, a shared page and a data card, with the texts of the files; only our own tags are in them."""
+    from gof.core.records import read_record
     from gof.dataset import Dataset
     from gof.dataset.card import card, description_lines
     from gof.evaluate.suite_board import SuiteBoard
-    from gof.evaluate.suite_page import to_html, to_markdown
-    from gof.records import read_record
-    from gof.share.page import assemble
+    from gof.look.player.page import assemble
+    from gof.look.suite_page import to_html, to_markdown
 
     board, dataset = read_record(SuiteBoard, folder / "board.json"), Dataset.open(folder)
     table = to_markdown(board)
@@ -248,7 +248,7 @@ def _strange_tags(page: str) -> list[str]:
 
 
 def _evaluated(folder: Path) -> None:
-    from gof.costs import StageLog
+    from gof.core.costs import StageLog
     from gof.evaluate.scores import Origin, Scores
 
     origin = Origin("a method", ("a note", "another"))
@@ -262,10 +262,10 @@ def _show_texts(folder: Path):
     import csv
     import io
 
-    from gof.costs import StageLog
+    from gof.core.costs import StageLog
     from gof.evaluate.leaderboard import collect, rows_of, to_csv, to_markdown
-    from gof.evaluate.leaderboard_page import to_html
-    from gof.terminal import console
+    from gof.host.terminal import console
+    from gof.look.leaderboard_page import to_html
 
     rows = rows_of(collect([folder]))
     costs = StageLog(folder / "costs.json").costs()

@@ -37,7 +37,7 @@ def formats() -> dict[str, Format]:
 
 
 def gaussians(n: int = 12, harmonics: int = 0):
-    from gof.gaussians import TransientGaussians
+    from gof.core.gaussians import TransientGaussians
 
     rng = np.random.default_rng(0)
     return TransientGaussians(
@@ -77,7 +77,7 @@ def _free_time_world(folder: Path) -> None:
 
 
 def _spacetime(folder: Path) -> None:
-    from gof.ply import splat_columns, write
+    from gof.core.ply import splat_columns, write
 
     rng = np.random.default_rng(0)
     columns = splat_columns(gaussians(9).arrays())
@@ -98,7 +98,7 @@ def _yang(folder: Path) -> None:
 
 
 def _trajectory(folder: Path) -> None:
-    from gof.trajectory import Trajectory
+    from gof.core.trajectory import Trajectory
 
     rng = np.random.default_rng(0)
     Trajectory(
@@ -111,7 +111,7 @@ def _trajectory(folder: Path) -> None:
 
 
 def _still_plys(folder: Path) -> None:
-    from gof.ply import splat_columns, write
+    from gof.core.ply import splat_columns, write
 
     for number in range(3):
         write(folder / f"{number:03d}.ply", splat_columns(gaussians(5).arrays()), [])
@@ -145,7 +145,7 @@ def _checkpoint(folder: Path) -> None:
 
 def _read_transient(name: str) -> Callable[[Path], Any]:
     def read(folder: Path):
-        from gof.gaussians import TransientGaussians
+        from gof.core.gaussians import TransientGaussians
 
         return TransientGaussians.load(folder / name)
 

@@ -54,14 +54,14 @@ def _read_checkpoint(folder: Path):
 
 def _kinds() -> list[type]:
     """The records that a folder of work has in it."""
-    from gof.costs import Costs
+    from gof.core.costs import Costs
     from gof.dataset.leaks import MadeFrom
     from gof.dataset.poses import Poses
+    from gof.look.preview import Preview
     from gof.reconstruct.background import BackgroundSettings
     from gof.reconstruct.captions import Captions
     from gof.reconstruct.curve import Curve
     from gof.reconstruct.settings import ReconstructionSettings
-    from gof.report.preview import Preview
     from gof_benchmark.commands.demo import DemoSettings
 
     ours = [ReconstructionSettings, BackgroundSettings, DemoSettings, Curve, Captions, MadeFrom, Preview, Costs]
@@ -69,14 +69,14 @@ def _kinds() -> list[type]:
 
 
 def _records(folder: Path) -> None:
-    from gof.records import write_record
+    from gof.core.records import write_record
 
     for kind in _kinds():
         write_record(folder / f"{kind.SCHEMA}.json", _sample(kind))
 
 
 def _read_records(folder: Path):
-    from gof.records import read_record
+    from gof.core.records import read_record
 
     return [read_record(kind, folder / f"{kind.SCHEMA}.json") for kind in _kinds()]
 
@@ -100,8 +100,8 @@ def _sample(hint: Any) -> Any:
 
 
 def _cameras(folder: Path) -> None:
-    from gof.lens import CalibratedCamera, CamerasFile
-    from gof.records import write_record
+    from gof.core.records import write_record
+    from gof.footage.lens import CalibratedCamera, CamerasFile
 
     K, pose = ((80.0, 0.0, 24.0), (0.0, 80.0, 42.0), (0.0, 0.0, 1.0)), tuple(map(tuple, np.eye(4).tolist()))
     cameras = [CalibratedCamera(48, 85, K, (0.1, 0.01, 0.0, 0.0), f"cam_{c}", pose, 0.3, 1.0, 0.5, 9) for c in (0, 1)]
@@ -109,13 +109,13 @@ def _cameras(folder: Path) -> None:
 
 
 def _read_cameras(folder: Path):
-    from gof.lens import read_cameras
+    from gof.footage.lens import read_cameras
 
     return [(camera, camera.lens.turned("clockwise")) for camera in read_cameras(folder / "cameras.json", 2)]
 
 
 def _video(number: int):
-    from gof.footage import VideoInfo
+    from gof.footage.videos import VideoInfo
 
     return VideoInfo(Path(f"cam_{number}.mp4"), 48, 85, 30.0, 6, stamps_s=np.arange(6) / 30, frames=6)
 
@@ -130,7 +130,7 @@ def _times(folder: Path) -> None:
         SyncedVideo,
         VideoTimes,
     )
-    from gof.records import write_record
+    from gof.core.records import write_record
 
     def times(begin: float) -> VideoTimes:
         frames = tuple(FrameTime(t, 1.0, t + 1e-6, True) for t in [begin + 0.0025 * k for k in range(6)])

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import tyro
 
-from gof.errors import GofError
-from gof.files import path_in
+from gof.core.errors import GofError
+from gof.core.files import path_in
 from gof_benchmark.solvers.openfoam.run import bake
 from gof_benchmark.solvers.openfoam.shipped import find_fire
 

@@ -14,8 +14,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from scipy.optimize import brentq
 
-from gof.errors import DataFormatError
-from gof.files import is_name
+from gof.core.errors import DataFormatError
+from gof.core.files import is_name
 from gof_benchmark.solvers.openfoam import chemistry
 from gof_benchmark.solvers.openfoam.chemistry import AMBIENT_K, AMBIENT_PA, FUELS, OXYGEN_IN_AIR, Fuel, FuelName
 from gof_benchmark.solvers.openfoam.dictionary import named, render, unnamed, write_dictionary

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gof.files import atomic_path
+from gof.core.files import atomic_path
 
 END = "// * //\n"  # OpenFOAM's own files end in a line like this; a file that was cut off lacks it
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from gof.errors import DataFormatError
-from gof.files import atomic_path
-from gof.records import to_json
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path
+from gof.core.records import to_json
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireHistory, Hearth, write_fire
 from gof_benchmark.solvers.openfoam.case import FoamFire, edges, probe_points
 from gof_benchmark.solvers.openfoam.emission import LAWS, luminous_emission

@@ -9,8 +9,8 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from gof.errors import MissingDependencyError
-from gof.processes import run
+from gof.core.errors import MissingDependencyError
+from gof.host.processes import run
 
 HINT = (
     "fireFoam of OpenFOAM (com) is needed to bake this fire: on Debian or Ubuntu `apt-get install openfoam`; "

@@ -17,11 +17,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from gof.errors import DataFormatError, GofError
-from gof.files import only_run_in
-from gof.processes import start
-from gof.progress import progress_bar
-from gof.records import read_record, write_record
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import only_run_in
+from gof.core.records import read_record, write_record
+from gof.host.processes import start
+from gof.host.progress import progress_bar
 from gof_benchmark.solvers.grids import FireGrids
 from gof_benchmark.solvers.openfoam.case import FoamFire, draught, write_case, write_control, write_fields
 from gof_benchmark.solvers.openfoam.chemistry import species_of

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gof.errors import DataFormatError
-from gof.records import read_record
+from gof.core.errors import DataFormatError
+from gof.core.records import read_record
 from gof_benchmark.solvers.openfoam.case import FoamFire
 
 FIRES = Path(__file__).parent / "fires"

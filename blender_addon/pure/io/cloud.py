@@ -65,7 +65,7 @@ def splats(rows: np.ndarray, ply: PlyVertices, step: int = 1) -> dict[str, np.nd
         rows: every step-th of the file's.
     Raises:
         FileFormatError: properties are missing, not finite, of absurd size, or activated already (names the rows).
-            `gof.ply` decides the same.
+            `gof.core.ply` decides the same.
     """
     path = ply.path
     try:

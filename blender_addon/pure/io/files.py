@@ -1,6 +1,6 @@
 """Files that a crash never leaves half of, and names from files that nobody vouches for.
 
-`gof.files` decides the same about names; this module needs nothing but the standard library.
+`gof.core.files` decides the same about names; this module needs nothing but the standard library.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The vertices of a PLY file as a numpy table; of a binary one no more is read than is asked for.
 
-`gof.ply_file` reads the same without this package; tests/io/test_dialects.py holds both to one list.
+`gof.core.ply_file` reads the same without this package; tests/io/test_dialects.py holds both to one list.
 """
 
 from __future__ import annotations

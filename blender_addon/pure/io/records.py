@@ -1,7 +1,7 @@
 """Records: what this add-on shares with others as JSON is one frozen dataclass, with one reader and one writer.
 
 A record has the class variables `SCHEMA` and `VERSION`; its file is a JSON object of its fields beside `"schema"` and
-`"version"`. `gof.records` is the library's own form of the same; this one needs nothing but the standard library.
+`"version"`. `gof.core.records` is the library's own form of the same; this one needs nothing but the standard library.
 """
 
 from __future__ import annotations

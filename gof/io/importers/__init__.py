@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from gof.errors import DataFormatError, GofError
-from gof.gaussians import MovingGaussians, TransientGaussians
+from gof.core.errors import DataFormatError, GofError
+from gof.core.gaussians import MovingGaussians, TransientGaussians
+from gof.core.precision import require_digits
 from gof.io.importers import authors, freetime, own, ply_sequence, spacetime, unreadable, yang
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
-from gof.precision import require_digits
 
 # in the order in which they are asked; `unreadable` explains what is recognised and has no velocities
 METHODS = {

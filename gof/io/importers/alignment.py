@@ -7,8 +7,8 @@ from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
-from gof.errors import DataFormatError, GofError
-from gof.files import read_json
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import read_json
 from gof.io.colmap import Poses, check_poses, name_model, read_colmap
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.files import read_json
-from gof.gaussians import TransientGaussians
+from gof.core.errors import DataFormatError
+from gof.core.files import read_json
+from gof.core.gaussians import TransientGaussians
+from gof.core.ply import activate_scale, quaternions, sigmoid
 from gof.io.importers.source import Imported, ImportOptions, Source, array
-from gof.ply import activate_scale, quaternions, sigmoid
 
 OPTIONS = ("time_unit_s", "time_zero_s")
 LAYOUT = (

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.files import atomic_path
-from gof.gaussians import TransientGaussians
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path
+from gof.core.gaussians import TransientGaussians
+from gof.core.ply import activate_scale, exp, quaternions, sigmoid, splat_columns, write
 from gof.io.importers.normalisation import world_from_training
 from gof.io.importers.source import Imported, ImportOptions, Source, array
-from gof.ply import activate_scale, exp, quaternions, sigmoid, splat_columns, write
 
 OPTIONS = ("time_unit_s", "time_zero_s", "world", "world_by")
 SPLATS = {"means", "scales", "quats", "opacities", "sh0", "shN", "times", "durations", "velocities"}

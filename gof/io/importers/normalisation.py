@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gof.errors import DataFormatError
-from gof.files import read_json
+from gof.core.errors import DataFormatError
+from gof.core.files import read_json
 from gof.io.colmap import Poses, name_model, read_colmap
 from gof.io.importers.source import WorldBy
 

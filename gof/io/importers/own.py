@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gof.gaussians import TransientGaussians
+from gof.core.gaussians import TransientGaussians
+from gof.core.results import PLY_SOURCE as SAYS
+from gof.core.trajectory import SCHEMA, Trajectory
 from gof.io.importers.ply_sequence import clock_notes, difference_notes
 from gof.io.importers.source import Imported, ImportOptions, Source
-from gof.results import PLY_SOURCE as SAYS
-from gof.trajectory import SCHEMA, Trajectory
 
 OPTIONS = ()  # seconds and metres: nothing is left to say
 UNSIGNED = "the file does not say what it was made from, so it counts as a result of gof reconstruct"

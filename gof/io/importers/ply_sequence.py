@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
+from gof.core.numbered import frame_of, is_hidden, missing_numbers, number_files, usual_step
+from gof.core.ply import Ply
+from gof.core.trajectory import Trajectory
 from gof.io.importers.source import Imported, ImportOptions, Source, require_unit
-from gof.numbered import frame_of, is_hidden, missing_numbers, number_files, usual_step
-from gof.ply import Ply
-from gof.trajectory import Trajectory
 
 OPTIONS = ("time_unit_s", "time_zero_s")
 TRAININGS = re.compile(r"(point_cloud|iteration|iter|step|chkpnt|ckpt)[_-]?", re.I)  # numbers after these are no times

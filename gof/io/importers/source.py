@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gof import extras
-from gof.errors import DataFormatError, GofError
-from gof.gaussians import MovingGaussians
-from gof.npz import ALWAYS, read_npz
-from gof.options import require_number, require_positive
-from gof.ply import Ply
+from gof.core.errors import DataFormatError, GofError
+from gof.core.gaussians import MovingGaussians
+from gof.core.npz import ALWAYS, read_npz
+from gof.core.ply import Ply
+from gof.host import extras
+from gof.host.options import require_number, require_positive
 
 WorldBy = Literal["freetime", "gsplat"]
 # Options that a user gives, by field. An importer's OPTIONS names those that it uses; another one given is an error.

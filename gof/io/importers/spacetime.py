@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
+from gof.core.motion import Motion, State
+from gof.core.ply import Ply, activate_scale, exp, quaternions, refuse_activated, require_rows, sigmoid
 from gof.io.importers.source import Imported, ImportOptions, Source
-from gof.motion import Motion, State
-from gof.ply import Ply, activate_scale, exp, quaternions, refuse_activated, require_rows, sigmoid
 
 OPTIONS = ("time_unit_s", "time_zero_s")
 MOTION = tuple(f"motion_{i}" for i in range(9))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
+from gof.core.ply import name_kind
 from gof.io.importers.authors import is_capture
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
-from gof.ply import name_kind
 
 EXPORT = (
     "its positions come from a network that only its own code runs; export positions at the frame times and half steps "

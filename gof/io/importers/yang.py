@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.errors import DataFormatError
-from gof.gaussians import TransientGaussians
-from gof.harmonics import plain_color
+from gof.core.errors import DataFormatError
+from gof.core.gaussians import TransientGaussians
+from gof.core.harmonics import plain_color
+from gof.core.ply import activate_scale, quaternions, sigmoid
+from gof.core.rotations import quaternions_wxyz
 from gof.io.importers.authors import is_capture
 from gof.io.importers.source import Imported, ImportOptions, Source, array, require_unit
-from gof.ply import activate_scale, quaternions, sigmoid
-from gof.rotations import quaternions_wxyz
 
 OPTIONS = ("time_unit_s", "time_zero_s", "code_date")
 LENGTH = 19

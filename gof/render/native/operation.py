@@ -12,7 +12,7 @@ from itertools import pairwise
 import drjit as dr
 import numpy as np
 
-from gof.errors import DataFormatError
+from gof.core.errors import DataFormatError
 from gof.render.backend import Float, UInt, scattered
 from gof.render.bins import BLOCK, as_bands, ellipses
 from gof.render.blend import GEOMETRY, as_plane, hand_back

@@ -1,0 +1,224 @@
+"""The `gof` command: names the commands, loads only the one that is asked for, prints errors people can act on."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import io
+import os
+import re
+import sys
+import traceback
+from functools import cache
+from importlib.metadata import entry_points
+
+from gof import __version__
+from gof.commands import COMMANDS, Command, no_such
+from gof.core.errors import GofError, printable
+from gof.core.files import follow_links_of
+
+ALIASES = {"static": "ingest"}  # old name -> new name, for one version
+
+# What a user's disk can do to a run.
+DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
+
+DEBUG_VARIABLE, FAULT = "GOF_DEBUG", 70  # the exit status is sysexits.h's of an internal fault
+
+# Libraries say it in their own ways where Python's MemoryError does not come through.
+NO_MEMORY = re.compile(
+    r"out of memory|not enough memory|can(not|'t) allocate memory|failed to (map segment|allocate)|bad_alloc", re.I
+)
+
+HELP = """\
+gof {version} - Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
+
+usage: gof COMMAND [OPTIONS]        gof COMMAND --help, or gof help COMMAND, explains one command
+
+{commands}
+
+start without Blender: gof sample unpacks a fire with its truth, a result, a submission and three films.
+
+the whole loop, step by step:
+  gof generate demo --out data/fire                 a dataset: pictures, cameras, velocity in m/s
+  gof reconstruct data/fire --out out/fire          out/fire/result.ply and result.npz
+  gof evaluate out/fire/result.npz --truth data/fire    L2 and CosSim, and out/fire/scores.json
+  gof import out/fire/result.npz --dataset data/fire --blend out/fire/result.blend
+  gof report out/fire --dataset data/fire           out/fire/report.html
+
+Every command resumes what it finds half done, and all but view and baseline write their figures with --json FILE.
+Pages that texts name as docs/NAME.md are in the folder docs of the source, which packages do not hold.
+"""
+
+
+@cache
+def commands() -> dict[str, Command]:
+    """Every command by name, in the order of the work: gof's own, and those of installed packages (`gof.commands`)."""
+    found = dict(COMMANDS)
+    for table in entry_points(group="gof.commands"):
+        found |= table.load()
+    return dict(sorted(found.items(), key=lambda item: item[1].place))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command. Returns the exit status: 0 done, 1 a named error, 2 wrong usage, 70 a fault of ours, 130 Ctrl-C.
+
+    $GOF_DEBUG shows the traceback of a fault.
+    """
+    argv = sys.argv[1:] if argv is None else argv
+    try:
+        try:
+            return _main(argv)
+        except OSError as e:
+            _require_output(e)
+            raise
+        finally:
+            _say_now()  # here, where it can be said that it fails, and not when Python ends
+    except BrokenPipeError:  # who reads our output has seen enough
+        _say_no_more()
+        return 1
+    except OutputError as e:
+        _say_no_more()
+        print(f"gof: standard output: {e}; files that the command has written are there", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    except Exception as e:
+        if os.environ.get(DEBUG_VARIABLE):
+            raise
+        print(_fault(e, argv), file=sys.stderr)
+        return FAULT
+
+
+class OutputError(Exception):
+    """Standard output takes no more, for another reason than that its reader has gone."""
+
+
+def _say_now(more: bytes = b"") -> None:
+    """Write what is in the buffer of standard output, and more. Raises OutputError: it cannot be written."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+            if more:
+                os.write(sys.stdout.fileno(), more)
+    except BrokenPipeError:
+        raise
+    except io.UnsupportedOperation:  # no file is behind it
+        pass
+    except (OSError, ValueError) as e:  # the second: somebody has closed it
+        raise OutputError(getattr(e, "strerror", None) or e) from e
+
+
+def _require_output(error: OSError) -> None:
+    """Raise OutputError where an error that names no file is that of standard output, which then fails again.
+
+    A failed write leaves the buffer empty, so an empty line is written.
+    """
+    if error.filename is None and not isinstance(error, BrokenPipeError):
+        _say_now(b"\n")
+
+
+def _say_no_more() -> None:
+    """Python would complain when it empties its buffers at the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fault(error: Exception, argv: list[str]) -> str:
+    """One line on an error that nobody has foreseen, with what helps to find it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"
+    said = " ".join(printable(str(error)).split())[:200]
+    return (
+        f"gof {argv[0] if argv else ''}: a fault of gof, not of yours: {type(error).__name__} at {where}: {said}. "
+        f"Please report it with what gof doctor prints, and with what the same command prints after {DEBUG_VARIABLE}=1"
+    )
+
+
+def _main(argv: list[str]) -> int:
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")  # a terminal that cannot show a letter ends no run
+    try:
+        here = os.getcwd()
+    except OSError:
+        if argv and not {"-h", "--help", "help", "--version"} & set(argv):
+            print("gof: the current folder has been deleted; cd to one that exists", file=sys.stderr)
+            return 1
+        here = ""
+    odd = next((word for word in (*argv, here) if not word.isascii() and _is_not_utf8(word)), None)
+    if odd is not None:
+        print(
+            f"gof: {printable(odd)!r} is not UTF-8; rename that file or folder, or set LC_ALL=C.UTF-8", file=sys.stderr
+        )
+        return 2
+    if argv[:1] == ["help"] and argv[1:]:
+        argv = [*argv[1:], "--help"]
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        lines = "\n".join(f"  {name:<12} {command.help}" for name, command in commands().items())
+        print(HELP.format(version=__version__, commands=lines))
+        return 0
+    if argv[0] == "--version":
+        print(f"gof {__version__}")
+        return 0
+    name, *rest = argv
+    if name in ALIASES:
+        print(f"gof {name} is now called gof {ALIASES[name]}; the old name goes with the next version", file=sys.stderr)
+        name = ALIASES[name]
+    if name not in commands():
+        print(f"gof: {no_such('command', name, commands())}", file=sys.stderr)
+        return 2
+    follow_links_of(rest)
+    return run(name, rest)
+
+
+def _is_not_utf8(word: str) -> bool:
+    """Bytes that are no text come as halves of characters."""
+    return any("\ud800" <= c <= "\udfff" for c in word)
+
+
+def run(name: str, argv: list[str]) -> int:
+    """Run a command with its own arguments, and say what stopped it in words that help."""
+    try:
+        return importlib.import_module(commands()[name].module).main(argv) or 0
+    except GofError as e:
+        print(f"gof {name}: {e}", file=sys.stderr)
+        return 1
+    except MemoryError as e:
+        print(
+            f"gof {name}: not enough memory ({e or 'it does not say for what'}); smaller pictures or fewer Gaussians "
+            "need less, see --help",
+            file=sys.stderr,
+        )
+        return 1
+    except BrokenPipeError:
+        raise
+    except Exception as e:
+        if said := _words_on_memory(e):
+            print(f"gof {name}: not enough memory ({printable(said)[:200]}); close other programs", file=sys.stderr)
+            return 1
+        if not isinstance(e, OSError):
+            raise
+        _require_output(e)
+        remedy = "make room, or choose another folder, and" if e.errno in DISK else "when that is mended,"
+        place = printable(str(e.filename or "a file"))
+        print(
+            f"gof {name}: {place}: {e.strerror or e}; finished work is kept: {remedy} run the same command again",
+            file=sys.stderr,
+        )
+        return 1
+    except KeyboardInterrupt:
+        print(f"\ngof {name}: stopped; finished work is kept, the same command resumes", file=sys.stderr)
+        return 130
+
+
+def _words_on_memory(error: BaseException | None) -> str | None:
+    """What an error says of memory, or one that it was raised on: a library that cannot be loaded breaks others."""
+    while error is not None:
+        library = isinstance(error, ImportError) and "temporarily unavailable" in str(error)  # as dlopen says it
+        if library or NO_MEMORY.search(str(error)):
+            return " ".join(str(error).split())
+        error = error.__cause__ or error.__context__
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

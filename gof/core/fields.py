@@ -1,0 +1,308 @@
+"""Velocity fields: world-space ground truth on a cell-centred grid, and its chunked store over time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from .datum import Datum
+from .errors import DataFormatError
+from .zarr_array import ZarrArray
+
+SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
+LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side; a file that claims more is refused: twice what a scene may ask for
+LARGEST_CHUNK_BYTES = 2**29
+AXES = ("time", "x", "y", "z", "component")  # as dimension_names of a zarr.json call them, where it does
+LARGEST_M = 1e30  # of a grid's place or cell; squares of it stay finite
+
+
+@dataclass(frozen=True)
+class VelocityField:
+    """Velocity at one time on a regular grid.
+
+    Args:
+        velocity: (X, Y, Z, 3) m/s in world axes, float16/32/64; the value of a cell is at its centre.
+        index_to_world: (4, 4) float64 affine map from continuous index (cell i spans [i, i+1]) to world metres.
+        time_s: time on the dataset clock.
+    """
+
+    velocity: np.ndarray
+    index_to_world: np.ndarray
+    time_s: float = 0.0
+
+    def __post_init__(self):
+        object.__setattr__(self, "index_to_world", np.asarray(self.index_to_world, np.float64))
+        if self.velocity.ndim != 4 or self.velocity.shape[-1] != 3 or 0 in self.velocity.shape:
+            raise DataFormatError(f"velocity has shape {self.velocity.shape}, expected (X, Y, Z, 3) with no empty axis")
+        if self.index_to_world.shape != (4, 4) or not abs(np.linalg.det(self.index_to_world)) > 1e-30:
+            raise DataFormatError("index_to_world must be an invertible (4, 4) matrix")
+
+    @classmethod
+    def from_array(cls, velocity: np.ndarray, origin, voxel_size: float, time_s: float = 0.0) -> VelocityField:
+        """An axis-aligned field: velocity (X, Y, Z, 3) m/s; origin (3,) m, min corner of cell (0,0,0); voxel_size m."""
+        if not voxel_size > 0:
+            raise DataFormatError(f"voxel_size must be positive, got {voxel_size}")
+        index_to_world = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
+        index_to_world[:3, 3] = origin
+        return cls(np.asarray(velocity), index_to_world, time_s)
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        return self.velocity.shape[:3]
+
+    @property
+    def voxel_size(self) -> float:
+        """Edge length of a cell in metres (cube root of its volume)."""
+        return float(np.cbrt(abs(np.linalg.det(self.index_to_world[:3, :3]))))
+
+    def to_index(self, points: np.ndarray) -> np.ndarray:
+        """World points (N, 3) m to continuous cell index (N, 3): the centre of cell i has index i + 0.5."""
+        inverse = self._world_to_index
+        return np.asarray(points, np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+
+    @cached_property
+    def _world_to_index(self) -> np.ndarray:
+        return np.linalg.inv(self.index_to_world)
+
+    def cell_centers(self) -> np.ndarray:
+        """(X, Y, Z, 3) world position of every cell centre, m."""
+        index = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in self.resolution), indexing="ij"), -1)
+        return index @ self.index_to_world[:3, :3].T + self.index_to_world[:3, 3]
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """(N,) bool: inside the domain box (all cells, including their outer halves). NaN points are outside."""
+        index = self.to_index(points)
+        return ((index >= 0) & (index <= self.resolution)).all(-1)
+
+    def chunk(self, number: tuple[int, int, int]) -> np.ndarray | None:
+        """Cells [CHUNK i, CHUNK (i + 1)) per axis, (<=64, <=64, <=64, 3), clipped to the grid; None if all are zero."""
+        cells = self.velocity[tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)]
+        return cells if cells.any() else None
+
+    def sample(self, points: np.ndarray) -> np.ndarray:
+        """Tri-linear interpolation between cell centres.
+
+        Args:
+            points: (N, 3) world metres.
+        Returns:
+            (N, 3) float32 m/s; in the outer half cell the nearest centre's value; 0 outside the domain box.
+        """
+        index = self.to_index(points)
+        inside = ((index >= 0) & (index <= self.resolution)).all(-1)
+        out = np.zeros((len(index), 3), np.float32)
+        out[inside] = self._trilinear(index[inside] - 0.5)
+        return out
+
+    def _trilinear(self, coordinate: np.ndarray) -> np.ndarray:
+        size = np.array(self.resolution)
+        coordinate = np.clip(coordinate, 0, size - 1)
+        low = np.minimum(coordinate.astype(np.int64), np.maximum(size - 2, 0))
+        fraction = (coordinate - low).astype(np.float32)
+        step = (size > 1).astype(np.int64)  # a one-cell axis has no neighbour to blend with
+        flat = self.velocity.reshape(-1, 3)
+        out = np.zeros((len(low), 3), np.float32)
+        for corner in np.ndindex(2, 2, 2):
+            weight = np.prod(np.where(corner, fraction, 1 - fraction), axis=1)
+            index = np.ravel_multi_index(tuple((low + np.array(corner) * step).T), self.resolution)
+            out += weight[:, None] * flat[index]
+        return out
+
+
+class VelocitySequence:
+    """A velocity field over time in a chunked zarr store; frames are read when asked for.
+
+    Attributes:
+        times_s: (T,) float64 seconds on the dataset clock, strictly increasing.
+        index_to_world: (4, 4), see `VelocityField`.
+    """
+
+    def __init__(self, array: ZarrArray):
+        self._array, self._path, self._cached = array, array.path, None
+        attributes, path = array.attributes, array.path
+        if attributes.get("schema") != SCHEMA or attributes.get("version") != VERSION:
+            raise DataFormatError(
+                f"{path}: schema '{attributes.get('schema')}' version {attributes.get('version')}; "
+                f"this version reads '{SCHEMA}' version {VERSION}"
+            )
+        try:
+            self.times_s = np.asarray(attributes["time_s"], np.float64)
+            self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
+            units, layout = attributes["units"], attributes["layout"]
+        except KeyError as e:
+            raise DataFormatError(f"{path}: attribute {e} is missing from zarr.json") from e
+        except (TypeError, ValueError) as e:
+            raise DataFormatError(f"{path}: time_s or index_to_world in zarr.json do not hold numbers ({e})") from e
+        if (units, layout) != ("m/s", "cell_centred"):
+            raise DataFormatError(f"{path}: units '{units}', layout '{layout}'; expected 'm/s', 'cell_centred'")
+        if array.ndim != 5 or array.shape[-1] != 3 or 0 in array.shape or self.times_s.shape != array.shape[:1]:
+            raise DataFormatError(
+                f"{path}: shape {array.shape} and {self.times_s.shape} times do not fit (T, X, Y, Z, 3)"
+            )
+        if len(self.times_s) == 0 or not np.isfinite(self.times_s).all() or not (np.diff(self.times_s) > 0).all():
+            raise DataFormatError(f"{path}: time_s must be finite, strictly increasing and not empty")
+        if not is_affine(self.index_to_world):
+            raise DataFormatError(f"{path}: index_to_world must be a finite, invertible 4x4 matrix")
+
+    @classmethod
+    def open(cls, path: str | Path) -> VelocitySequence:
+        """Open a store for reading.
+
+        Raises:
+            DataFormatError: not a zarr array, wrong schema or version, missing attribute, times not increasing.
+        """
+        return cls(open_array(path))
+
+    def measured_from(self, datum: Datum) -> VelocitySequence:
+        """The same store in a world and on a clock whose zeros are the datum's."""
+        moved = copy(self)
+        moved.times_s = self.times_s - datum.time_s
+        moved.index_to_world = self.index_to_world.copy()
+        moved.index_to_world[:3, 3] -= datum.position
+        moved._cached = None
+        return moved
+
+    @classmethod
+    def create(cls, path: str | Path, fields: Iterable[VelocityField], dtype: str = "float32") -> VelocitySequence:
+        """Write fields of one grid, in time order, as a new store; refuses to replace an existing one.
+
+        Raises:
+            DataFormatError: the store exists, there are no fields, or their grids differ.
+        """
+        fields = list(fields)
+        if not fields:
+            raise DataFormatError(f"{path}: no fields to write")
+        first = fields[0]
+        if any(
+            f.resolution != first.resolution or not np.allclose(f.index_to_world, first.index_to_world) for f in fields
+        ):
+            raise DataFormatError(f"{path}: all fields of a sequence must share one grid")
+        attributes = {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "units": "m/s",
+            "frame": "world",
+            "layout": "cell_centred",
+            "index_to_world": first.index_to_world.tolist(),
+            "voxel_size": first.voxel_size,
+            "time_s": [float(f.time_s) for f in fields],
+        }
+        shape, chunks = (len(fields), *first.resolution, 3), (1, CHUNK, CHUNK, CHUNK, 3)
+        array = ZarrArray.create(path, shape, chunks, dtype, attributes)
+        for i, f in enumerate(fields):
+            array.write(i, f.velocity)
+        return cls(array)
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        return self._array.shape[1:4]
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self._array.dtype.newbyteorder("=")
+
+    def chunk(self, index: int, number: tuple[int, int, int]) -> np.ndarray | None:
+        """The part of stored field `index` that `VelocityField.chunk` names, reading nothing else; None if not stored.
+
+        Raises:
+            DataFormatError: the chunk is truncated, or holds NaN or Inf.
+        """
+        if self._array.chunks == (1, CHUNK, CHUNK, CHUNK, 3) and not self._array.is_stored((index, *number, 0)):
+            return None
+        box = tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)
+        cells = self._array[(index, *box)]
+        if not _all_finite(cells):
+            raise DataFormatError(
+                f"{self._path}: frame {index}, chunk {number} holds NaN or Inf; the store is damaged, make it again"
+            )
+        return cells
+
+    def bracket(self, time_s: float) -> list[tuple[int, float]]:
+        """(stored frame, weight) pairs of a time: one frame within 1 us, otherwise the two around it, linearly.
+
+        Raises:
+            DataFormatError: the time lies outside the stored clock.
+        """
+        nearest = int(np.abs(self.times_s - time_s).argmin())
+        if abs(self.times_s[nearest] - time_s) <= 1e-6:
+            return [(nearest, 1.0)]
+        if not self.times_s[0] < time_s < self.times_s[-1]:
+            raise DataFormatError(
+                f"{self._path}: time {time_s} s is outside the stored clock "
+                f"{self.times_s[0]}..{self.times_s[-1]} s; do both use the same clock and unit?"
+            )
+        after = int(np.searchsorted(self.times_s, time_s))
+        f = float((time_s - self.times_s[after - 1]) / (self.times_s[after] - self.times_s[after - 1]))
+        return [(after - 1, 1 - f), (after, f)]
+
+    def frame(self, index: int) -> VelocityField:
+        """The stored field number `index`."""
+        if self._cached is None or self._cached[0] != index:
+            velocity = self._array[(index,)]
+            if not _all_finite(velocity):
+                raise DataFormatError(
+                    f"{self._path}: frame {index} holds NaN or Inf; the store is damaged, make it again"
+                )
+            self._cached = index, VelocityField(velocity, self.index_to_world, float(self.times_s[index]))
+        return self._cached[1]
+
+    def at(self, time_s: float) -> VelocityField:
+        """The field at a time: a stored frame within 1 us, otherwise linear interpolation between the two around it.
+
+        Raises:
+            DataFormatError: the time lies outside the stored clock.
+        """
+        parts = self.bracket(time_s)
+        if len(parts) == 1:
+            return self.frame(parts[0][0])
+        velocity = sum(np.float32(weight) * self.frame(index).velocity.astype(np.float32) for index, weight in parts)
+        return VelocityField(velocity, self.index_to_world, float(time_s))
+
+
+def is_affine(matrix: np.ndarray) -> bool:
+    """Whether a matrix (4, 4) maps indices of a grid to places: below 1e30 m, with a last row 0 0 0 1, invertible."""
+    if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST_M).all() or (matrix[3] != [0, 0, 0, 1]).any():
+        return False
+    with np.errstate(under="ignore"):
+        return bool(np.isfinite(np.linalg.det(matrix)) and np.linalg.det(matrix))
+
+
+def open_array(path: str | Path) -> ZarrArray:
+    """A zarr array of cells over time for reading.
+
+    Raises:
+        DataFormatError: not a zarr array, of other things than floats, too large for any simulation, or with other axes
+            or in another frame than ours.
+    """
+    array = ZarrArray.open(path)
+    if (
+        max(array.shape[1:4], default=0) > LARGEST
+        or max(array.chunks[1:4], default=0) > LARGEST_CHUNK
+        or math.prod(array.chunks) * array.dtype.itemsize > LARGEST_CHUNK_BYTES
+    ):
+        raise DataFormatError(
+            f"{path}: shape {array.shape} in chunks of {array.chunks}; expected at most {LARGEST} cells a side in "
+            f"chunks of at most {LARGEST_CHUNK} and {LARGEST_CHUNK_BYTES >> 20} MB"
+        )
+    frame = array.attributes.get("frame", "world")
+    axes = [name for name in array.axes if name is not None]
+    if frame != "world" or axes not in ([], list(AXES[: len(axes)])):
+        raise DataFormatError(
+            f"{path}: axes {axes} in frame {str(frame)[:40]!r}; expected {', '.join(AXES)} in frame 'world'"
+        )
+    return array
+
+
+def _all_finite(values: np.ndarray) -> bool:
+    """No NaN or Inf. Of float16, which numpy would convert one by one, the exponent bits say so (8 times faster)."""
+    if values.dtype == np.float16:
+        return bool(((values.view(np.uint16) & 0x7C00) != 0x7C00).all())
+    return bool(np.isfinite(values).all())

@@ -1,0 +1,226 @@
+"""What a video file says of itself and OpenCV does not tell: its video tracks, and whether frames are two fields."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gof.footage.mp4 import boxes, inside, read_header
+
+MOST_READ = 1 << 20  # bytes at the beginning of an AVI or Matroska file in which its tracks are listed
+FROM_1904_TO_1970 = 2_082_844_800  # s; MP4 counts from 1904
+HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)  # of H.264, which state a chroma format
+DAMAGED = (struct.error, IndexError, ValueError, OverflowError)  # a file that is wrong here is OpenCV's to refuse
+
+
+@dataclass(frozen=True)
+class VideoTrack:
+    """One video track.
+
+    Attributes:
+        width, height: px, as the container states them.
+        frames: how many; None: not stated.
+        usual: whether players show it unless told otherwise.
+        interlaced: whether the container says that a frame is two fields.
+    """
+
+    width: int
+    height: int
+    frames: int | None = None
+    usual: bool = True
+    interlaced: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.width}x{self.height}" + (f" with {self.frames} frames" if self.frames else "")
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether it is a single picture: a cover or a thumbnail."""
+        return self.frames == 1
+
+
+def video_tracks(path: Path) -> list[VideoTrack]:
+    """The video tracks of an MP4, MOV, Matroska, WebM or AVI file in their order; none for others and damaged ones."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(12)
+            file.seek(0)
+            if start[:4] == b"\x1aE\xdf\xa3":
+                return list(_tracks_of_matroska(file.read(MOST_READ)))
+            if start[:4] == b"RIFF" and start[8:] == b"AVI ":
+                return list(_tracks_of_avi(file.read(MOST_READ)))
+            return list(_tracks_of_mp4(read_header(file)))
+    except DAMAGED:
+        return []
+
+
+def film_track(tracks: list[VideoTrack]) -> int | None:
+    """The place of the film among video tracks; None where several may be it."""
+    films = [k for k, track in enumerate(tracks) if not track.is_picture] or list(range(len(tracks)))
+    if any(tracks[k].usual for k in films):
+        films = [k for k in films if tracks[k].usual]
+    largest = max((tracks[k].width * tracks[k].height for k in films), default=0)
+    films = [k for k in films if tracks[k].width * tracks[k].height == largest]
+    return films[0] if len(films) == 1 else None
+
+
+def made_at(path: Path) -> int | None:
+    """When an MP4 or MOV file says that it was made, s since 1970; None where it does not."""
+    try:
+        with path.open("rb") as file:
+            header = read_header(file)
+        found = inside(header, 0, len(header), b"mvhd")
+        if found is None:
+            return None
+        since_1904 = struct.unpack_from(">Q" if header[found[0]] else ">I", header, found[0] + 4)[0]
+    except DAMAGED:
+        return None
+    return since_1904 - FROM_1904_TO_1970 if since_1904 > FROM_1904_TO_1970 else None
+
+
+# ---- containers ------------------------------------------------------------------------------------------------------
+
+
+def _tracks_of_mp4(header: bytes) -> Iterator[VideoTrack]:
+    for trak in boxes(header, 0, len(header), b"trak"):
+        kind = inside(header, *trak, b"mdia", b"hdlr")
+        shown = inside(header, *trak, b"tkhd")
+        table = inside(header, *trak, b"mdia", b"minf", b"stbl")
+        if not (kind and shown and table) or header[kind[0] + 8 : kind[0] + 12] != b"vide":
+            continue
+        entry = inside(header, *table, b"stsd")[0] + 8  # the first description
+        width, height = struct.unpack_from(">HH", header, entry + 32)
+        fields = inside(header, entry + 86, entry + struct.unpack_from(">I", header, entry)[0], b"fiel")
+        sizes = inside(header, *table, b"stsz")
+        frames = struct.unpack_from(">I", header, sizes[0] + 8)[0] if sizes else 0
+        yield VideoTrack(
+            width, height, frames or None, bool(header[shown[0] + 3] & 1), bool(fields) and header[fields[0]] == 2
+        )
+
+
+def _tracks_of_avi(data: bytes) -> Iterator[VideoTrack]:
+    at = 0
+    while (at := data.find(b"strh", at)) >= 0:
+        if data[at + 8 : at + 12] == b"vids":
+            frames = struct.unpack_from("<I", data, at + 40)[0]
+            form = data.index(b"strf", at)
+            width, height = struct.unpack_from("<ii", data, form + 12)
+            yield VideoTrack(width, abs(height), frames or None)
+        at += 4
+
+
+def _tracks_of_matroska(data: bytes) -> Iterator[VideoTrack]:
+    segment = next(_elements(data, 0, len(data), 0x18538067), None)
+    tracks = segment and next(_elements(data, *segment, 0x1654AE6B), None)
+    for entry in _elements(data, *tracks, 0xAE) if tracks else ():
+        video = next(_elements(data, *entry, 0xE0), None)
+        if video is None or _number_in(data, entry, 0x83, 0) != 1:
+            continue
+        yield VideoTrack(
+            _number_in(data, video, 0xB0, 0),
+            _number_in(data, video, 0xBA, 0),
+            usual=_number_in(data, entry, 0x88, 1) == 1,
+            interlaced=_number_in(data, video, 0x9A, 0) == 1,
+        )
+
+
+def _elements(data: bytes, start: int, end: int, wanted: int) -> Iterator[tuple[int, int]]:
+    """First byte and end of each EBML element of this identity, between two places."""
+    while start < end:
+        identity, at = _variable(data, start, marked=True)
+        size, at = _variable(data, at)
+        last = end if size is None else min(at + size, end)
+        if identity == wanted:
+            yield at, last
+        start = last
+
+
+def _variable(data: bytes, at: int, marked: bool = False) -> tuple[int | None, int]:
+    """An EBML number and the place behind it; None for a size that is not known."""
+    length = 9 - data[at].bit_length()
+    if length > 8 or at + length > len(data):
+        raise ValueError("no EBML number")
+    value = int.from_bytes(data[at : at + length], "big")
+    if not marked:
+        value -= 1 << (7 * length)
+        value = None if value == (1 << (7 * length)) - 1 else value
+    return value, at + length
+
+
+def _number_in(data: bytes, place: tuple[int, int], wanted: int, default: int) -> int:
+    found = next(_elements(data, *place, wanted), None)
+    return default if found is None else int.from_bytes(data[slice(*found)], "big")
+
+
+# ---- codecs ----------------------------------------------------------------------------------------------------------
+
+
+def codes_fields(codec: bytes, description: bytes) -> bool:
+    """Whether a codec's description of its stream allows frames of two fields: H.264, MPEG-2 and DV say so.
+
+    Args:
+        codec: FFmpeg's four letters.   description: what the container hands to the decoder ("extradata").
+    """
+    try:
+        if codec.lower() in (b"h264", b"avc1"):
+            return _h264_codes_fields(description)
+        if codec.lower() in (b"mpg2", b"mpeg"):
+            at = description.find(b"\0\0\1\xb5")  # the sequence's extension: its 13th bit says "progressive"
+            return at >= 0 and description[at + 4] >> 4 == 1 and not description[at + 5] & 8
+    except DAMAGED:
+        return False
+    return codec[:3].lower() in (b"dvs", b"dvc", b"dvp")
+
+
+def _h264_codes_fields(description: bytes) -> bool:
+    """By frame_mbs_only_flag of the first sequence parameter set (ITU-T H.264, 7.3.2.1.1)."""
+    if description[:1] == b"\1":
+        start = 8
+    else:
+        starts = (k + 3 for k in range(len(description) - 4) if description[k : k + 3] == b"\0\0\1")
+        start = next((k for k in starts if description[k] & 31 == 7), len(description))
+    bits = _Bits(description[start + 1 : start + 256].replace(b"\0\0\3", b"\0\0"))
+    profile = bits.read(8)
+    bits.read(16)
+    bits.exp_golomb()
+    if profile in HIGH_PROFILES:
+        if bits.exp_golomb() == 3:
+            bits.read(1)
+        bits.exp_golomb()
+        bits.exp_golomb()
+        bits.read(1)
+        if bits.read(1):
+            return False  # scaling lists: not followed
+    bits.exp_golomb()
+    order = bits.exp_golomb()
+    if order == 0:
+        bits.exp_golomb()
+    elif order == 1:
+        bits.read(1)
+        for _ in range(2):
+            bits.exp_golomb()
+        for _ in range(min(bits.exp_golomb(), 255)):
+            bits.exp_golomb()
+    bits.exp_golomb()
+    bits.read(1)
+    bits.exp_golomb()
+    bits.exp_golomb()
+    return not bits.read(1)
+
+
+class _Bits:
+    """A reader of bits, the highest of a byte first."""
+
+    def __init__(self, data: bytes):
+        self._bits, self._at = "".join(f"{byte:08b}" for byte in data), 0
+
+    def read(self, count: int) -> int:
+        self._at += count
+        return int(self._bits[self._at - count : self._at], 2)
+
+    def exp_golomb(self) -> int:
+        zeros = self._bits.index("1", self._at) - self._at
+        self._at += zeros
+        return self.read(zeros + 1) - 1

@@ -1,0 +1,432 @@
+"""Pictures of one camera as stored, from a video or a folder, and what the file says of them.
+
+OpenCV reads both. Its FFmpeg gives what a video's container states and every frame's time stamp; docs/ingest.md says
+why no other library is asked.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import shlex
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gof.core.errors import DataFormatError
+from gof.core.numbered import frame_of, is_hidden, number_files
+from gof.footage.combs import find_combs
+from gof.footage.containers import codes_fields, film_track, made_at, video_tracks
+from gof.footage.pictures import read_picture, read_rotation
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+UNREAD = frozenset(
+    ".heic .heif .avif .webp .gif .jp2 .jxl .jfif .tga .ppm .pgm .pnm .dpx .psd .exr .hdr .raw .dng .cr2 .cr3 .nef "
+    ".arw .raf .orf .rw2 .pef .srw".split()
+)  # pictures that are not read from a folder
+DEEP_FORMATS = (b"Y1", b"Y3", b"Y4", b"G3", b"G4")  # FFmpeg's tags of deep pixels; their fourth byte is the bits
+ENDS = 1 << 20  # bytes at either end of a file by which it is told from others
+LOOKED_AT = 8  # pairs of frames that are looked at for combs
+CUT_FRAMES, CUT_SHARE = 2, 0.01  # a file breaks off when more frames than both are missing at its end
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What a video's container says of it, and what reading it to its end found.
+
+    Attributes:
+        path: the video, or a folder of pictures.
+        width, height: of the pictures as stored, px.
+        stated_fps: frames per second by the container (slow motion often states the playback rate); None: none stated.
+        stated_frames: by the container; some containers (Matroska) state a duration only, and this is an estimate.
+        rotation_deg: 0, 90, 180 or 270: how far a player turns the pictures clockwise, by the container's tag.
+        bits: per channel as stored; None where the format is not known. Pictures are read with 8.
+        stamps_s: (N,) time stamps of the N frames that can be read, s; None for folders, or when not read to the end.
+        frames: N; None when not read to the end.
+        fingerprint: see `fingerprint`.
+        numbers: of a folder's pictures, by their names, increasing; None for videos.
+        pixel_aspect: width of a pixel over its height, as players show it.
+        start_s: time of the first frame on the file's own clock; stamps_s count from it.
+        two_fields: container or codec allow interlaced frames.
+        made_s: when the file says that it was made, s since 1970; None: it does not.
+    """
+
+    path: Path
+    width: int
+    height: int
+    stated_fps: float | None = None
+    stated_frames: int | None = None
+    rotation_deg: int = 0
+    bits: int | None = None
+    stamps_s: np.ndarray | None = None
+    frames: int | None = None
+    fingerprint: str | None = None
+    numbers: tuple[int, ...] | None = None
+    pixel_aspect: float = 1.0
+    start_s: float = 0.0
+    made_s: int | None = None
+    two_fields: bool = False
+
+    @property
+    def usual_step_s(self) -> float | None:
+        """Usual time between neighbouring stamps: the mean of those near their median, as stamps may be rounded."""
+        if self.stamps_s is None or len(self.stamps_s) < 2:
+            return None
+        steps = np.diff(self.stamps_s)
+        middle = np.median(steps)
+        return float(steps[np.abs(steps - middle) <= 0.5 * middle].mean()) if middle > 0 else None
+
+    @property
+    def breaks_off(self) -> bool:
+        """Whether the file ends before the container says: neither its frames nor its duration are reached."""
+        if self.frames is None or not self.stated_frames:
+            return False
+        least = self.stated_frames - max(CUT_FRAMES, CUT_SHARE * self.stated_frames)
+        if self.frames >= least or self.usual_step_s is None or not self.stated_fps:
+            return self.frames < least
+        # Of a variable rate the stated count can be an estimate; the last stamp tells.
+        return (self.stamps_s[-1] - self.stamps_s[0] + self.usual_step_s) * self.stated_fps < least
+
+
+# ---- reading ---------------------------------------------------------------------------------------------------------
+
+
+def stored_frames(path: Path, in_time: bool = True) -> Iterator[np.ndarray]:
+    """Frames as (H, W, 3) uint8 RGB, as stored, in file (video) or number (folder) order.
+
+    Args:
+        in_time: a folder's pictures are one sequence; False: any pictures, in any order.
+    Raises:
+        DataFormatError: not a readable video; a broken picture; see `picture_files`.
+    """
+    import cv2
+
+    path = Path(path)
+    if path.is_dir():
+        for file in picture_files(path) if in_time else loose_pictures(path):
+            yield cv2.cvtColor(read_picture(file), cv2.COLOR_BGR2RGB)
+        return
+    with _opened(path) as video:
+        count = 0
+        while True:
+            ok, frame = video.read()
+            if not ok:
+                break
+            count += 1
+            yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+        if not count:
+            raise _unreadable(path)
+
+
+def chosen_frames(path: Path, numbers: Iterable[int]) -> Iterator[np.ndarray]:
+    """The stored frames of these numbers, which increase, one at a time; as `stored_frames`.
+
+    Raises:
+        DataFormatError: as `stored_frames`; the footage ends before the last number.
+    """
+    import cv2
+
+    path, numbers = Path(path), list(numbers)
+    if path.is_dir():
+        files = picture_files(path)
+        _require_length(path, numbers, len(files))
+        for number in numbers:
+            yield cv2.cvtColor(read_picture(files[number]), cv2.COLOR_BGR2RGB)
+        return
+    with _opened(path) as video:
+        at = 0
+        for number in numbers:
+            while at <= number and video.grab():
+                at += 1
+            _require_length(path, numbers, at, number)
+            yield cv2.cvtColor(video.retrieve()[1], cv2.COLOR_BGR2RGB)
+
+
+def _require_length(path: Path, numbers: list[int], read: int, number: int | None = None) -> None:
+    """Raises DataFormatError: fewer frames were read than the one asked for (by default the last) needs."""
+    if numbers and read <= (numbers[-1] if number is None else number):
+        raise DataFormatError(f"{path}: has {read} frames, {numbers[-1] + 1} are asked for")
+
+
+@contextmanager
+def _opened(path: Path):
+    """The video, giving pictures as stored whatever the rotation tag: OpenCV's versions differ in what they do."""
+    import cv2
+
+    if not path.is_file():
+        raise DataFormatError(f"{path}: no such video or folder of pictures")
+    _require_the_film_first(path)
+    video = cv2.VideoCapture(str(path))
+    try:
+        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        yield video
+    finally:
+        video.release()
+
+
+def _require_the_film_first(path: Path) -> None:
+    """Raises DataFormatError: OpenCV would read another track than the film."""
+    tracks = video_tracks(path)
+    film = film_track(tracks)
+    if len(tracks) > 1 and film != 0:
+        each = "; ".join(f"{k + 1}: {track}" for k, track in enumerate(tracks))
+        which = "" if film else ", or another number"
+        copy = shlex.quote(str(path.with_name(f"{path.stem}_film{path.suffix}")))
+        raise DataFormatError(
+            f"{path}: has {len(tracks)} video tracks ({each}), and the first one, which is read, need not be the "
+            f"film. Take the film out: ffmpeg -i {shlex.quote(str(path))} -map 0:v:{film or 0} -c copy {copy}{which}"
+        )
+
+
+def _interlaced(path: Path, source: str) -> DataFormatError:
+    if path.is_dir():
+        return DataFormatError(
+            f"{path}: is interlaced, {source}: every picture is two moments in turn, line by line. Take the pictures "
+            "out of the video again, with ffmpeg's -vf bwdif"
+        )
+    copy = shlex.quote(str(path.with_name(f"{path.stem}_whole.mp4")))
+    return DataFormatError(
+        f"{path}: is interlaced, {source}: every frame is two moments in turn, line by line. Make whole frames of the "
+        f"fields, twice as many: ffmpeg -i {shlex.quote(str(path))} -vf bwdif -c:v libx264 -crf 12 {copy}"
+    )
+
+
+def _unreadable(path: Path) -> DataFormatError:
+    return DataFormatError(
+        f"{path}: OpenCV reads no frame from it. Was it copied to its end? If a player shows it, re-encode it, for "
+        "example with ffmpeg"
+    )
+
+
+def picture_files(folder: Path) -> list[Path]:
+    """The pictures of a folder as one sequence, in the order of their frames' numbers.
+
+    Raises:
+        DataFormatError: there is none; they are not one sequence (see `number_files`); a frame of it is in a format
+            that is not read.
+    """
+    return [file for _, file in numbered_pictures(folder)]
+
+
+def numbered_pictures(folder: Path) -> list[tuple[int, Path]]:
+    """As `picture_files`, with the frames' numbers."""
+    found = number_files(loose_pictures(folder))
+    if len(found) > 1:
+        name, known = frame_of(found[0][1])[0], {number for number, _ in found}
+        for file in sorted(Path(folder).iterdir()):
+            other = None if is_hidden(file) or file.is_dir() else frame_of(file)
+            if other and f"{other[0]}.".startswith(f"{name}.") and other[1] not in known:
+                raise DataFormatError(
+                    f"{file}: by its name a frame between the folder's pictures, in a format that is not read; make it "
+                    f"one of {', '.join(PICTURES)}, or keep it elsewhere"
+                )
+    return found
+
+
+def loose_pictures(folder: Path) -> list[Path]:
+    """The pictures of a folder in the order of their names, which need not be a sequence.
+
+    Raises:
+        DataFormatError: there is none; a picture is in a format that is not read, and in no other one beside it.
+    """
+    files = sorted(f for f in Path(folder).iterdir() if not is_hidden(f) and not f.is_dir())
+    pictures = [f for f in files if f.suffix.lower() in PICTURES]
+    stems = {f.stem for f in pictures}
+    unread = [f for f in files if f.suffix.lower() in UNREAD and f.stem not in stems]
+    if unread:
+        raise DataFormatError(
+            f"{unread[0]}: {len(unread)} of the folder's pictures are in formats that are not read; convert them to "
+            f"one of {', '.join(PICTURES)}, all of one size, or keep them elsewhere"
+        )
+    if not pictures:
+        there = ", ".join(f.name for f in files[:3]) + (", ..." if len(files) > 3 else "") or "nothing"
+        raise DataFormatError(f"{folder}: no pictures ({', '.join(PICTURES)}) in this folder; there is {there}")
+    return pictures
+
+
+# ---- which footage it is ---------------------------------------------------------------------------------------------
+
+
+def fingerprint(path: Path) -> str:
+    """Sixteen hex digits that tell footage from other footage, wherever it lies and whatever it is called.
+
+    Of a video's size, its first and its last MiB; of a folder, the sizes of all its pictures, and this of its first and
+    its last one. All of it would take minutes for long ones.
+
+    Raises:
+        DataFormatError: no such file, a pipe or a device, no picture in the folder.
+    """
+    path = Path(path)
+    files = picture_files(path) if path.is_dir() else [path]
+    for file in files:
+        if not file.is_file():  # opening a pipe would wait for ever
+            raise DataFormatError(f"{file}: no such {'picture' if path.is_dir() else 'video or folder of pictures'}")
+    state = hashlib.sha256(" ".join(str(file.stat().st_size) for file in files).encode())
+    for file in {files[0]: None, files[-1]: None}:
+        with file.open("rb") as stream:
+            state.update(stream.read(ENDS))
+            stream.seek(max(file.stat().st_size - ENDS, 0))
+            state.update(stream.read(ENDS))
+    return state.hexdigest()[:16]
+
+
+def require_different(paths: Iterable[Path]) -> None:
+    """Raises DataFormatError: one of these is not there or is a single picture; or the same footage is given twice,
+    perhaps as a copy."""
+    known: dict[str, Path] = {}
+    for path in paths:
+        if Path(path).suffix.lower() in {*PICTURES, *UNREAD} and not Path(path).is_dir():
+            raise DataFormatError(f"{path}: is a single picture; give a video, or the folder of a camera's pictures")
+        contents = fingerprint(path)
+        if Path(path).is_file() and not Path(path).stat().st_size:
+            raise DataFormatError(f"{path}: holds nothing; copy it from the camera again")
+        if contents in known:
+            other = known[contents]
+            what = "is given twice" if path.samefile(other) else f"is the same footage as {other}"
+            raise DataFormatError(f"{path}: {what}; give each camera's own")
+        known[contents] = path
+
+
+# ---- what is said of it ----------------------------------------------------------------------------------------------
+
+
+def stated_info(path: Path) -> VideoInfo:
+    """What the container states, without reading more than one frame.
+
+    Raises:
+        DataFormatError: not a readable video, an empty folder, a broken picture.
+    """
+    import cv2
+
+    path = Path(path)
+    height, width = next(iter(stored_frames(path))).shape[:2]
+    if path.is_dir():
+        numbers = tuple(number for number, _ in numbered_pictures(path))
+        return VideoInfo(
+            path,
+            width,
+            height,
+            stated_frames=len(numbers),
+            rotation_deg=_rotation(picture_files(path)),
+            frames=len(numbers),
+            fingerprint=fingerprint(path),
+            numbers=numbers,
+        )
+    with _opened(path) as video:
+
+        def stated(name: str) -> float | None:
+            value = video.get(getattr(cv2, f"CAP_PROP_{name}"))
+            return value if np.isfinite(value) and value > 0 else None
+
+        frames = stated("FRAME_COUNT")
+        return VideoInfo(
+            path,
+            width,
+            height,
+            stated("FPS"),
+            None if frames is None else round(frames),
+            round((stated("ORIENTATION_META") or 0) / 90) * 90 % 360,
+            _bits(stated("CODEC_PIXEL_FORMAT")),
+            fingerprint=fingerprint(path),
+            pixel_aspect=(stated("SAR_NUM") or 1.0) / (stated("SAR_DEN") or 1.0),
+            made_s=made_at(path),
+            two_fields=any(track.interlaced for track in video_tracks(path)[:1])
+            or codes_fields(int(stated("FOURCC") or 0).to_bytes(4, "little"), _description(path)),
+        )
+
+
+def _rotation(files: list[Path]) -> int:
+    """Of a folder's pictures, by their orientation tags. Raises DataFormatError: they differ; see `read_rotation`."""
+    first = read_rotation(files[0])
+    for file in files[1:]:
+        if (other := read_rotation(file)) != first:
+            raise DataFormatError(
+                f"{file}: by its orientation tag it is turned by {other} degrees, {files[0].name} by {first}: did the "
+                "camera move, or were some saved again without the tag? Make all alike"
+            )
+    return first
+
+
+def _description(path: Path) -> bytes:
+    """What the container hands to the video's decoder; empty where OpenCV does not tell."""
+    import cv2
+
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    try:
+        told, data = video.retrieve(None, int(video.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
+        return np.ravel(data).tobytes() if told and data is not None else b""
+    except cv2.error:
+        return b""
+    finally:
+        video.release()
+
+
+def _bits(pixel_format: float | None) -> int | None:
+    """Bits per channel by FFmpeg's tag of a pixel format."""
+    if pixel_format is None:
+        return None
+    tag = int(pixel_format).to_bytes(4, "little")
+    if tag[:2] in DEEP_FORMATS and 8 < tag[3] <= 16:
+        return tag[3]
+    return 10 if tag == b"P010" else 8
+
+
+def read_info(path: Path, progress: Callable[[int, int], None] | None = None) -> VideoInfo:
+    """What the container states, and the stamps of all frames that can really be read (containers lie).
+
+    Args:
+        progress: called with frames read and stated.
+    Raises:
+        DataFormatError: as `stated_info`; it is interlaced.
+    """
+    import cv2
+
+    info = stated_info(path)
+    pairs = np.unique(np.linspace(0, max((info.stated_frames or LOOKED_AT) - 2, 0), LOOKED_AT).astype(int))
+    wanted = sorted({number + more for number in pairs.tolist() for more in (0, 1)})
+    seen: dict[int, np.ndarray] = {}
+    if info.path.is_dir():
+        wanted = [number for number in wanted if number < info.frames]
+        seen = dict(zip(wanted, chosen_frames(info.path, wanted), strict=True))
+    else:
+        stamps, start = [], 0.0
+        with _opened(info.path) as video:
+            while video.grab():
+                if not stamps and info.stated_fps:
+                    start = max(video.get(cv2.CAP_PROP_PTS), 0.0) / info.stated_fps
+                if len(stamps) in wanted:
+                    there, picture = video.retrieve()
+                    if there:
+                        seen[len(stamps)] = picture
+                stamps.append(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
+                if progress:
+                    progress(len(stamps), max(len(stamps), info.stated_frames or 0))
+        info = replace(info, stamps_s=np.array(stamps), frames=len(stamps), start_s=start)
+        tracks = video_tracks(info.path)
+        if info.stated_frames and not (tracks and tracks[0].frames):  # an estimate: the duration begins at zero
+            info = replace(info, stated_frames=info.stated_frames - round(start * info.stated_fps))
+    alike = [(a, b) for a, b in itertools.pairwise(sorted(seen)) if b == a + 1 and seen[a].shape == seen[b].shape]
+    combs = find_combs((seen[a], seen[b]) for a, b in alike)
+    if combs.shown or (info.two_fields and not combs.ruled_out):
+        raise _interlaced(info.path, "as its pictures show" if combs.shown else "its file says")
+    return info
+
+
+def stated_frames(path: Path) -> int | None:
+    """How many frames a folder holds or a video's container states (for progress bars); None when it states none."""
+    return len(loose_pictures(path)) if Path(path).is_dir() else stated_info(path).stated_frames
+
+
+def stated_fps(path: Path) -> float | None:
+    """Frame rate the container states (slow-motion files state the playback rate), None when it states none."""
+    return stated_info(path).stated_fps
+
+
+def distinct_names(paths: list[Path]) -> list[str]:
+    """A name per footage: the stem, or parent and stem where stems repeat."""
+    stems = [p.stem for p in paths]
+    names = [s if stems.count(s) == 1 else f"{p.parent.name}_{s}" for s, p in zip(stems, paths, strict=True)]
+    return [n if names.count(n) == 1 else f"{n}_{i}" for i, n in enumerate(names)]

@@ -1,0 +1,1 @@
+"""The computer: optional libraries, progress, child processes, memory, terminal, `gof doctor`."""

@@ -1,0 +1,211 @@
+"""The report's pictures: panels drawn from a dataset and a result, and their encoding into the page."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from gof.core.gaussians import TransientGaussians
+from gof.dataset import Dataset
+from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.weighted import weighted_quantile
+from gof.footage.pictures import read_picture
+from gof.look import velocity as velocity_module
+
+PANEL_WIDTH = 360  # px; small pictures are enlarged to about this by a whole factor
+GAP = 4  # px between panels, mid grey: readable on light and dark pages
+
+
+def to_bytes(image: np.ndarray) -> np.ndarray:
+    """Display values (H, W, 3) in [0, 1] to uint8; values outside are clipped."""
+    return (np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def enlarge(image: np.ndarray, factor: int) -> np.ndarray:
+    """(H, W, 3) uint8 enlarged by a whole factor."""
+    return np.asarray(Image.fromarray(image).resize((image.shape[1] * factor, image.shape[0] * factor), Image.BICUBIC))
+
+
+def factor_for(width: int) -> int:
+    return max(1, round(PANEL_WIDTH / width))
+
+
+def data_uri(image: np.ndarray | Path, kind: str = "webp", quality: int = 88) -> str:
+    """A picture as a data: URI. A path is decoded and encoded again, so only pixels enter the page.
+
+    Raises:
+        DataFormatError: the file cannot be decoded.
+    """
+    picture = Image.fromarray(read_picture(image)[..., ::-1] if isinstance(image, Path) else image)
+    buffer = io.BytesIO()
+    picture.save(buffer, kind, **({"quality": quality, "method": 4} if kind == "webp" else {"optimize": True}))
+    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def file_uri(path: Path) -> str:
+    """An animation's own bytes as a data: URI."""
+    return f"data:image/{path.suffix[1:]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def side_by_side(panels: list[np.ndarray], gap: int = GAP) -> np.ndarray:
+    """Panels in a row."""
+    height = max(p.shape[0] for p in panels)
+    width = sum(p.shape[1] for p in panels) + gap * (len(panels) - 1)
+    row, x = np.full((height, width, 3), 110, np.uint8), 0
+    for panel in panels:
+        row[: panel.shape[0], x : x + panel.shape[1]] = panel
+        x += panel.shape[1] + gap
+    return row
+
+
+@dataclass
+class Animation:
+    """The four panels over time.
+
+    Attributes:
+        frames: each (H, W, 3) uint8, panels side by side.   titles: of the panels.
+        longest: px/s of full colour in the velocity panels, 0 = no velocity panels.
+        frame_ms: how long each frame is shown.   slow_down: shown time over real time.
+    """
+
+    frames: list[np.ndarray]
+    titles: list[str]
+    longest: float
+    frame_ms: int
+    slow_down: float
+    still: int  # the frame with most flame
+
+    def save(self, path: Path) -> Path:
+        """Animated WebP, endless."""
+        first, *rest = (Image.fromarray(f) for f in self.frames)
+        first.save(
+            path, "webp", save_all=True, append_images=rest, duration=self.frame_ms, loop=0, quality=82, method=2
+        )
+        return path
+
+
+def animate(
+    dataset: Dataset,
+    gaussians: TransientGaussians,
+    plate: np.ndarray,
+    camera_number: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> Animation:
+    """Draw truth (or what was filmed), reconstruction, velocity and true velocity for every frame of one camera.
+
+    The reconstruction is drawn over `plate`, unless it has static Gaussians.
+
+    Without dynamic Gaussians or true velocities the panels that need them are left out.
+    """
+    from gof.render import render
+
+    camera = dataset.cameras[camera_number]
+    background = None if not gaussians.dynamic.all() else plate
+    frames = sorted({*dataset.train_frames, *dataset.test_frames})
+    has_truth = dataset.has_velocity
+    drawn, alphas = [], []
+    for number, k in enumerate(frames):
+        time_s = float(dataset.camera_times_s(camera_number)[k])
+        alive = velocity_module.living(gaussians, time_s)
+        fields = [velocity_module.screen_velocity(alive, camera, time_s)]
+        if has_truth:
+            centre, _ = alive.at(time_s)
+            true = expected_velocity(dataset.velocity.at(time_s), centre, alive.scale, alive.rotation).mean
+            fields.append(velocity_module.screen_velocity(alive, camera, time_s, true))
+        drawn.append(
+            (
+                [
+                    to_bytes(dataset.image(camera_number, k)),
+                    to_bytes(render(gaussians, camera, time_s, background=background)["color"]),
+                ],
+                fields,
+            )
+        )
+        alphas.append(float(fields[0].alpha.sum()))
+        if progress:
+            progress(number + 1, len(frames))
+
+    longest = _common_speed([f[-1] for _, f in drawn])
+    factor = factor_for(camera.width)
+    pages = []
+    for k, (pictures, fields) in zip(frames, drawn, strict=True):
+        panels = [enlarge(p, factor) for p in pictures] + [velocity_module.draw(f, longest, factor) for f in fields]
+        held_out = k in dataset.test_frames
+        pages.append(
+            _stamp(
+                side_by_side(panels),
+                f"{1000 * (dataset.times_s[k] - dataset.times_s[0]):.0f} ms" + ("   held out" if held_out else ""),
+                held_out,
+            )
+        )
+    frame_s = dataset.frame_time_s
+    shown_ms = int(np.clip(round(8 * frame_s * 1000), 60, 200))
+    titles = [
+        original(dataset),
+        "reconstruction",
+        "velocity, reconstruction",
+        *(["velocity, truth"] if has_truth else []),
+    ]
+    return Animation(
+        pages, titles, longest, shown_ms, shown_ms / 1000 / frame_s if frame_s else 1.0, int(np.argmax(alphas))
+    )
+
+
+def original(dataset: Dataset) -> str:
+    """What a dataset's own pictures are called."""
+    return "filmed" if dataset.description.is_filmed else "truth"
+
+
+def three_views(
+    dataset: Dataset, gaussians: TransientGaussians, plates: list[np.ndarray], frame: int
+) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Rows of pictures at one time: [(row title, [(camera name, data URI)])]: truth, reconstruction, difference."""
+    from gof.render import render
+
+    rows: dict[str, list] = {original(dataset): [], "reconstruction": [], "difference": []}
+    for number, camera in enumerate(dataset.cameras):
+        time_s = float(dataset.camera_times_s(number)[frame])
+        background = plates[number] if gaussians.dynamic.all() else None
+        truth = dataset.image(number, frame)
+        image = np.clip(render(gaussians, camera, time_s, background=background)["color"], 0, 1)
+        difference = np.abs(image - truth)
+        for title, picture in zip(rows, (truth, image, difference), strict=True):
+            rows[title].append((camera.name, data_uri(enlarge(to_bytes(picture), factor_for(camera.width)))))
+    return list(rows.items())
+
+
+def brightest_frame(dataset: Dataset) -> int:
+    """The held-out frame with most flame (without masks: farthest from the plate); any frame when none is held out."""
+
+    def flame(k: int) -> float:
+        mask = dataset.mask(0, k)
+        return float(mask.mean() if mask is not None else np.abs(dataset.image(0, k) - dataset.static(0)).mean())
+
+    return max(dataset.test_frames or dataset.train_frames, key=flame)
+
+
+def _common_speed(fields: list[velocity_module.ScreenVelocity]) -> float:
+    """98th percentile of the opacity-weighted speed on the screen, px/s: one colour scale for all panels and frames."""
+    speed = np.concatenate([np.linalg.norm(f.flow, axis=-1).ravel() for f in fields])
+    weight = np.concatenate([f.alpha.ravel() for f in fields])
+    return max(weighted_quantile(speed, weight, 0.98), 1e-9) if weight.any() else 1.0
+
+
+def _stamp(page: np.ndarray, text: str, accent: bool) -> np.ndarray:
+    image = Image.fromarray(page)
+    pen, font = ImageDraw.Draw(image), ImageFont.load_default(18)
+    pen.text(
+        (10, page.shape[0] - 30),
+        text,
+        font=font,
+        fill=(255, 190, 90) if accent else (255, 255, 255),
+        stroke_width=2,
+        stroke_fill=(0, 0, 0),
+    )
+    return np.asarray(image)

@@ -1,0 +1,163 @@
+"""The report: pictures, scores and costs in one HTML file that needs no other file and no network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from gof.core.cameras import in_words
+from gof.core.costs import StageCost
+from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path, path_in
+from gof.core.gaussians import TransientGaussians
+from gof.dataset import Dataset
+from gof.dataset.plates import background
+from gof.evaluate.scores import Scores
+from gof.host.machine import machine, versions
+from gof.look import animation as pictures
+from gof.look.frame_chart import l2_chart
+from gof.look.leaderboard_page import PagePicture
+from gof.look.preview import Preview
+from gof.look.velocity import legend
+from gof.look.verdicts import verdicts
+from gof.reconstruct.captions import Captions
+
+
+def build_report(
+    out_dir: Path,
+    dataset: Dataset,
+    result: Path,
+    scores: Scores,
+    stages: Sequence[StageCost] = (),
+    preview: Preview | None = None,
+    stage_pictures: Path | None = None,
+    camera: int | None = None,
+    fire_removal: Sequence[Sequence[PagePicture]] = (),
+    progress: Callable[..., None] | None = None,
+) -> Path:
+    """Write out_dir/report.html, and out_dir/pictures/animation.webp and .png for use elsewhere; replaces older ones.
+
+    Args:
+        out_dir: folder of the report.
+        dataset, result: what was reconstructed, and the file of `TransientGaussians.save`.
+        stages: cost of every stage, in order.
+        preview: a Blender picture to show beside the true one; its image lies in `out_dir`.
+        stage_pictures: folder of PNGs with their captions (`gof.reconstruct.captions`); default: "stages" beside
+            `result`.
+        camera: number of the camera of the animation; default the middle one.
+        fire_removal: rows of pictures that show what the plates are worth, one for each camera.
+        progress: progress(done, total, stage=name).
+    Returns:
+        path of report.html.
+    Raises:
+        DataFormatError: a picture or a file cannot be read.
+    """
+    gaussians = TransientGaussians.load(result).measured_from(dataset.datum)
+    progress = progress or (lambda *a, **k: None)
+    camera = len(dataset.cameras) // 2 if camera is None else camera
+    plates = [background(dataset, number, result) for number in range(len(dataset.cameras))]
+    animation = pictures.animate(
+        dataset, gaussians, plates[camera], camera, lambda done, total: progress(done, total, stage="animation")
+    )
+    folder = out_dir / "pictures"
+    _save(animation, folder)
+    frame = pictures.brightest_frame(dataset)
+    content = {
+        "name": dataset.description.name,
+        "dataset": _facts(dataset, gaussians),
+        "animation": animation,
+        "animation_uri": pictures.file_uri(folder / "animation.webp"),
+        "still_uri": pictures.data_uri(folder / "animation.png"),
+        "animation_camera": dataset.cameras[camera].name,
+        "legend_uri": pictures.data_uri(legend(), "png"),
+        "longest_px_per_frame": animation.longest * dataset.frame_time_s,
+        "views": pictures.three_views(dataset, gaussians, plates, frame),
+        "views_frame": frame,
+        "views_time_ms": 1000 * (dataset.times_s[frame] - dataset.times_s[0]),
+        "views_held_out": frame in dataset.test_frames,
+        "filmed": dataset.description.is_filmed,
+        "in_metres": dataset.description.in_metres,
+        "original": pictures.original(dataset),
+        "picture_size": in_words(scores.images.sizes_px) if scores.images else "",
+        "scores": scores,
+        "verdicts": verdicts(scores),
+        "chart": l2_chart(scores),
+        "stages": list(stages),
+        "preview": _preview(preview, out_dir, dataset),
+        "fire_removal": fire_removal,
+        "stage_pictures": _stage_pictures(stage_pictures or result.parent / "stages"),
+        "machine": machine(),
+        "versions": versions() | _provenance(dataset),
+        "effects": dataset.description.effects,
+    }
+    with atomic_path(out_dir / "report.html") as temporary:
+        temporary.write_text(_render(content), encoding="utf-8")
+    return out_dir / "report.html"
+
+
+def _save(animation: pictures.Animation, folder: Path) -> None:
+    """Write folder/animation.webp, and its frame with most flame as animation.png."""
+    with atomic_path(folder / "animation.webp") as temporary:
+        animation.save(temporary)
+    with atomic_path(folder / "animation.png") as temporary:
+        Image.fromarray(animation.frames[animation.still]).save(temporary)
+
+
+def _facts(dataset: Dataset, gaussians: TransientGaussians) -> dict[str, str]:
+    camera, frame_s = dataset.cameras[0], dataset.frame_time_s
+    return {
+        "cameras": f"{len(dataset.cameras)}, {camera.width} x {camera.height} px",
+        "frames": f"{len(dataset.times_s)} ({len(dataset.test_frames)} held out)"
+        + (f" at {1 / frame_s:.4g} per second" if frame_s else ""),
+        "Gaussians": f"{len(gaussians):,}"
+        + ("" if gaussians.dynamic.all() else f" ({int(gaussians.dynamic.sum()):,} dynamic)"),
+    }
+
+
+def _preview(preview: Preview | None, folder: Path, dataset: Dataset) -> dict[str, Any] | None:
+    if preview is None:
+        return None
+    if not (0 <= preview.camera < len(dataset.cameras) and 0 <= preview.frame < len(dataset.times_s)):
+        raise DataFormatError(
+            f"{folder}/preview.json: the dataset has no frame {preview.frame} of a camera {preview.camera}"
+        )
+    image = path_in(folder, preview.image)
+    if not image.is_file():
+        raise DataFormatError(f"{image}: no such picture; render the Blender preview first")
+    truth = pictures.to_bytes(dataset.image(preview.camera, preview.frame))
+    return {
+        "truth": pictures.data_uri(pictures.enlarge(truth, pictures.factor_for(truth.shape[1]))),
+        "image": pictures.data_uri(image),
+        "camera": dataset.cameras[preview.camera].name,
+        "frame": preview.frame,
+    }
+
+
+def _stage_pictures(folder: Path) -> list[tuple[str, str]]:
+    """[(caption, data URI)] in the order of the captions; empty when there are none."""
+    captions = Captions.read(folder).images
+    files = [(c.text, path_in(folder, c.file)) for c in captions]
+    return [(text, pictures.data_uri(file)) for text, file in files if file.is_file()]
+
+
+def _provenance(dataset: Dataset) -> dict[str, str]:
+    provenance = dataset.description.provenance
+    return {f"dataset: {k}": str(v) for k, v in provenance.items() if isinstance(v, str | int | float)}
+
+
+def _render(content: dict[str, Any]) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("gof.look", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = lambda value, digits=3: "n/a" if value is None else f"{value:.{digits}f}"
+    environment.filters["duration"] = lambda s: f"{s:.1f} s" if s < 100 else f"{int(s // 60)} min {int(s % 60)} s"
+    return environment.get_template("report.html").render(content)

@@ -1,0 +1,241 @@
+"""A suite's board for people: one self-contained HTML page, and a Markdown table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from html import escape
+
+import numpy as np
+
+from gof.core.errors import MissingDependencyError
+from gof.evaluate.cells import in_markdown
+from gof.evaluate.leaderboard import COLUMNS
+from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
+from gof.evaluate.training_curve import TrainingCurve
+from gof.host import extras
+from gof.look import leaderboard_page
+
+PLOTLY = ("leaderboard", "a chart of training loss")  # the extra, and what for
+
+
+def used(rows: tuple[BoardRow, ...]) -> list[str]:
+    """The columns in which any row has a value: those with ranks first."""
+    there = [key for key in COLUMNS if any(key in row.figures for row in rows)]
+    return [key for key in RANKED if key in there] + [key for key in there if key not in RANKED]
+
+
+def best(figures: Mapping[int, Figure], key: str) -> int | None:
+    """Which of a column's competing figures has the best mean; None where none is better, or there is one alone."""
+    sign = COLUMNS[key].better
+    if not sign or len(figures) < 2:
+        return None
+    return max(figures, key=lambda i: sign * figures[i].mean)
+
+
+def marks_of(figures: Mapping[int, Figure], key: str) -> dict[int, str]:
+    """How a column's figures are marked: "best" is the best mean, "first" are the others that may be first as well."""
+    leader = best(figures, key)
+    may_be = {i: "first" for i, figure in figures.items() if figure.rank == 1}
+    return may_be if leader is None else may_be | {leader: "best"}
+
+
+def competing(rows: tuple[BoardRow, ...], key: str) -> dict[int, Figure]:
+    """The column's figures of the rows that compete, by the row's number."""
+    return {i: row.figures[key] for i, row in enumerate(rows) if row.competes and key in row.figures}
+
+
+def value(key: str, figure: Figure | None) -> str:
+    """A mean, ± half of its interval."""
+    if figure is None:
+        return "-"
+    kind = COLUMNS[key].format
+    number = format(round(figure.mean) if kind == "d" else figure.mean, kind)
+    return number if figure.half_width is None else f"{number} ± {format(figure.half_width, kind)}"
+
+
+def remark(figure: Figure | None, scenes: int) -> str:
+    """Rank, wins and the spread of seeds, where there are any."""
+    if figure is None:
+        return ""
+    parts = []
+    if figure.rank:
+        parts = [f"rank {figure.rank}" + (f" to {figure.last_rank}" if figure.last_rank != figure.rank else "")]
+    parts += [f"{figure.wins} of {scenes} wins"] if figure.wins is not None and scenes > 1 else []
+    parts += [f"seeds ± {_two_digits(figure.seed_sd)}"] if figure.seed_sd is not None else []
+    return ", ".join(parts)
+
+
+def _two_digits(number: float) -> str:
+    """Two significant digits without an exponent, as the means above it have none."""
+    return np.format_float_positional(number, precision=2, fractional=False, trim="-")
+
+
+def partly(row: BoardRow, board: SuiteBoard) -> str:
+    """That its means are of fewer scenes than the others'; "" where they are not."""
+    return f"in {row.scenes} of {len(board.scenes)} scenes" if row.scenes < len(board.scenes) else ""
+
+
+def refusal(row: BoardRow) -> str:
+    """That the check refuses the submission, and why; "" where it does not."""
+    more = f" and {len(row.refused) - 1} more" if len(row.refused) > 1 else ""
+    return f"refused by the check, not ranked: {row.refused[0]}{more}" if row.refused else ""
+
+
+def marks(row: BoardRow) -> tuple[str, str]:
+    """What a method was given beside pictures, and what it knew before; empty for controls, which are no methods."""
+    if row.control:
+        return "", ""
+    knew = "not said" if row.prior is None else ", ".join(row.prior) or "nothing"
+    return ", ".join(row.given) or "not said", knew
+
+
+def to_markdown(board: SuiteBoard) -> str:
+    """The best mean of a column in bold; rows that do not compete in italics."""
+    keys = used(board.rows)
+    leaders = {key: best(competing(board.rows, key), key) for key in keys}
+    headings = ["method", "given", "knew before", *(COLUMNS[key].heading for key in keys)]
+    lines = [f"| {' | '.join(headings)} |", "|---|---|---|" + "---:|" * len(keys)]
+    for i, row in enumerate(board.rows):
+        name = in_markdown(row.name)
+        given, knew = map(in_markdown, marks(row))
+        cells = []
+        for key in keys:
+            figure = row.figures.get(key)
+            text = " ".join(filter(None, (value(key, figure), _in_brackets(remark(figure, len(board.scenes))))))
+            cells.append(f"**{text}**" if i == leaders[key] else text)
+        remarks = [
+            _in_brackets(text) for text in (in_markdown(refusal(row)), in_markdown(row.alarm), partly(row, board))
+        ]
+        name = " ".join(filter(None, (name if row.competes else f"*{name}*", *remarks)))
+        lines.append(f"| {name} | {given} | {knew} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _in_brackets(text: str) -> str:
+    return f"({text})" if text else ""
+
+
+def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | None]) -> str:
+    """The page; everything is inside it.
+
+    Args:
+        grids: the methods' pictures side by side, by the scene's name.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    keys = used(board.rows)
+    marked = {key: marks_of(competing(board.rows, key), key) for key in keys}
+    table = []
+    for i, row in enumerate(board.rows):
+        cells = [
+            {
+                "text": value(key, row.figures.get(key)),
+                "small": remark(row.figures.get(key), len(board.scenes)),
+                "value": row.figures[key].mean if key in row.figures else None,
+                "mark": marked[key].get(i, ""),
+            }
+            for key in keys
+        ]
+        given, knew = marks(row)
+        small = (
+            refusal(row),
+            row.alarm,
+            partly(row, board),
+            given and f"given: {given}",
+            knew and f"knew before: {knew}",
+        )
+        about = {"name": row.name, "method": row.what, "competes": row.competes}
+        table.append((about | {"small": [one for one in small if one]}, cells))
+    charts, no_charts = _charts(board)
+    environment = Environment(loader=PackageLoader("gof.look", "."), autoescape=True, undefined=StrictUndefined)
+    return environment.get_template("suite.html").render(
+        title=board.title,
+        board=board,
+        methods=[row for row in board.rows if not row.control],
+        ranked=any(row.competes for row in board.rows),
+        headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
+        table=table,
+        scenes=[_scene(scene, grids.get(scene.name), charts.get(scene.name)) for scene in board.scenes],
+        no_charts=no_charts,
+        plotlyjs=extras.load("plotly.offline", *PLOTLY).get_plotlyjs() if charts else "",
+    )
+
+
+def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None, chart: str | None) -> dict:
+    """What the page shows of a scene."""
+    keys = [key for key in RANKED if any(key in figures for figures in scene.figures.values())]
+    finished = {name: figures for name, figures in scene.figures.items() if any(one.rank for one in figures.values())}
+    marked = {key: marks_of({name: has[key] for name, has in finished.items() if key in has}, key) for key in keys}
+    rows = [
+        (
+            name,
+            name in scene.controls,
+            [
+                {
+                    "text": value(key, figures.get(key)),
+                    "small": remark(figures.get(key), 1),
+                    "mark": marked[key].get(name, ""),
+                }
+                for key in keys
+            ],
+        )
+        for name, figures in (scene.figures | scene.controls).items()
+    ]
+    return {
+        "name": scene.name,
+        "split": scene.split,
+        "eddy_time_s": scene.eddy_time_s,
+        "at_least": scene.at_least,
+        "eddies": scene.eddies,
+        "controls_on": scene.controls_on,
+        "headings": [COLUMNS[key].heading for key in keys],
+        "rows": rows,
+        "grid": grid,
+        "curves": [_curve(name, curve) for name, curve in scene.curves.items()],
+        "chart": chart,
+    }
+
+
+def _curve(name: str, curve: TrainingCurve) -> dict:
+    """A row of the table of trainings."""
+    return {
+        "name": name,
+        "steps": curve.step[-1],
+        "seconds": curve.processor_seconds[-1],
+        "first": curve.loss[0],
+        "last": curve.loss[-1],
+        "fall": "not known" if math.isnan(curve.last_fall) else f"{100 * curve.last_fall:.0f} %",
+    }
+
+
+def _charts(board: SuiteBoard) -> tuple[dict[str, str], str]:
+    """The chart of each scene with known trainings, and why there is none: the tables do not need plotly."""
+    try:
+        return {scene.name: _chart(scene.curves) for scene in board.scenes if scene.curves}, ""
+    except MissingDependencyError as e:
+        return {}, str(e)
+
+
+def _chart(curves: Mapping[str, TrainingCurve]) -> str:
+    """HTML of a plotly chart: the loss over processor seconds, each method's over its own first value."""
+    figure = extras.load("plotly.graph_objects", *PLOTLY).Figure()
+    for number, (name, curve) in enumerate(curves.items()):
+        figure.add_scatter(
+            x=curve.processor_seconds,
+            y=[loss / curve.loss[0] for loss in curve.loss],
+            mode="lines",
+            name=escape(name),
+            line={"color": leaderboard_page.COLORS[number % len(leaderboard_page.COLORS)]},
+        )
+    figure.update_layout(
+        template="plotly_white",
+        height=380,
+        margin={"l": 64, "r": 24, "t": 44, "b": 50},
+        legend={"orientation": "h", "y": -0.22},
+        title={"text": "Training loss", "font": {"size": 15}},
+        showlegend=True,
+    )
+    figure.update_xaxes(type="log", title="processor seconds")
+    figure.update_yaxes(type="log", title="loss / its first value")
+    return figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True})

@@ -1,0 +1,192 @@
+"""One page on which a layman can judge a take's times: one moment as all cameras saw it, and how sure they are."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from gof.capture.aligned import Alignment, align
+from gof.capture.doubts import missing_frames
+from gof.capture.times import FrameTimesFile, SyncedVideo
+from gof.core.files import atomic_path
+from gof.footage.videos import stored_frames
+
+CROP_HEIGHT = 320
+MOVES = 40  # grey levels by which a pixel changes where there is flame or light
+MOMENTS = 3  # at which the flame's motion is measured
+FAST = 95  # percentile of the motion
+DOUBT_PX = 0.5  # of motion within the uncertainty: above, a reconstruction blurs
+FIRE = 60  # red minus blue of a flame
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The frames of one camera around one moment.
+
+    Attributes:
+        before, after: (H, W, 3) uint8 RGB, of equal number, and nearest in time.
+        before_ms, after_ms: when they were taken, after the moment.
+        speed: px per ms, the flame's fast parts; 0 where nothing burns.
+        changes: (H, W) how much each pixel changes between the frames that were looked at.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    before_ms: float
+    after_ms: float
+    speed: float
+    changes: np.ndarray
+
+
+def write_report(path: Path, take: FrameTimesFile, plots: Path) -> str:
+    """Write the page; plots: folder of the residual pictures. Returns the verdict in a sentence.
+
+    Raises GofError as `align`.
+    """
+    from jinja2 import Environment
+
+    alignment = align(take.cameras)
+    timed = [c for c in take.cameras if c.times]
+    moments = {c.name: look(c, alignment) for c in timed}
+    speed = max(m.speed for m in moments.values())
+    sigma = {c.name: max(f.sigma_us for f in c.times.frames) / 1000 for c in timed}
+    worst = max(sigma, key=sigma.get)
+    estimated = [c.name for c in timed if c.times.clock != "board"]
+    said = verdict(worst, sigma[worst], speed, alignment, estimated)
+    pictures = [(n, plots / f"residuals_{n}.png") for n in sigma if n not in estimated]
+    page = (
+        Environment(autoescape=True)
+        .from_string((files("gof.capture") / "sync_report.html").read_text(encoding="utf-8"))
+        .render(
+            verdict=said,
+            doubtful=sigma[worst] * speed > DOUBT_PX or bool(estimated),
+            strip=_encoded(strip(moments)),
+            rows=[_row(c, sigma[c.name], speed) for c in timed],
+            warnings=take.warnings,
+            residuals=[(n, base64.b64encode(p.read_bytes()).decode()) for n, p in pictures if p.is_file()],
+        )
+    )
+    with atomic_path(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return said
+
+
+def verdict(worst: str, sigma_ms: float, speed: float, alignment: Alignment, estimated: list[str]) -> str:
+    """One sentence: the worst error in ms and in px of motion, and what pairing whole frames adds; and whose clock is
+    only estimated."""
+    motion = f", in which the flame's fast parts move {_short(sigma_ms * speed)} px" if speed else ""
+    pair = alignment.worst_us / 1000
+    paired = f" ({_short(pair * speed)} px)" if speed else ""
+    return (
+        f"The frame times are known to {_short(sigma_ms)} ms (one standard deviation, worst camera: {worst}){motion}; "
+        f"frames paired whole, as in aligned videos, are up to {_short(pair)} ms apart{paired}."
+        + (
+            f" Of {', '.join(estimated)} the clock is only estimated: a frame or two off is likely."
+            if estimated
+            else ""
+        )
+    )
+
+
+def _short(value: float) -> str:
+    return f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
+
+
+def _row(camera: SyncedVideo, sigma_ms: float, speed: float) -> dict[str, str]:
+    times = camera.times
+    return {
+        "name": camera.name,
+        "clock": "read from the board" if times.clock == "board" else "ESTIMATED from the flame",
+        "sigma": _short(sigma_ms),
+        "motion": _short(sigma_ms * speed) if speed else "no flame seen",
+        "missing": missing_frames(times) or ("none" if times.clock == "board" else "not known"),
+        "outliers": str(times.outliers),
+    }
+
+
+def look(camera: SyncedVideo, alignment: Alignment) -> Moment:
+    """Read the frames of one camera around the middle of what all cameras filmed, and at other moments its flame's
+    speed."""
+    chosen = alignment.frames[camera.name]
+    last = len(camera.times.frames) - 1
+    at = np.linspace(0, len(chosen) - 1, MOMENTS + 2).astype(int)[1:-1]
+    middle = at[len(at) // 2]
+    first = next(iter(alignment.frames.values()))
+    before = min(int(first[middle]), last)
+    pairs = [(int(chosen[k]), min(int(chosen[k]) + 1, last)) for k in at]
+    wanted = {before, *(k for pair in pairs for k in pair)}
+    frames = {k: f for k, f in enumerate(_until(Path(camera.video), max(wanted))) if k in wanted}
+    grey = np.stack([f.max(2) for f in frames.values()])
+    time_ms = [1e3 * (f.time_s - alignment.time_s[middle]) for f in camera.times.frames]
+    per_frame = [motion(frames[a], frames[b]) for a, b in pairs if a < b]
+    speed = max(per_frame, default=0.0) / (1e-3 * camera.times.frame_interval_us)
+    after = int(chosen[middle])
+    return Moment(
+        frames[before], frames[after], time_ms[before], time_ms[after], speed, grey.max(0).astype(int) - grey.min(0)
+    )
+
+
+def _until(video: Path, last: int):
+    for k, frame in enumerate(stored_frames(video)):
+        yield frame
+        if k == last:
+            return
+
+
+def motion(a: np.ndarray, b: np.ndarray) -> float:
+    """px by which the flame's fast parts move between two (H, W, 3) RGB frames (optical flow, 95th percentile of what
+    burns); 0 where less than a hundred pixels burn."""
+    import cv2
+
+    burns = cv2.subtract(a[..., 0], a[..., 2]) > FIRE
+    if burns.sum() < 100:
+        return 0.0
+    flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(
+        cv2.cvtColor(a, cv2.COLOR_RGB2GRAY), cv2.cvtColor(b, cv2.COLOR_RGB2GRAY), None
+    )
+    return float(np.percentile(np.linalg.norm(flow, axis=2)[burns], FAST))
+
+
+def strip(moments: dict[str, Moment]) -> np.ndarray:
+    """(H, W, 3) uint8 BGR: one row of crops before, one after; each with its camera and time."""
+    import cv2
+
+    rows = []
+    for word in ("before", "after"):
+        crops = []
+        for name, m in moments.items():
+            box = _box(m.changes)
+            crop = getattr(m, word)[box]
+            width = max(1, round(crop.shape[1] * CROP_HEIGHT / crop.shape[0]))
+            crop = cv2.cvtColor(cv2.resize(crop, (width, CROP_HEIGHT), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2BGR)
+            crop = cv2.copyMakeBorder(crop, 4, 26, 4, max(4, 250 - width), cv2.BORDER_CONSTANT, value=(255, 255, 255))
+            text = f"{word}: {name} {round(getattr(m, word + '_ms'), 3) + 0.0:+.3f} ms"
+            cv2.putText(crop, text, (4, CROP_HEIGHT + 22), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
+            crops.append(crop)
+        rows.append(np.hstack(crops))
+    return np.vstack(rows)
+
+
+def _box(changes: np.ndarray) -> tuple[slice, slice]:
+    """Around what changes, with a margin; the whole picture where nothing does."""
+    import cv2
+
+    spots = cv2.medianBlur((changes > MOVES).astype(np.uint8), 5) > 0
+    if not spots.any():
+        return slice(None), slice(None)
+    box = []
+    for axis in (1, 0):
+        seen = np.flatnonzero(spots.any(axis))
+        margin = 20
+        box.append(slice(max(0, int(seen[0]) - margin), int(seen[-1]) + margin))
+    return tuple(box)
+
+
+def _encoded(picture: np.ndarray) -> str:
+    import cv2
+
+    return base64.b64encode(cv2.imencode(".png", picture)[1].tobytes()).decode()

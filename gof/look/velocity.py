@@ -1,0 +1,128 @@
+"""Velocities as pictures: what moves where on the screen, by the reconstruction and by the truth at its Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from gof.core.cameras import Camera
+from gof.core.direction_colors import direction_colors
+from gof.core.gaussians import TransientGaussians
+
+GROUND = np.array([0.11, 0.11, 0.12])  # display colour where nothing is
+ARROWS_ACROSS = 14
+MIN_ALPHA = 0.15  # below this no arrow is drawn: the mean velocity of almost nothing
+
+
+class ScreenVelocity(NamedTuple):
+    flow: np.ndarray  # (H, W, 2) px/s, or m/s; opacity-weighted mean along the pixel's ray; 0 where alpha is 0
+    alpha: np.ndarray  # (H, W) in [0, 1)
+
+
+def living(gaussians: TransientGaussians, time_s: float) -> TransientGaussians:
+    """The dynamic Gaussians that can be seen at a time (opacity above 1/512, half a step of an 8-bit picture)."""
+    _, opacity = gaussians.at(time_s)
+    return gaussians[gaussians.dynamic & (opacity > 1 / 512)]
+
+
+def screen_velocity(
+    gaussians: TransientGaussians, camera: Camera, time_s: float, velocity: np.ndarray | None = None
+) -> ScreenVelocity:
+    """Render the velocity J v of the gas, as the Gaussians say it, instead of their colour.
+
+    Args:
+        gaussians: dynamic Gaussians (N).
+        velocity: (N, 3) m/s to show in place of their own; where they are drawn does not change.
+    Returns:
+        ScreenVelocity; J is the derivative of the pixel with respect to the world point, at each centre.
+    """
+    centre, _ = gaussians.at(time_s)
+    jacobian = camera.projection_jacobian(centre)
+    v = gaussians.moving_gas if velocity is None else velocity
+    flow = np.nan_to_num(np.einsum("nij,nj->ni", jacobian, v.astype(np.float64)))  # behind the camera: not drawn anyway
+    return _mean_along_rays(gaussians, camera, time_s, flow)
+
+
+def sideways_velocity(
+    gaussians: TransientGaussians, camera: Camera, time_s: float, velocity: np.ndarray | None = None
+) -> ScreenVelocity:
+    """What of the gas' velocity is parallel to the picture, in m/s instead of px/s: the same from near and from far.
+
+    Args:
+        velocity: (N, 3) m/s to show in place of their own; where they are drawn does not change.
+    """
+    v = gaussians.moving_gas if velocity is None else velocity
+    return _mean_along_rays(gaussians, camera, time_s, v @ camera.world_to_camera[:2, :3].T)
+
+
+def _mean_along_rays(
+    gaussians: TransientGaussians, camera: Camera, time_s: float, values: np.ndarray
+) -> ScreenVelocity:
+    """Two values (N, 2) of each Gaussian, drawn instead of its colour."""
+    if len(gaussians) == 0:
+        return ScreenVelocity(np.zeros((camera.height, camera.width, 2)), np.zeros((camera.height, camera.width)))
+    from gof.render import render
+
+    as_colour = np.concatenate([values, np.zeros((len(values), 1))], 1)
+    out = render(replace(gaussians, color=as_colour), camera, time_s)
+    alpha = out["alpha"]
+    seen = alpha > 1e-4
+    return ScreenVelocity(
+        np.where(seen[..., None], out["color"][..., :2] / np.where(seen, alpha, 1)[..., None], 0), alpha
+    )
+
+
+def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray:
+    """A panel (scale H, scale W, 3) uint8: direction colours over a dark ground, arrows on a grid.
+
+    Args:
+        longest: speed of full brightness, in the velocity's unit; an arrow of that speed reaches its neighbour.
+        scale: whole factor by which the panel is larger than the picture.
+    """
+    height, width = velocity.alpha.shape
+    panel = cv2.resize(colours(velocity, longest), (scale * width, scale * height), interpolation=cv2.INTER_CUBIC)
+    for tail, head in arrows(velocity, longest):
+        ends = [tuple(round(c * scale * 16) for c in end) for end in (tail.tolist(), head.tolist())]  # 1/16 px
+        cv2.arrowedLine(panel, *ends, (255, 255, 255), 1, cv2.LINE_AA, shift=4, tipLength=0.35)
+    return panel
+
+
+def colours(velocity: ScreenVelocity, longest: float) -> np.ndarray:
+    """(H, W, 3) uint8: direction colours over a dark ground; `longest` as in `draw`."""
+    alpha = velocity.alpha[..., None]
+    color = direction_colors(velocity.flow, longest) * alpha + GROUND * (1 - alpha)
+    return (color * 255 + 0.5).astype(np.uint8)
+
+
+def arrows(velocity: ScreenVelocity, longest: float, across: int = ARROWS_ACROSS) -> np.ndarray:
+    """(A, 2, 2) tails and heads in px (x, y), on a grid with `across` places from left to right; faint ones left out.
+
+    Args:
+        longest: as in `draw`.
+    """
+    height, width = velocity.alpha.shape
+    spacing_px = width / across
+    found = []
+    for y in np.arange(spacing_px / 2, height, spacing_px):
+        for x in np.arange(spacing_px / 2, width, spacing_px):
+            i, j = int(y), int(x)
+            if velocity.alpha[i, j] < MIN_ALPHA:
+                continue
+            arrow = velocity.flow[i, j] / max(longest, 1e-12) * spacing_px
+            size = float(np.hypot(*arrow))
+            if size < 0.1 * spacing_px:
+                continue
+            arrow *= min(1.0, 1.2 * spacing_px / size)
+            found.append((np.array([x, y]) - arrow / 2, np.array([x, y]) + arrow / 2))
+    return np.array(found).reshape(-1, 2, 2)
+
+
+def legend(size: int = 160) -> np.ndarray:
+    """The colour wheel (size, size, 4) uint8, corners transparent; a pixel's colour is that of its offset."""
+    c = (np.arange(size) + 0.5) / size * 2 - 1
+    offset = np.stack(np.meshgrid(c, c), -1)
+    alpha = np.clip((1 - np.linalg.norm(offset, axis=-1)) * size / 2, 0, 1)
+    return (np.concatenate([direction_colors(offset, 1.0), alpha[..., None]], -1) * 255 + 0.5).astype(np.uint8)

@@ -1,1 +1,0 @@
-"""Results to look at elsewhere: one page that plays from the disk, and the files of other programs."""
