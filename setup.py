@@ -8,12 +8,13 @@ from setuptools import find_namespace_packages, setup
 FOLDERS = {"gof": "gof", "gof_benchmark": "benchmark", "gof_blender": "blender_addon"}
 
 # What proves claims of the pages, and how the prior was learned: run from a checkout.
-NOT_INSTALLED = [f"benchmark.{name}{inside}" for name in ("evidence", "training") for inside in ("", ".*")]
+NOT_INSTALLED = ("evidence", "training")
 
 packages = [
     name + package.removeprefix(folder)
     for name, folder in FOLDERS.items()
-    for package in find_namespace_packages(include=[folder, f"{folder}.*"], exclude=NOT_INSTALLED)
-    if "__pycache__" not in package
+    for package in find_namespace_packages(include=[folder, f"{folder}.*"])
+    if "__pycache__" not in package and package.split(".")[1:2] not in [[part] for part in NOT_INSTALLED]
 ]
-setup(packages=packages, package_dir=FOLDERS)
+files_not_installed = {"gof_benchmark": [f"{part}/{files}" for part in NOT_INSTALLED for files in ("*", "**/*")]}
+setup(packages=packages, package_dir=FOLDERS, exclude_package_data=files_not_installed)

@@ -8,7 +8,7 @@ import pytest
 from gof.core.rotations import rotation_matrices
 from gof.evaluate.closed_forms import abc, gaussian_vortex, linear, taylor_green
 from gof_benchmark.studies.dve import LINES, gaussians, main
-from tests.show.printed import marks, texts
+from tests.look.printed import marks, texts
 
 pytestmark = pytest.mark.long
 

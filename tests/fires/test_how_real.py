@@ -37,7 +37,7 @@ from gof_benchmark.fires.measures import (
 from gof_blender.pure.fires import Fire
 from gof_blender.pure.spec import SceneSpec
 from tests.conftest import arc, write_dataset
-from tests.show.printed import curves, texts
+from tests.look.printed import curves, texts
 from tests.solvers.conftest import write_small_fire
 
 CAPTURES = Path(os.environ.get("GOF_CAPTURES", Path(__file__).parents[3] / "shared" / "captures"))

@@ -31,7 +31,7 @@ from gof.reconstruct.settings import ReconstructionSettings
 from gof.render import render
 from tests.conftest import arc, look_at, random_gaussians, write_dataset
 from tests.reconstruct.rising_flame import RISE, write_flame
-from tests.show.printed import marks, texts
+from tests.look.printed import marks, texts
 
 pytest.importorskip("matplotlib", reason="the extra 'figures' is not installed")
 

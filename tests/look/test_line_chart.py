@@ -8,7 +8,7 @@ import pytest
 
 from gof.core.errors import GofError
 from gof.look import line_chart
-from tests.show.printed import curves, marks, texts
+from tests.look.printed import curves, marks, texts
 
 pytest.importorskip("matplotlib", reason="the extra 'figures' is not installed")
 

@@ -10,7 +10,7 @@ from gof.reconstruct.presets import Effort
 from gof_benchmark.studies import reconstruction
 from gof_benchmark.studies.ablations import LEFT_OUT
 from tests.reconstruct.rising_flame import write_flame
-from tests.show.printed import marks, texts
+from tests.look.printed import marks, texts
 
 SMALL = ["--gaussians", "600", "--longest-side", "96"]
 
