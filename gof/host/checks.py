@@ -237,7 +237,7 @@ def child(*words: str) -> subprocess.CompletedProcess:
 
 def named_error(text: str) -> str | None:
     """What a `GofError` that ended a child has said."""
-    found = re.match(r"gof\.errors\.\w+: (.*)", last_line(text))
+    found = re.match(r"gof\.core\.errors\.\w+: (.*)", last_line(text))
     return found and found[1]
 
 

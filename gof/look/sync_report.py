@@ -60,7 +60,7 @@ def write_report(path: Path, take: FrameTimesFile, plots: Path) -> str:
     pictures = [(n, plots / f"residuals_{n}.png") for n in sigma if n not in estimated]
     page = (
         Environment(autoescape=True)
-        .from_string((files("gof.capture") / "sync_report.html").read_text(encoding="utf-8"))
+        .from_string((files("gof.look") / "sync_report.html").read_text(encoding="utf-8"))
         .render(
             verdict=said,
             doubtful=sigma[worst] * speed > DOUBT_PX or bool(estimated),

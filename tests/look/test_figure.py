@@ -30,8 +30,8 @@ from gof.reconstruct.seen import see_again
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.render import render
 from tests.conftest import arc, look_at, random_gaussians, write_dataset
-from tests.reconstruct.rising_flame import RISE, write_flame
 from tests.look.printed import marks, texts
+from tests.reconstruct.rising_flame import RISE, write_flame
 
 pytest.importorskip("matplotlib", reason="the extra 'figures' is not installed")
 

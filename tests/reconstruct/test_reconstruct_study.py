@@ -9,8 +9,8 @@ from gof.commands.reconstruct import ReconstructConfig
 from gof.reconstruct.presets import Effort
 from gof_benchmark.studies import reconstruction
 from gof_benchmark.studies.ablations import LEFT_OUT
-from tests.reconstruct.rising_flame import write_flame
 from tests.look.printed import marks, texts
+from tests.reconstruct.rising_flame import write_flame
 
 SMALL = ["--gaussians", "600", "--longest-side", "96"]
 
