@@ -1,11 +1,81 @@
-"""Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
+"""Gaussians on Fire: videos of a flame to transient 3D Gaussians with real velocities.
 
-Importing `gof` is cheap: heavy libraries (Dr.Jit, torch, OpenCV) are loaded by the module that uses them.
+The front door; every name is loaded when it is first used, so that importing `gof` is cheap:
+
+    dataset = gof.open_dataset("sample/fire")
+    gaussians = gof.read_result("sample/result").gaussians
+    scores = gof.evaluate("sample/result", dataset)
+    reconstruction = gof.reconstruct(dataset, "out", preset="preview")
+    picture = gof.render.rasterize(...)
+
+`docs/examples` has a program for each. `gof.evaluate` and `gof.reconstruct` are packages that can be called.
 """
 
 import sys as _sys
+from importlib import import_module as _import_module
+from types import ModuleType as _ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # for editors and type checkers; tests/test_front_door.py holds it to the table below
+    from gof import render as render
+    from gof.core.cameras import Camera as Camera
+    from gof.core.errors import GofError as GofError
+    from gof.core.gaussians import TransientGaussians as TransientGaussians
+    from gof.core.motion import Motion as Motion
+    from gof.core.motion import State as State
+    from gof.dataset import Dataset as Dataset
+    from gof.dataset import open_dataset as open_dataset
+    from gof.evaluate import evaluate as evaluate
+    from gof.io.importers import ImportOptions as ImportOptions
+    from gof.io.importers import read_result as read_result
+    from gof.reconstruct import reconstruct as reconstruct
+    from gof.sample import unpack_sample as unpack_sample
 
 __version__ = "0.2.0"
+
+_DOOR = {
+    "Camera": "gof.core.cameras",
+    "Dataset": "gof.dataset",
+    "GofError": "gof.core.errors",
+    "ImportOptions": "gof.io.importers",
+    "Motion": "gof.core.motion",
+    "State": "gof.core.motion",
+    "TransientGaussians": "gof.core.gaussians",
+    "open_dataset": "gof.dataset",
+    "read_result": "gof.io.importers",
+    "unpack_sample": "gof.sample",
+}
+_CALLED = ("evaluate", "reconstruct")  # packages with a function of their own name
+__all__ = [*sorted(_DOOR), *_CALLED, "render"]
+
+
+def __getattr__(name: str):
+    if name in _DOOR:
+        return getattr(_import_module(_DOOR[name]), name)
+    if name in (*_CALLED, "render"):
+        return _import_module(f"gof.{name}")
+    raise AttributeError(f"module 'gof' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class CallablePackage(_ModuleType):
+    """A package that is called as its function of its own name: `gof.evaluate()` is `gof.evaluate.evaluate()`."""
+
+    def __call__(self, *args, **kwargs):
+        return self.__wrapped__(*args, **kwargs)
+
+    @property
+    def __wrapped__(self):
+        return getattr(self, self.__name__.rpartition(".")[2])
+
+    @property
+    def __signature__(self):
+        from inspect import signature
+
+        return signature(self.__wrapped__)
 
 
 # The old places of the names that others rely on work for one version, and say so.

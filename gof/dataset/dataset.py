@@ -168,3 +168,12 @@ class Dataset:
     def _read(self, path: Path, camera: int) -> np.ndarray:
         image = read_picture(path, size=(self.cameras[camera].width, self.cameras[camera].height))
         return image[..., ::-1].astype(np.float32) / 255
+
+
+def open_dataset(folder: str | Path) -> Dataset:
+    """Open a dataset: `Dataset.open`, by the name that the front door gives it.
+
+    Raises:
+        DataFormatError: there is no dataset in the folder, or a field of its dataset.json is missing or malformed.
+    """
+    return Dataset.open(folder)

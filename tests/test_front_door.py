@@ -1,0 +1,69 @@
+"""`import gof`: the names of the front door, what they cost, and the programs of docs/examples."""
+
+import ast
+import inspect
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import gof
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
+
+
+def test_editors_see_the_names_that_are_loaded():
+    """The imports for type checkers and the names of `__all__` are one list, and each name can be had."""
+    tree = ast.parse(Path(gof.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    seen = {alias.asname: node.module for node in block.body for alias in node.names}
+    assert set(seen) == set(gof.__all__)
+    for name, module in seen.items():
+        found = getattr(gof, name)
+        assert found is not None and name in dir(gof)
+        if name in gof._DOOR:
+            assert gof._DOOR[name] == module
+    with pytest.raises(AttributeError, match="no attribute 'open_datset'"):
+        gof.open_datset
+
+
+def test_importing_it_loads_nothing_heavy():
+    code = "import sys, gof; print([m for m in ('numpy', 'cv2', 'drjit', 'torch', 'scipy') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_packages_that_are_called_say_what_they_take():
+    assert list(inspect.signature(gof.reconstruct).parameters)[:3] == ["dataset", "out", "preset"]
+    assert list(inspect.signature(gof.evaluate).parameters)[:2] == ["result", "dataset"]
+
+
+def test_a_preset_that_does_not_exist_is_refused_before_any_work(tmp_path):
+    gof.unpack_sample(tmp_path)
+    with pytest.raises(gof.GofError, match="no preset 'fast'; there are preview"):
+        gof.reconstruct(tmp_path / "fire", tmp_path / "out", "fast")
+    with pytest.raises(TypeError, match="gaussans"):
+        gof.reconstruct(tmp_path / "fire", tmp_path / "out", gaussans=3)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.long
+@pytest.mark.checkout
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs_and_draws_its_picture(example, tmp_path):
+    for module in ("matplotlib", *(["torch"] if "torch" in example.stem else [])):
+        pytest.importorskip(module)
+    environment = os.environ | {"MPLBACKEND": "Agg"}
+    done = subprocess.run(
+        [sys.executable, str(example), str(tmp_path)], capture_output=True, text=True, env=environment, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip(), "an example says what it found"
+    picture = np.asarray(Image.open(tmp_path / f"{example.stem}.png").convert("RGB"), float)
+    assert min(picture.shape[:2]) > 100 and picture.std() > 10, "an empty picture"
+    assert example.stem in example.read_text(encoding="utf-8").split('"""')[1], "the way to run it stands on top"
