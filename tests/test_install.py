@@ -111,19 +111,6 @@ def _witness(folder):
     render_mitsuba(random_gaussians(3), arc(1)[0], 0.0)
 
 
-def _chart(folder):
-    from gof.evaluate.leaderboard import Row
-    from gof.look.leaderboard_page import pareto_figures
-
-    pareto_figures([Row(name="ours", method="gof", l2=0.3, train_s=3.0)])
-
-
-def _figure(folder):
-    from gof.look.paper import require_figure
-
-    require_figure(folder / "figure.pdf")
-
-
 def _workers(folder):
     from gof_benchmark.generator.graph import cluster
 
@@ -143,8 +130,6 @@ def _workers(folder):
         (_poses, "pycolmap", "views"),
         (_viewer, "viser", "view"),
         (_witness, "mitsuba", "mitsuba"),
-        (_chart, "plotly.graph_objects", "leaderboard"),
-        (_figure, "matplotlib.figure", "figures"),
         (_workers, "distributed", "generate"),
     ],
 )
@@ -347,7 +332,7 @@ def locked() -> dict[str, str]:
 def test_the_lock_has_what_is_asked_for_in_versions_that_are_allowed():
     """As the Makefile installs; torch itself is left out, and what its CUDA builds bring."""
     requirements = pytest.importorskip("packaging.requirements")
-    lock, wanted = locked(), needed() | needed("blender") | needed("dev") | needed("leaderboard") | needed("view")
+    lock, wanted = locked(), needed() | needed("blender") | needed("dev") | needed("view")
     assert "torch" not in lock and ".[blender,torch,dev,fast]" in (ROOT / "tools/setup.sh").read_text()
     assert {name.lower() for name in wanted} - {NAME} <= set(lock)
     for line in importlib.metadata.requires(NAME):

@@ -18,7 +18,7 @@ from gof.dataset.plates import background
 from gof.evaluate.scores import Scores
 from gof.host.machine import machine, versions
 from gof.look import animation as pictures
-from gof.look.frame_chart import l2_chart
+from gof.look.charts import frame_chart
 from gof.look.leaderboard_page import PagePicture
 from gof.look.preview import Preview
 from gof.look.velocity import legend
@@ -84,7 +84,7 @@ def build_report(
         "picture_size": in_words(scores.images.sizes_px) if scores.images else "",
         "scores": scores,
         "verdicts": verdicts(scores),
-        "chart": l2_chart(scores),
+        "chart": chart.svg() if (chart := frame_chart(scores)) else "",
         "stages": list(stages),
         "preview": _preview(preview, out_dir, dataset),
         "fire_removal": fire_removal,

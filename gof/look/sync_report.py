@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +15,7 @@ from gof.capture.doubts import missing_frames
 from gof.capture.times import FrameTimesFile, SyncedVideo
 from gof.core.files import atomic_path
 from gof.footage.videos import stored_frames
+from gof.look.charts import Chart
 
 CROP_HEIGHT = 320
 MOVES = 40  # grey levels by which a pixel changes where there is flame or light
@@ -42,8 +44,8 @@ class Moment:
     changes: np.ndarray
 
 
-def write_report(path: Path, take: FrameTimesFile, plots: Path) -> str:
-    """Write the page; plots: folder of the residual pictures. Returns the verdict in a sentence.
+def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) -> str:
+    """Write the page, with the charts of the cameras' times by name. Returns the verdict in a sentence.
 
     Raises GofError as `align`.
     """
@@ -57,7 +59,6 @@ def write_report(path: Path, take: FrameTimesFile, plots: Path) -> str:
     worst = max(sigma, key=sigma.get)
     estimated = [c.name for c in timed if c.times.clock != "board"]
     said = verdict(worst, sigma[worst], speed, alignment, estimated)
-    pictures = [(n, plots / f"residuals_{n}.png") for n in sigma if n not in estimated]
     page = (
         Environment(autoescape=True)
         .from_string((files("gof.look") / "sync_report.html").read_text(encoding="utf-8"))
@@ -67,7 +68,7 @@ def write_report(path: Path, take: FrameTimesFile, plots: Path) -> str:
             strip=_encoded(strip(moments)),
             rows=[_row(c, sigma[c.name], speed) for c in timed],
             warnings=take.warnings,
-            residuals=[(n, base64.b64encode(p.read_bytes()).decode()) for n, p in pictures if p.is_file()],
+            residuals=[(name, chart.svg()) for name, chart in charts.items() if name in sigma],
         )
     )
     with atomic_path(path) as temporary:
