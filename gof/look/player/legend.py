@@ -1,23 +1,42 @@
-"""What the colours and lines of velocity stand for, on the page of `gof share` and in `gof view`: ranges and words."""
+"""The player's controls, and what the colours and lines of velocity stand for: names, ranges and words."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from gof.core.gaussians import TransientGaussians
 from gof.evaluate.weighted import weighted_quantile
 
+# Controls, in the order in which the page shows them
+CAMERA = "Camera"
+COLOUR = "Colour"
+COLOURS = ("Radiance", "Speed", "Doubt")  # of the light; of the gas, m/s; standard deviation of its components, m/s
+LINES = "Velocity lines"
+SIZE = "Size of Gaussians"
+SIZE_PERCENT = (5, 150, 5)  # least, most, step; 100 = as they are
+RESET = "Reset view"
+TIME = "Time"
+PLAY = "Play"
+SPEED = "Speed"
+LOOP = "Loop"
+SPEEDS = {"1\u00d7": 1, "1/2": 2, "1/5": 5, "1/10": 10, "1/20": 20, "1/50": 50, "1/100": 100}  # times slower
+FIRST_SPEED = "1/10"
+
+# Colours and lines
 TOP = 0.98  # the last colour is this quantile, by opacity
-NOBODY_SAYS = 0.32  # grey, display value, of a doubt that no result states
-LINES = 9000  # Gaussians of a result that have a velocity line; a quarter of them or fewer live at a time
+MOST_LINES = 9000  # Gaussians of a result that have a velocity line; a quarter of them or fewer live at a time
 LINE_SHARE = 0.03  # of the clip, that a velocity line lasts
-GOLDEN = 0.61803399  # spreads the Gaussians with a line over all of them; the same number stands in line.vert.glsl
-ROWS = 65536
 SPEED_NOTE = "Speed."
 LINE_NOTE = "A line is the way of {} ms."
 DOUBT_NOTE = "How unsure the velocity is, as the result says: standard deviation of a component. Grey: nobody says."
+
+
+def scheme() -> np.ndarray:
+    """(256, 3) uint8 sRGB: viridis, dark violet for nothing to yellow for the most."""
+    return cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
 
 
 def speed_scale(results: Sequence[TransientGaussians], others: Sequence[np.ndarray | None] = ()) -> float:
@@ -40,11 +59,6 @@ def doubt_scale(results: Sequence[TransientGaussians]) -> float:
 def line_s(length_s: float) -> float:
     """Seconds that a line lasts in a clip of this length: a round number."""
     return float(f"{LINE_SHARE * length_s:.1g}")
-
-
-def has_line(count: int) -> np.ndarray:
-    """(count,) bool: which Gaussians have a line, the same ones at all times."""
-    return (np.arange(count) % ROWS) * GOLDEN % 1 < LINES / max(count, 1)
 
 
 def ticks(largest: float) -> list[str]:
