@@ -387,7 +387,7 @@ def test_a_folder_in_place_of_a_file_is_named(tmp_path):
 def test_scores_name_no_place_on_their_authors_machine(tiny_dataset, tmp_path):
     """The result is found again from the scores' own folder, wherever both are moved."""
     from gof.evaluate.scores import Scores
-    from gof.look.leaderboard_page import read_again
+    from gof.look.comparison import read_again
 
     result = random_gaussians(30).save(tmp_path / "theirs" / "run 7" / "r.npz")
     scores = evaluate(result, Dataset.open(tiny_dataset), images=False)
@@ -416,7 +416,7 @@ def test_json_is_read_from_files_only(tmp_path, kind):
 
 @pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n half", b"GIF89a", b"<svg></svg>"])
 def test_a_damaged_picture_of_a_report_is_named(tmp_path, content):
-    from gof.look.animation import data_uri
+    from gof.look.images import data_uri
 
     (tmp_path / "1.png").write_bytes(content)
     with pytest.raises(DataFormatError, match=r"1\.png: cannot be decoded"):

@@ -27,8 +27,8 @@ from gof.host.options import require_number
 from gof.host.terminal import console
 from gof.look.charts import Kind, accuracy_charts, require_figure
 from gof.look.comparison import Moment
-from gof.look.flat import side_by_side
 from gof.look.leaderboard_page import stream_plots, to_html
+from gof.look.pages import side_by_side
 
 SHOWN = (
     "flow_prior",

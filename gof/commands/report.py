@@ -17,7 +17,7 @@ from gof.host.progress import progress_bar
 from gof.look.animation import brightest_frame
 from gof.look.charts import Kind, frame_chart, require_figure
 from gof.look.fire_removal import fire_removal
-from gof.look.flat import page_pictures
+from gof.look.pages import page_pictures
 from gof.look.preview import Preview
 from gof.look.report import build_report
 

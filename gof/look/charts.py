@@ -167,7 +167,7 @@ def _own_letters(font: re.Match) -> str:
 # ---------------------------------------------------------------- what all have in common
 
 
-class Layout(NamedTuple):
+class ChartSize(NamedTuple):
     """Size of a chart without its legend, inches, where its axes begin, as shares of it, and its letters, pt."""
 
     width: float
@@ -180,31 +180,31 @@ class Layout(NamedTuple):
         return self.letters * SMALL / LETTERS
 
 
-COLUMN = Layout(3.4, 2.4, 0.16, LETTERS)  # one column of a paper
-WIDE = Layout(5.8, 3.5, 0.14, 9.0)
+COLUMN = ChartSize(3.4, 2.4, 0.16, LETTERS)  # one column of a paper
+WIDE = ChartSize(5.8, 3.5, 0.14, 9.0)
 
 
 def _chart(
-    title: str, x_label: str, y_label: str, names: Sequence[str], layout: Layout, fill: Callable[[Axes], None]
+    title: str, x_label: str, y_label: str, names: Sequence[str], size: ChartSize, fill: Callable[[Axes], None]
 ) -> Chart:
     """A chart with its title above, and a legend of `names` below, in rows; `fill` draws the data."""
-    row_in = 1.4 * layout.small / 72
+    row_in = 1.4 * size.small / 72
     legend_in = row_in * sum(name.count("\n") + 1 for name in names) + 0.1
-    whole = layout.height + legend_in
+    whole = size.height + legend_in
 
     def draw(figure: Figure) -> None:
-        below, above = 3.6 * layout.letters / 72, 2.6 * layout.letters / 72
-        area = (layout.left, (legend_in + below) / whole, 0.97 - layout.left, (layout.height - below - above) / whole)
+        below, above = 3.6 * size.letters / 72, 2.6 * size.letters / 72
+        area = (size.left, (legend_in + below) / whole, 0.97 - size.left, (size.height - below - above) / whole)
         axes = figure.add_axes(area)
         fill(axes)
-        axes.set_xlabel(x_label, fontsize=layout.letters)
-        axes.set_ylabel(y_label, fontsize=layout.letters)
-        axes.set_title(title, fontsize=1.1 * layout.letters, fontweight="bold", loc="left")
-        _dress(axes, layout.small)
-        place = {"loc": "lower left", "bbox_to_anchor": (layout.left - 0.04, 0.0)}
-        figure.legend(fontsize=layout.small, frameon=False, labelspacing=0.3, **place)
+        axes.set_xlabel(x_label, fontsize=size.letters)
+        axes.set_ylabel(y_label, fontsize=size.letters)
+        axes.set_title(title, fontsize=1.1 * size.letters, fontweight="bold", loc="left")
+        _dress(axes, size.small)
+        place = {"loc": "lower left", "bbox_to_anchor": (size.left - 0.04, 0.0)}
+        figure.legend(fontsize=size.small, frameon=False, labelspacing=0.3, **place)
 
-    return Chart(title, (layout.width, whole), draw)
+    return Chart(title, (size.width, whole), draw)
 
 
 def _dress(axes: Axes, size: float) -> None:
@@ -216,9 +216,9 @@ def _dress(axes: Axes, size: float) -> None:
         axes.spines[side].set_visible(False)
 
 
-def _plain(name: str, layout: Layout) -> str:
+def _plain(name: str, size: ChartSize) -> str:
     """A name in rows as wide as the chart, which matplotlib takes neither for a formula nor for none at all."""
-    letters = int(120 * layout.width / layout.small)
+    letters = int(120 * size.width / size.small)
     return textwrap.fill(name, letters).replace("$", "\\$").lstrip("_") or "-"
 
 
@@ -491,7 +491,7 @@ def frame_times_chart(name: str, times: CameraTimes, slot: np.ndarray | None, pe
         for level in (-times.rms_us, times.rms_us):
             above.axhline(level, color=SOFT, linestyle=":", linewidth=0.9)
         above.set_ylim(-limit, limit)
-        above.set_title(title, fontsize=LETTERS, loc="left")
+        above.set_title(title, fontsize=LETTERS, loc="left", parse_math=False)
         above.set_xlabel("frame")
         above.set_ylabel("measured - fused time (us)")
         below = figure.add_axes((0.09, 0.1, 0.88, 0.34))

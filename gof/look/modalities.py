@@ -19,9 +19,8 @@ from gof.evaluate.depth import read_depth
 from gof.ingest.depth import align, from_relative, monocular
 from gof.ingest.stereo import stereo_depth
 from gof.look.animation import original
-from gof.look.sideways import fastest, of_result, true_there, unit
 from gof.look.tiles import Tile, depth_tile, dimmed, picture_tile, velocity_tile
-from gof.look.velocity import ScreenVelocity, sideways_velocity
+from gof.look.velocity import ScreenVelocity, fastest, of_result, sideways_velocity, true_there, unit
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.seen import Seen
 from gof.render import render

@@ -12,7 +12,7 @@ from gof.evaluate.leaderboard import COLUMNS
 from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
 from gof.look.charts import line_chart
-from gof.look.leaderboard_page import PageGrid
+from gof.look.pages import PageGrid, template
 
 
 def used(rows: tuple[BoardRow, ...]) -> list[str]:
@@ -118,8 +118,6 @@ def to_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
     Args:
         grids: the methods' pictures side by side, by the scene's name.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     keys = used(board.rows)
     marked = {key: marks_of(competing(board.rows, key), key) for key in keys}
     table = []
@@ -143,8 +141,7 @@ def to_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
         )
         about = {"name": row.name, "method": row.what, "competes": row.competes}
         table.append((about | {"small": [one for one in small if one]}, cells))
-    environment = Environment(loader=PackageLoader("gof.look", "."), autoescape=True, undefined=StrictUndefined)
-    return environment.get_template("suite.html").render(
+    return template("suite.html").render(
         title=board.title,
         board=board,
         methods=[row for row in board.rows if not row.control],

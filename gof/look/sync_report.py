@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,8 @@ from gof.capture.times import FrameTimesFile, SyncedVideo
 from gof.core.files import atomic_path
 from gof.footage.videos import stored_frames
 from gof.look.charts import Chart
+from gof.look.images import data_uri
+from gof.look.pages import template
 
 CROP_HEIGHT = 320
 MOVES = 40  # grey levels by which a pixel changes where there is flame or light
@@ -49,8 +49,6 @@ def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) 
 
     Raises GofError as `align`.
     """
-    from jinja2 import Environment
-
     alignment = align(take.cameras)
     timed = [c for c in take.cameras if c.times]
     moments = {c.name: look(c, alignment) for c in timed}
@@ -59,17 +57,13 @@ def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) 
     worst = max(sigma, key=sigma.get)
     estimated = [c.name for c in timed if c.times.clock != "board"]
     said = verdict(worst, sigma[worst], speed, alignment, estimated)
-    page = (
-        Environment(autoescape=True)
-        .from_string((files("gof.look") / "sync_report.html").read_text(encoding="utf-8"))
-        .render(
-            verdict=said,
-            doubtful=sigma[worst] * speed > DOUBT_PX or bool(estimated),
-            strip=_encoded(strip(moments)),
-            rows=[_row(c, sigma[c.name], speed) for c in timed],
-            warnings=take.warnings,
-            residuals=[(name, chart.svg()) for name, chart in charts.items() if name in sigma],
-        )
+    page = template("sync_report.html").render(
+        verdict=said,
+        doubtful=sigma[worst] * speed > DOUBT_PX or bool(estimated),
+        strip=data_uri(strip(moments)[..., ::-1], "png"),
+        rows=[_row(c, sigma[c.name], speed) for c in timed],
+        warnings=take.warnings,
+        residuals=[(name, chart.svg()) for name, chart in charts.items() if name in sigma],
     )
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -185,9 +179,3 @@ def _box(changes: np.ndarray) -> tuple[slice, slice]:
         margin = 20
         box.append(slice(max(0, int(seen[0]) - margin), int(seen[-1]) + margin))
     return tuple(box)
-
-
-def _encoded(picture: np.ndarray) -> str:
-    import cv2
-
-    return base64.b64encode(cv2.imencode(".png", picture)[1].tobytes()).decode()

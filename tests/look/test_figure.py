@@ -17,10 +17,11 @@ from gof.dataset import Dataset
 from gof.look.charts import DPI
 from gof.look.comparison import Moment, comparison, largest_errors, subject
 from gof.look.fire_removal import fire_removal
-from gof.look.flat import flat, in_words, page_pictures
+from gof.look.images import ramp
 from gof.look.modalities import Modalities, Sources, modalities, training_frame
+from gof.look.pages import flat, in_words, page_pictures
 from gof.look.paper import GAP_IN, write_sheet
-from gof.look.tiles import Bar, Box, Tile, Wheel, depth_tile, ramp
+from gof.look.tiles import Bar, Box, Tile, Wheel, depth_tile
 from gof.look.velocity import ScreenVelocity, arrows, sideways_velocity
 from gof.reconstruct import pipeline
 from gof.reconstruct.seen import see_again
@@ -78,7 +79,7 @@ def test_boxes_arrows_and_outlines_lie_on_their_pixels(tmp_path):
 def test_a_printed_page_has_letters_and_lines_and_the_pictures_own_pixels(tmp_path):
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (20, 30, 3)).astype(np.uint8)
-    bar = Bar(1.5, 6.0, "m", ramp(cv2.COLORMAP_VIRIDIS), log=True)
+    bar = Bar(1.5, 6.0, "m", ramp(cv2.COLORMAP_VIRIDIS) / 255, log=True)
     tiles = [
         Tile(image, "depth & <time>", "45 %", bar),
         Tile(image, "$speed$", legend=Wheel(2.25, "m/s"), arrows=np.array([[[3.0, 3.0], [9.0, 9.0]]])),

@@ -19,8 +19,7 @@ from gof.dataset import Dataset
 from gof.evaluate import evaluate
 from gof.evaluate.scores import Scores
 from gof.look.preview import Preview
-from gof.look.report import build_report
-from gof.look.verdicts import verdicts
+from gof.look.report import build_report, verdicts
 from gof.reconstruct.captions import Caption, Captions
 from tests.evaluate.synthetic_flame import flame_dataset
 

@@ -21,7 +21,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr
 from gof.io.importers import ImportOptions
-from gof.look.player import legend
+from gof.look.images import VIRIDIS, ramp
 from gof.look.player.live import Live, serve
 from gof.look.player.opened import newest, open_result
 from gof.look.player.page import share_page
@@ -85,7 +85,7 @@ def write_rising(path, speed=1.5):
 
 
 def test_colour_maps_run_from_violet_to_yellow():
-    violet, green, yellow = legend.scheme()[[0, 128, 255]] / 255
+    violet, green, yellow = ramp(VIRIDIS)[[0, 128, 255]] / 255
     np.testing.assert_allclose(violet, [0.267, 0.005, 0.329], atol=0.01)  # the ends and the middle of viridis
     np.testing.assert_allclose(green, [0.128, 0.567, 0.551], atol=0.01)
     np.testing.assert_allclose(yellow, [0.993, 0.906, 0.144], atol=0.01)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
 from gof.core.gaussians import TransientGaussians
@@ -32,11 +31,6 @@ LINE_SHARE = 0.03  # of the clip, that a velocity line lasts
 SPEED_NOTE = "Speed."
 LINE_NOTE = "A line is the way of {} ms."
 DOUBT_NOTE = "How unsure the velocity is, as the result says: standard deviation of a component. Grey: nobody says."
-
-
-def scheme() -> np.ndarray:
-    """(256, 3) uint8 sRGB: viridis, dark violet for nothing to yellow for the most."""
-    return cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
 
 
 def speed_scale(results: Sequence[TransientGaussians], others: Sequence[np.ndarray | None] = ()) -> float:

@@ -23,7 +23,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.io.importers import ImportOptions
 from gof.look.player.opened import Opened, newest, open_moving
-from gof.look.player.page import Stage, assemble, measured_alike, packed_result, scales, subtitle, title_of
+from gof.look.player.page import PageSetting, assemble, measured_alike, packed_result, scales, subtitle, title_of
 from gof.look.player.quantise import pack
 
 HOST = "127.0.0.1"
@@ -45,16 +45,16 @@ class Live:
         self._path, self._dataset = path, dataset
         self._one_at_a_time = threading.Lock()
         self._read()
-        self.stage = Stage.of([self._opened], dataset)
-        first = Opened(self._opened.name, self._opened.method, self._opened.path, self._state(self.stage.first_s))
-        self._staged, _ = self.stage.content(first, PICTURES_MB, lambda done, count: None)
+        self.setting = PageSetting.of([self._opened], dataset)
+        first = Opened(self._opened.name, self._opened.method, self._opened.path, self._state(self.setting.first_s))
+        self._fixed, _ = self.setting.content(first, PICTURES_MB, lambda done, count: None)
 
     def page(self) -> str:
         """Return the page with the newest result in it."""
         with self._one_at_a_time:
             self._refresh()
             title = title_of([self._opened], self._dataset)
-            return assemble(self._staged | self._shown() | {"live": True, "file": self._opened.name}, title)
+            return assemble(self._fixed | self._shown() | {"live": True, "file": self._opened.name}, title)
 
     def news(self, have: str) -> dict[str, Any] | None:
         """Return what differs from a page that has the result of stamp `have`; None where nothing does."""
@@ -65,7 +65,8 @@ class Live:
     def instant(self, time_s: float) -> dict[str, Any]:
         """Return the Gaussians of one time, s after the clip's first."""
         with self._one_at_a_time:
-            return {"results": [self._packed(self.stage.first_s + time_s)]}
+            state = self._state(self.setting.first_s + time_s)
+            return {"results": [packed_result(self._opened.name, pack(state, self.setting.truth_at(state)))]}
 
     def _refresh(self) -> None:
         try:
@@ -88,24 +89,20 @@ class Live:
         gaussians = self._opened.gaussians
         return gaussians.state_at(float(np.clip(time_s, *gaussians.covered_s))) if self._sampled else gaussians
 
-    def _packed(self, time_s: float) -> dict[str, Any]:
-        state = self._state(time_s)
-        return packed_result(self._opened.name, pack(state, self.stage.truth_at(state)))
-
     def _shown(self) -> dict[str, Any]:
         """All that changes with the result."""
-        stage, opened = self.stage, self._opened
-        times = stage.first_s + stage.length_s * np.linspace(0, 1, SAMPLED if self._sampled else 1)
+        setting, opened = self.setting, self._opened
+        times = setting.first_s + setting.length_s * np.linspace(0, 1, SAMPLED if self._sampled else 1)
         states = [self._state(time_s) for time_s in times]
-        count = f"{opened.path.name}: {subtitle([opened], stage)}"
+        truths = [setting.truth_at(state) for state in states]
         return {
-            "results": [self._packed(stage.first_s)],
+            "results": [packed_result(opened.name, pack(states[0], truths[0]))],
             "sampled": self._sampled,
             "instant": 0.0,
             "stamp": self._stamp,
-            "subtitle": count,
+            "subtitle": f"{opened.path.name}: {subtitle([opened], setting)}",
             "facts": [(opened.name, f"{len(opened.gaussians):,} Gaussians, read as {opened.method}")],
-            **scales(states, [stage.truth_at(state) for state in states]),
+            **scales(states, truths),
         }
 
 

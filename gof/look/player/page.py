@@ -1,12 +1,12 @@
-"""`gof share`: results as one HTML file that plays from the disk and asks nothing of the network.
+"""The player's page, and `gof share`: one HTML file that plays from the disk and asks nothing of the network.
 
-The page's own code lies in `player/`: `unpack.js` turns the columns of `quantise.py` into numbers, `sort.js` orders
+The page's own code lies beside this file: `unpack.js` turns the columns of `quantise.py` into numbers, `sort.js` orders
 them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `player.js` is what people touch.
+`live.py` serves the same page to this machine.
 """
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
 from collections.abc import Callable, Sequence
@@ -24,11 +24,12 @@ from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
+from gof.look.images import VIRIDIS, base64_text, ramp
+from gof.look.pages import template
 from gof.look.player import legend
-from gof.look.player.agreement import Agreement, measure
 from gof.look.player.opened import Opened, middle_of, time_span
-from gof.look.player.quantise import Packed, pack, unpack
-from gof.look.player.recorded import PLATE_QUALITY, PLATE_SIDE, base64_text, frames_within, webp
+from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
+from gof.look.player.recorded import PLATE_QUALITY, PLATE_SIDE, frames_within, webp
 
 PLAYER = Path(__file__).parent
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")
@@ -50,13 +51,13 @@ class Shared:
 
 
 @dataclass(frozen=True)
-class Stage:
+class PageSetting:
     """Where results are shown: what stays as it is while they change.
 
     Attributes:
         dataset: None where there is none.
         first_s, length_s: of the clip.
-        middle: (3,) m, of the flame; reach: half its longest side, m.
+        middle: (3,) m, of the flame.
         views: (dataset, number of a camera in it).   cameras: theirs, or one in front of the flame.
     """
 
@@ -68,7 +69,7 @@ class Stage:
     cameras: list[Camera]
 
     @classmethod
-    def of(cls, results: Sequence[Opened], dataset: Dataset | None) -> Stage:
+    def of(cls, results: Sequence[Opened], dataset: Dataset | None) -> PageSetting:
         spans = [time_span(result.gaussians, dataset) for result in results]
         first_s, last_s = min(first for first, _ in spans), max(last for _, last in spans)
         middle_s = (first_s + last_s) / 2
@@ -80,7 +81,7 @@ class Stage:
     def content(
         self, first: Opened, pictures_mb: float, progress: Callable[[int, int], None]
     ) -> tuple[dict[str, Any], str]:
-        """Return what the page has of the stage, as JSON, and in words what was done to recorded pictures.
+        """Return what the page has of the setting, as JSON, and in words what was done to recorded pictures.
 
         Args:
             first: the result whose plates lie behind the flame.
@@ -99,7 +100,7 @@ class Stage:
             "cameras": [_camera(*item) for item in zip(self.cameras, plates, frames or [None], strict=True)],
             "line_s": legend.line_s(self.length_s),
             "lines": legend.MOST_LINES,
-            "scheme": legend.scheme().ravel().tolist(),
+            "scheme": ramp(VIRIDIS).ravel().tolist(),
             "colours": legend.COLOURS,
             "notes": {
                 "speed": legend.SPEED_NOTE,
@@ -154,26 +155,26 @@ def share_page(
         raise GofError(f"two results are called {names}; give each a name of its own with --names")
     progress = progress or (lambda *a, **k: None)
     results = measured_alike(results, dataset)
-    stage = Stage.of(results, dataset)
+    setting = PageSetting.of(results, dataset)
     packed, agreement, truths = [], [], []
     for number, result in enumerate(results):
         progress(number, len(results), stage=f"quantise {result.name}")
-        truths.append(stage.truth_at(result.gaussians))
+        truths.append(setting.truth_at(result.gaussians))
         packed.append(pack(result.gaussians, truths[-1]))
-        agreement.append(_checked(result.gaussians, packed[-1], stage))
-    content, said = stage.content(results[0], pictures_mb, lambda i, n: progress(i, n, stage="pictures"))
+        agreement.append(_checked(result.gaussians, packed[-1], setting))
+    content, said = setting.content(results[0], pictures_mb, lambda i, n: progress(i, n, stage="pictures"))
     shown = [packed_result(result.name, one) for result, one in zip(results, packed, strict=True)]
     content |= scales([result.gaussians for result in results], truths)
     content |= {
         "results": shown,
         "file": out.stem,
-        "subtitle": subtitle(results, stage),
+        "subtitle": subtitle(results, setting),
         "facts": _facts(results, packed, agreement, dataset, said),
     }
     html = assemble(content, title or title_of(results, dataset))
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
-    known = stage.views
+    known = setting.views
     notes = [f"recorded: {said}"] if known else ["no --dataset: no cameras, recorded pictures or true velocity in it"]
     return Shared(out, out.stat().st_size, [len(one["data"]) for one in shown], agreement, notes)
 
@@ -195,14 +196,11 @@ def measured_alike(results: list[Opened], dataset: Dataset | None) -> list[Opene
 
 def assemble(content: dict[str, Any], title: str) -> str:
     """The page: texts of `player/` around the content. Only the script and the style that are in it may run in it."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(loader=PackageLoader("gof.look", "player"), autoescape=True, undefined=StrictUndefined)
     live = content.get("live", False)
     script = "\n".join(_text(name) for name in (*([LIVE] if live else []), *SCRIPTS))
     style = _text("style.css")
     own = {"shaders": {name: _text(name) for name in SHADERS}, "sorter": _text("sort.js")}
-    return environment.get_template("page.html").render(
+    return template("player/page.html").render(
         title=title,
         live=live,
         controls=legend,
@@ -250,7 +248,7 @@ def _text(name: str) -> str:
 
 def _hash(text: str) -> str:
     """As a Content-Security-Policy names a script or a style."""
-    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
+    return f"sha256-{base64_text(hashlib.sha256(text.encode()).digest())}"
 
 
 def _views(dataset: Dataset | None) -> list[tuple[Dataset, int]]:
@@ -285,17 +283,17 @@ def _camera(camera: Camera, plate: str | None, frames: list[str | None] | None) 
     }
 
 
-def _checked(gaussians: TransientGaussians, packed: Packed, stage: Stage) -> Agreement:
-    cameras = stage.cameras
+def _checked(gaussians: TransientGaussians, packed: Packed, setting: PageSetting) -> Agreement:
+    cameras = setting.cameras
     some = [cameras[i] for i in sorted({int(k) for k in np.linspace(0, len(cameras) - 1, CHECKED)})]
-    times = [stage.first_s + share * stage.length_s for share in np.linspace(0, 1, CHECKED + 2)[1:-1]]
+    times = [setting.first_s + share * setting.length_s for share in np.linspace(0, 1, CHECKED + 2)[1:-1]]
     return measure(gaussians, unpack(packed), some, times)
 
 
-def subtitle(results: Sequence[Opened], stage: Stage) -> str:
+def subtitle(results: Sequence[Opened], setting: PageSetting) -> str:
     """Return how many Gaussians there are, and how long the clip is."""
     count = " and ".join(f"{len(result.gaussians):,}" for result in results)
-    return f"{count} transient Gaussians, {1e3 * stage.length_s:.0f} ms"
+    return f"{count} transient Gaussians, {1e3 * setting.length_s:.0f} ms"
 
 
 def _facts(
