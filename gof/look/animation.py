@@ -109,7 +109,7 @@ def animate(
 
 
 def original(dataset: Dataset) -> str:
-    """What a dataset's own pictures are called."""
+    """Return what a dataset's own pictures are called."""
     return "filmed" if dataset.description.is_filmed else "truth"
 
 

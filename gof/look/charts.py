@@ -62,7 +62,7 @@ STYLE = {
     "ytick.color": SOFT,
 }
 ON_A_PAGE = {"svg.fonttype": "none", "figure.facecolor": "none", "axes.facecolor": "none"}
-PX_PER_POINT = 2.0  # of a chart on a page, at most
+LETTER_PX = 15  # of labels on a page, where there is room
 TIP = "tip:"  # begins the name of a mark that says its numbers
 ONE_AT_A_TIME = threading.Lock()  # matplotlib's settings are the process's
 
@@ -85,18 +85,21 @@ class Chart:
         title: what people read who do not see it.
         size_in: width and height in print, inches.
         draw: draws it into an empty figure of that size.
+        letters: of its labels, pt.
     """
 
     title: str
     size_in: tuple[float, float]
     draw: Callable[[Figure], None]
+    letters: float = LETTERS
 
     def svg(self) -> str:
-        """Return an <svg> element for a page of HTML, as wide as there is room, up to two pixels a point."""
+        """Return an <svg> for a page of HTML, as wide as there is room, until its letters have the page's size."""
         drawn = io.BytesIO()
         with _style(ON_A_PAGE):
             self._drawn().savefig(drawn, format="svg", dpi=PAGE_DPI, metadata=dict.fromkeys(("Date", "Creator")))
-        return _inline(drawn.getvalue().decode(), self.title, self.size_in)
+        size_pt = (72 * self.size_in[0], 72 * self.size_in[1])
+        return _inline(drawn.getvalue().decode(), self.title, size_pt, LETTER_PX / self.letters)
 
     def write(self, path: Path) -> None:
         """Write a file. Raises GofError: `path` is no .pdf, .svg or .png."""
@@ -138,7 +141,7 @@ def _style(settings: Mapping[str, str]) -> Iterator[None]:
         yield
 
 
-def _inline(drawn: str, title: str, size_in: tuple[float, float]) -> str:
+def _inline(drawn: str, title: str, size_pt: tuple[float, float], px_per_pt: float) -> str:
     """matplotlib's SVG as part of a page: named, in the page's own letters, light or dark, with numbers at its marks.
 
     Names of groups go, because several charts of a page would share them; definitions of one name are equal.
@@ -151,10 +154,10 @@ def _inline(drawn: str, title: str, size_in: tuple[float, float]) -> str:
     body = re.sub(r"font-family: [^;\"]*;? ?", "", body)
     body = re.sub("|".join(DARK), lambda found: f"var(--{found[0][1:]}, {found[0]})", body)
     dark = "; ".join(f"--{light[1:]}: {dark}" for light, dark in DARK.items())
-    width, height = (72 * inches for inches in size_in)
+    width, height = size_pt
     return (
         f'<svg class="chart" role="img" aria-label="{escape(title)}" viewBox="0 0 {width:g} {height:g}" width="100%" '
-        f'style="max-width: {PX_PER_POINT * width:.0f}px">\n'
+        f'style="max-width: {px_per_pt * width:.0f}px">\n'
         f"<style>@media (prefers-color-scheme: dark) {{ .chart {{ {dark} }} }}</style>{body}"
     )
 
@@ -204,7 +207,7 @@ def _chart(
         place = {"loc": "lower left", "bbox_to_anchor": (size.left - 0.04, 0.0)}
         figure.legend(fontsize=size.small, frameon=False, labelspacing=0.3, **place)
 
-    return Chart(title, (size.width, whole), draw)
+    return Chart(title, (size.width, whole), draw, size.letters)
 
 
 def _dress(axes: Axes, size: float) -> None:
@@ -223,7 +226,7 @@ def _plain(name: str, size: ChartSize) -> str:
 
 
 def _tip(*words: str) -> dict[str, str]:
-    """What a mark says, as an argument of matplotlib's."""
+    """Return what a mark says, as an argument of matplotlib's."""
     return {"gid": TIP + ", ".join(word for word in words if word)}
 
 
@@ -352,7 +355,7 @@ def accuracy_charts(rows: Sequence[Row]) -> dict[str, Chart]:
 
 
 def accuracy_chart(key: str, points: Sequence[tuple[str, float, float]], constant: float | None = None) -> Chart:
-    """Make a chart of a score against seconds to train (logarithmic), with the front that nobody beats in both.
+    """Make a chart of a score against seconds to train (logarithmic), with the front that no other beats in both.
 
     Args:
         key: of `COLUMNS`.

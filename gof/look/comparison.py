@@ -174,7 +174,7 @@ def comparison(
 
 
 def _errors(drawn: Sequence[np.ndarray], moment: Moment) -> Row:
-    """Of judged pictures, on the smallest scale that holds nearly all of them; the plate's own may go beyond."""
+    """Show errors of judged pictures, on the smallest scale that holds nearly all; the plate's own may go beyond."""
     found = np.concatenate([np.abs(image - moment.recorded).mean(-1).ravel() for image in drawn])
     most = next((scale for scale in ERROR_SCALES if scale >= np.quantile(found, 0.999)), 1.0)
     note = moment.flame_db(moment.plate)

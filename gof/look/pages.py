@@ -1,4 +1,4 @@
-"""What pages share: their templates, and tiles as one picture each with all that is drawn over it and words beside."""
+"""Parts that pages share: templates, and tiles as one picture each with all that is drawn over it and words beside."""
 
 from __future__ import annotations
 

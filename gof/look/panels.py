@@ -1,4 +1,4 @@
-"""What a film or a figure shows of a result at one instant: its picture, depth, velocity, and its Gaussians shrunk."""
+"""Panels of a result at one instant, for films and figures: picture, depth, velocity, and its Gaussians shrunk."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SEEN = 0.5  # alpha from which a depth counts for the scale
 
 @dataclass(frozen=True)
 class Scales:
-    """What full colour means, the same in every panel of a film: m/s, and m of the nearest and the farthest depth."""
+    """The meaning of full colour, one in all panels of a film: m/s, and m of the nearest and the farthest depth."""
 
     speed: float
     near: float

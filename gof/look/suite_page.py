@@ -30,7 +30,7 @@ def best(figures: Mapping[int, Figure], key: str) -> int | None:
 
 
 def marks_of(figures: Mapping[int, Figure], key: str) -> dict[int, str]:
-    """How a column's figures are marked: "best" is the best mean, "first" are the others that may be first as well."""
+    """Return a column's marks: "best" is the best mean, "first" are the others that may be first as well."""
     leader = best(figures, key)
     may_be = {i: "first" for i, figure in figures.items() if figure.rank == 1}
     return may_be if leader is None else may_be | {leader: "best"}
@@ -68,18 +68,18 @@ def _two_digits(number: float) -> str:
 
 
 def partly(row: BoardRow, board: SuiteBoard) -> str:
-    """That its means are of fewer scenes than the others'; "" where they are not."""
+    """Say that its means are of fewer scenes than the others'; "" where they are not."""
     return f"in {row.scenes} of {len(board.scenes)} scenes" if row.scenes < len(board.scenes) else ""
 
 
 def refusal(row: BoardRow) -> str:
-    """That the check refuses the submission, and why; "" where it does not."""
+    """Say that the check refuses the submission, and why; "" where it does not."""
     more = f" and {len(row.refused) - 1} more" if len(row.refused) > 1 else ""
     return f"refused by the check, not ranked: {row.refused[0]}{more}" if row.refused else ""
 
 
 def marks(row: BoardRow) -> tuple[str, str]:
-    """What a method was given beside pictures, and what it knew before; empty for controls, which are no methods."""
+    """Return what a method was given beside pictures and what it knew before; empty for controls, no methods."""
     if row.control:
         return "", ""
     knew = "not said" if row.prior is None else ", ".join(row.prior) or "nothing"
@@ -153,7 +153,7 @@ def to_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
 
 
 def _scene(scene: BoardScene, grid: PageGrid | None) -> dict:
-    """What the page shows of a scene."""
+    """Return all that the page shows of a scene."""
     keys = [key for key in RANKED if any(key in figures for figures in scene.figures.values())]
     finished = {name: figures for name, figures in scene.figures.items() if any(one.rank for one in figures.values())}
     marked = {key: marks_of({name: has[key] for name, has in finished.items() if key in has}, key) for key in keys}

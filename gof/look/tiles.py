@@ -80,7 +80,7 @@ Row = Sequence[Tile | None]  # of a figure; None leaves a place empty
 
 
 def facts(rows: Sequence[Row]) -> dict[str, list]:
-    """What a figure's tiles are and what their colours mean, for a JSON file."""
+    """Return what a figure's tiles are and what their colours mean, for a JSON file."""
     return {"tiles": [[tile and _fact(tile) for tile in row] for row in rows]}
 
 
@@ -96,7 +96,7 @@ def _fact(tile: Tile) -> dict:
 
 
 def picture_tile(image: np.ndarray, title: str, note: str = "") -> Tile:
-    """Of display values (H, W, 3)."""
+    """Make a tile of display values (H, W, 3)."""
     return Tile(to_bytes(image[..., :3]), title, note)
 
 
@@ -106,14 +106,14 @@ def velocity_tile(velocity: ScreenVelocity, title: str, longest: float, unit: st
 
 
 def depth_tile(depth: np.ndarray, title: str, near: float, far: float, unit: str, note: str = "") -> Tile:
-    """Of (H, W) depth: near yellow, far violet, by its logarithm; what is not finite is dark."""
+    """Make a tile of (H, W) depth: near yellow, far violet, by its logarithm; what is not finite is dark."""
     known = np.isfinite(depth)
     image = depth_colours(np.where(known, depth, far), known.astype(float), Scales(1.0, near, far))
     return Tile(image, title, note, Bar(near, far, unit, ramp(VIRIDIS)[::-1] / 255, log=True))
 
 
 def error_tile(drawn: np.ndarray, recorded: np.ndarray, title: str, note: str = "", most: float = MOST_ERROR) -> Tile:
-    """Of two pictures (H, W, 3) of display values: the mean difference of their channels, up to `most`."""
+    """Make a tile of two pictures (H, W, 3), display values: the mean difference of their channels, up to `most`."""
     image = error_colours(to_bytes(drawn[..., :3]), to_bytes(recorded[..., :3]), most)
     return Tile(image, title, note, Bar(0.0, most, "of display values", ramp(INFERNO) / 255))
 

@@ -56,7 +56,7 @@ def screen_velocity(
 def sideways_velocity(
     gaussians: TransientGaussians, camera: Camera, time_s: float, velocity: np.ndarray | None = None
 ) -> ScreenVelocity:
-    """What of the gas' velocity is parallel to the picture, in m/s instead of px/s: the same from near and from far.
+    """Return the part of the gas' velocity that is parallel to the picture, m/s: the same from near and from far.
 
     Args:
         velocity: (N, 3) m/s to show in place of their own; where they are drawn does not change.
@@ -136,7 +136,7 @@ def legend(size: int = 160) -> np.ndarray:
 
 
 def of_result(gaussians: TransientGaussians, camera: Camera, time_s: float) -> ScreenVelocity:
-    """What the dynamic Gaussians that live then say of the gas."""
+    """Return the velocity of the gas by the dynamic Gaussians that live then."""
     return sideways_velocity(living(gaussians, time_s), camera, time_s)
 
 
@@ -156,5 +156,5 @@ def fastest(fields: Sequence[ScreenVelocity]) -> float:
 
 
 def unit(dataset: Dataset) -> str:
-    """Of speeds on pictures of a dataset, whose poses may have no known length."""
+    """Return the unit of speeds on pictures of a dataset, whose poses may have no known length."""
     return "m/s" if dataset.description.in_metres else "units/s"

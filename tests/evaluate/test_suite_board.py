@@ -142,12 +142,12 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
     assert rows(found)["part"].figures["l2"].wins is None
     assert [rows(found)[name].figures["l2"].rank for name in ("full", "other")] == [1, 2], "as without the third"
     assert found.scenes[0].figures["part"]["l2"].rank == 1, "in its own scene it competes"
-    assert "nobody is ranked" not in page
+    assert "is ranked here" not in page
 
 
 def test_where_nobody_is_everywhere_controls_stay_and_it_is_said():
     found = board("t", methods("one", "two"), [scene("a", one=0.0), scene("b", two=0.1)])
-    assert not any(row.competes for row in found.rows) and "so nobody is ranked here" in to_html(found, {})
+    assert not any(row.competes for row in found.rows) and "so none is ranked here" in to_html(found, {})
     zero = rows(found)["control: zero"]
     assert zero.scenes == 2 and zero.what.endswith("on the Gaussians of one, then two")
     page = to_html(found, {})

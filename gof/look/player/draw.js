@@ -106,7 +106,7 @@ class Drawer {
 
   /**
    * Corners of so many quads, two triangles each. One call draws them all: instances of four vertices are slow, above all
-   * where a processor does the work of a GPU.
+   * where a CPU does the work of a GPU.
    */
   quads(count) {
     const { gl } = this;

@@ -30,7 +30,7 @@ MOST_LINES = 9000  # Gaussians of a result that have a velocity line; a quarter 
 LINE_SHARE = 0.03  # of the clip, that a velocity line lasts
 SPEED_NOTE = "Speed."
 LINE_NOTE = "A line is the way of {} ms."
-DOUBT_NOTE = "How unsure the velocity is, as the result says: standard deviation of a component. Grey: nobody says."
+DOUBT_NOTE = "How unsure the velocity is, as the result says: standard deviation of a component. Grey: not known."
 
 
 def speed_scale(results: Sequence[TransientGaussians], others: Sequence[np.ndarray | None] = ()) -> float:
@@ -45,7 +45,7 @@ def speed_scale(results: Sequence[TransientGaussians], others: Sequence[np.ndarr
 
 
 def doubt_scale(results: Sequence[TransientGaussians]) -> float:
-    """m/s of the last colour over all results; 0 = nobody says."""
+    """m/s of the last colour over all results; 0 = no result says."""
     known = [g[g.dynamic & np.isfinite(g.velocity_sd)] for g in results]
     return _scale([(g.velocity_sd, g.opacity) for g in known])
 
@@ -56,7 +56,7 @@ def line_s(length_s: float) -> float:
 
 
 def ticks(largest: float) -> list[str]:
-    """What stands below the colours, from the first to the last."""
+    """Return what stands below the colours, from the first to the last."""
     return ["0", *(_short(share * largest) for share in (0.25, 0.5, 0.75)), f"{_short(largest)}+ m/s"]
 
 

@@ -41,7 +41,7 @@ CHECKED = 3  # cameras, and times, at which quantisation is measured
 
 @dataclass(frozen=True)
 class Shared:
-    """What was written: its size, that of the Gaussians in it (base64), and what quantising cost each result."""
+    """A page that was written: its size, that of the Gaussians in it (base64), and what quantising cost each result."""
 
     path: Path
     bytes: int
@@ -261,7 +261,7 @@ def _views(dataset: Dataset | None) -> list[tuple[Dataset, int]]:
 
 
 def _plates(views: list[tuple[Dataset, int]], result: Opened) -> list[str | None]:
-    """What lies behind the flame: the result's plates; none where it has a static scene of its own."""
+    """Return what lies behind the flame: the result's plates; none where it has a static scene of its own."""
     if not views:
         return [None]
     if not result.gaussians.dynamic.all():
@@ -299,7 +299,7 @@ def subtitle(results: Sequence[Opened], setting: PageSetting) -> str:
 def _facts(
     results: list[Opened], packed: list[Packed], agreement: list[Agreement], dataset: Dataset | None, recorded: str
 ) -> list[tuple[str, str]]:
-    """What stands under "About this file"; nothing of where its author keeps files."""
+    """Return what stands under "About this file"; nothing of where its author keeps files."""
     facts = []
     for result, p, a in zip(results, packed, agreement, strict=True):
         facts.append((result.name, f"{len(result.gaussians):,} Gaussians, read as {result.method}"))

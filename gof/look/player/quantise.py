@@ -90,7 +90,7 @@ def pack(gaussians: TransientGaussians, true_velocity: np.ndarray | None = None)
 
 
 def unpack(packed: Packed) -> TransientGaussians:
-    """What the page draws; the twin of `player/unpack.js`. Always-on Gaussians without velocity come back as static."""
+    """Return what the page draws, as `unpack.js` does. Always-on Gaussians without velocity come back as static."""
     values, start = {}, 0
     for column in packed.columns:
         length = packed.count * column.parts * column.bytes
