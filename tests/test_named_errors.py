@@ -350,14 +350,20 @@ def test_a_preview_of_a_picture_that_is_none(evaluated, tiny_dataset, camera, fr
 
 
 @pytest.mark.parametrize(
-    ("host", "port"), [("127.0.0.1", "99999999"), ("127.0.0.1", "-1"), ("no.such.host.invalid", "0")]
+    ("words", "said"),
+    [
+        (["--port", "99999999"], "--port"),
+        (["--port", "-1"], "--port -1"),
+        (["--host", "0.0.0.0"], "--host: .* this machine alone"),
+        (["--host=0.0.0.0"], "--host: .*ssh -L"),
+    ],
 )
-def test_an_address_that_nobody_can_listen_on(tmp_path, host, port):
+def test_an_address_that_the_page_cannot_have(tmp_path, words, said):
     from gof.commands import view
 
     result = random_gaussians(5).save(tmp_path / "r.npz")
-    with pytest.raises(GofError, match=r"--host|--port"):
-        view.main([str(result), "--host", host, "--port", port])
+    with pytest.raises(GofError, match=said):
+        view.main([str(result), *words])
 
 
 def test_generation_without_workers_is_refused(tmp_path):

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.look.player.live import HOST, Live, serve
@@ -36,6 +37,11 @@ class ViewConfig:
 
 def main(argv: list[str]) -> int:
     """The command line of `gof view`; ends with Ctrl-C."""
+    if any(word.partition("=")[0] == "--host" for word in argv):  # of 0.2
+        raise GofError(
+            f"--host: the page is for this machine alone now; from another, ssh -L 8080:{HOST}:PORT with the --port "
+            "that you give here, or send the file of gof share"
+        )
     config = tyro.cli(ViewConfig, prog="gof view", args=argv)
     require_number("--port", config.port, least=0, most=65535)
     folder = config.dataset or dataset_beside(config.result)
