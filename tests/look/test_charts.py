@@ -94,11 +94,13 @@ def test_nothing_to_draw_is_an_empty_chart(tmp_path):
 
 
 def test_no_words_leave_the_figure(tmp_path):
-    """Small numbers have many figures, and the last points' labels stand left of their marks."""
+    """Small numbers have many figures, the last points' labels stand left of their marks, and long names are folded."""
     points = [Point(1.0, 1e-4, "first"), Point(100.0, 1.0, "a long label of the last point")]
     line_chart("t", "x, m", "relative error", {"one": points}).write(tmp_path / "c.png")
-    picture = cv2.imread(str(tmp_path / "c.png"), cv2.IMREAD_GRAYSCALE)
-    for border in (picture[:, :3], picture[:, -3:], picture[:3], picture[-3:]):
+    long = "A method of M. Ammann, with words and words and MORE WORDS for its name, as wide as its authors like"
+    accuracy_chart("l2", [(long, 10.0, 0.5), ("b", 20.0, 0.3)], 0.6).write(tmp_path / "a.png")
+    pictures = [cv2.imread(str(tmp_path / name), cv2.IMREAD_GRAYSCALE) for name in ("c.png", "a.png")]
+    for border in (edge for p in pictures for edge in (p[:, :3], p[:, -3:], p[:3], p[-3:])):
         assert border.min() == 255
 
 
