@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 NAME = "gaussians-on-fire"
 # Where a package's import name is not its own.
 IMPORTS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "serial": "pyserial", "dask": "distributed"}
-IMPORTS |= {"tornado": "distributed", "websockets": "viser", "flip_evaluator": "flip-evaluator"}
+IMPORTS |= {"tornado": "distributed", "flip_evaluator": "flip-evaluator"}
 
 
 # ---------------------------------------------------------------- cheap
@@ -98,30 +98,11 @@ def _poses(folder):
     solve([([], [])], [], [])
 
 
-def _viewer(folder):
-    from gof.look.viewer import Viewer
-
-    Viewer(folder)
-
-
 def _witness(folder):
     from gof.render.mitsuba_scene import render_mitsuba
     from tests.conftest import arc, random_gaussians
 
     render_mitsuba(random_gaussians(3), arc(1)[0], 0.0)
-
-
-def _chart(folder):
-    from gof.evaluate.leaderboard import Row
-    from gof.look.leaderboard_page import pareto_figures
-
-    pareto_figures([Row(name="ours", method="gof", l2=0.3, train_s=3.0)])
-
-
-def _figure(folder):
-    from gof.look.paper import require_figure
-
-    require_figure(folder / "figure.pdf")
 
 
 def _workers(folder):
@@ -141,10 +122,7 @@ def _workers(folder):
         (_flip, "flip_evaluator", "scores"),
         (_board, "serial", "capture"),
         (_poses, "pycolmap", "views"),
-        (_viewer, "viser", "view"),
         (_witness, "mitsuba", "mitsuba"),
-        (_chart, "plotly.graph_objects", "leaderboard"),
-        (_figure, "matplotlib.figure", "figures"),
         (_workers, "distributed", "generate"),
     ],
 )
@@ -243,7 +221,6 @@ ASKED = {
     "transformers": ("gof/ingest/depth.py",),
     "memfof": ("gof/reconstruct/optical_flow.py",),
     "pyserial": ("gof/capture/controller.py",),
-    "viser": ("gof/look/viewer.py", "gof/look/own_pages.py"),
     "msvcrt": ("gof/core/files.py",),
     **dict.fromkeys(("numba", "llvmlite"), tuple(f"gof/render/native/{p.name}" for p in NATIVE.glob("*.py"))),
 }
@@ -347,7 +324,7 @@ def locked() -> dict[str, str]:
 def test_the_lock_has_what_is_asked_for_in_versions_that_are_allowed():
     """As the Makefile installs; torch itself is left out, and what its CUDA builds bring."""
     requirements = pytest.importorskip("packaging.requirements")
-    lock, wanted = locked(), needed() | needed("blender") | needed("dev") | needed("leaderboard") | needed("view")
+    lock, wanted = locked(), needed() | needed("blender") | needed("dev")
     assert "torch" not in lock and ".[blender,torch,dev,fast]" in (ROOT / "tools/setup.sh").read_text()
     assert {name.lower() for name in wanted} - {NAME} <= set(lock)
     for line in importlib.metadata.requires(NAME):

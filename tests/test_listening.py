@@ -4,6 +4,7 @@ import re
 import shutil
 import socket
 import subprocess
+import threading
 import urllib.error
 import urllib.request
 
@@ -11,6 +12,7 @@ import psutil
 import pytest
 
 from gof.commands.cli import main
+from gof.look.player.live import Live, serve
 from tests.conftest import random_gaussians
 from tests.test_docs import ROOT
 
@@ -38,96 +40,48 @@ def test_the_generators_own_cluster_opens_no_socket():
 
 
 @pytest.fixture(scope="module")
-def viewer(tmp_path_factory):
-    pytest.importorskip("viser")
-    from gof.look.viewer import Viewer
-
+def view(tmp_path_factory):
+    """The port of a view that answers, and the sockets that listen because of it."""
     path = random_gaussians(20).save(tmp_path_factory.mktemp("view") / "result.npz")
     before = listening()
-    viewer = Viewer(path, port=8590)
-    yield viewer, listening() - before
-    viewer.server.stop()
+    with serve(Live(path)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield server.server_address[1], listening() - before
+        server.shutdown()
 
 
-def get(port: int, **headers: str) -> int:
-    request = urllib.request.Request(f"http://127.0.0.1:{port}/", headers=headers)
+def get(port: int, place: str = "/", **headers: str) -> int:
+    request = urllib.request.Request(f"http://127.0.0.1:{port}{place}", headers=headers)
     try:
         return urllib.request.urlopen(request, timeout=20).status
     except urllib.error.HTTPError as e:
         return e.code
 
 
-def upgrade(port: int, **headers: str) -> int:
-    """Status of a request for a websocket."""
-    import viser
-    import websockets.exceptions
-    from websockets.sync.client import connect
-
-    try:
-        with connect(
-            f"ws://127.0.0.1:{port}", additional_headers=headers, subprotocols=[f"viser-v{viser.__version__}"]
-        ):
-            return 101
-    except websockets.exceptions.InvalidStatus as e:
-        return e.response.status_code
+def test_the_view_listens_on_loopback_only(view):
+    port, sockets = view
+    assert sockets == {("127.0.0.1", port)}
 
 
-def test_the_viewer_listens_on_loopback_only(viewer):
-    server = viewer[0].server
-    assert viewer[1] == {("127.0.0.1", server.get_port())}
-
-
-def test_a_foreign_page_gets_nothing(viewer):
+@pytest.mark.parametrize("place", ["/", "/news?have=", "/instant?time=0"])
+def test_a_foreign_page_gets_nothing(view, place):
     """Any page in the same browser may ask 127.0.0.1, under its own name (Origin) or one that it has bent (Host)."""
-    port = viewer[0].server.get_port()
+    port, _ = view
     own = f"http://localhost:{port}"
-    assert get(port) == 200 and upgrade(port) == 101, "programs that send no origin"
-    assert upgrade(port, Origin=f"http://127.0.0.1:{port}") == 101
-    assert get(port, Host=f"localhost:{port}") == 200
+    assert get(port, place) == 200, "a program that sends no origin"
+    assert get(port, place, Origin=f"http://127.0.0.1:{port}") == 200
+    assert get(port, place, Host=f"localhost:{port}", Origin=own) == 200
+    assert get(port, place, Host="localhost:9999", Origin="http://localhost:9999") == 200, "through a tunnel of ssh"
     for origin in ("http://evil.example", "null", f"http://localhost:{port + 1}", f"{own}.evil.example"):
-        assert upgrade(port, Origin=origin) == 403, origin
-        assert get(port, Origin=origin) == 403, origin
-    for host in ("rebind.evil.example", f"rebind.evil.example:{port}", f"127.0.0.1.evil.example:{port}", ""):
-        assert get(port, Host=host) == 403, host
+        assert get(port, place, Origin=origin) == 403, origin
+    for host in ("rebind.evil.example", f"rebind.evil.example:{port}", f"127.0.0.1.evil.example:{port}", "", "[::1"):
+        assert get(port, place, Host=host) == 403, host
 
 
-def test_no_page_can_publish_the_viewer(viewer, monkeypatch):
-    import viser._viser as internals
-
-    tunnels = []
-
-    class Tunnel:
-        def __init__(self, *args):
-            tunnels.append(args)
-
-        def on_disconnect(self, *args):
-            pass
-
-        def on_connect(self, *args):
-            raise RuntimeError("a tunnel")
-
-    monkeypatch.setattr(internals, "ViserTunnel", Tunnel)
-    assert viewer[0].server.request_share_url() is None
-    assert not tunnels
-    theme = [m for m in messages(viewer[0].server) if type(m).__name__ == "ThemeConfigurationMessage"]
-    assert theme and not any(message.show_share_button for message in theme)
-
-
-def messages(server) -> list:
-    """What every page that connects is told."""
-    return list(server._websock_server._broadcast_buffer.message_from_id.values())
-
-
-def test_a_host_that_was_asked_for_is_served_to_its_own_pages(monkeypatch):
-    from gof.look.own_pages import is_own_page
-
-    monkeypatch.setattr(socket, "gethostname", lambda: "Cluster7")
-    assert is_own_page({"Host": "cluster7:8080", "Origin": "http://cluster7:8080"}, "0.0.0.0")
-    assert is_own_page({"Host": "cluster7:8080"}, "cluster7")
-    assert not is_own_page({"Host": "cluster7:8080", "Origin": "http://evil.example"}, "0.0.0.0")
-    for host in ("127.0.0.1", "0.0.0.0"):
-        assert not is_own_page({"Host": "rebind.example:8080", "Origin": "http://rebind.example:8080"}, host)
-    assert is_own_page({"Host": "[::1]:8080", "Origin": "http://[::1]:8080"}, "::1")
+def test_no_other_page_may_read_or_embed_the_answer(view):
+    with urllib.request.urlopen(f"http://127.0.0.1:{view[0]}/news?have=", timeout=20) as answer:
+        said = {name.lower(): value for name, value in answer.headers.items()}
+    assert "access-control-allow-origin" not in said and said["cross-origin-resource-policy"] == "same-origin"
 
 
 def test_the_cluster_page_warns_first():

@@ -1,5 +1,6 @@
 """The house has an order: rooms and files import downwards only, and what must not be imported is not."""
 
+import re
 import sys
 from graphlib import CycleError, TopologicalSorter
 
@@ -68,6 +69,41 @@ def test_the_add_on_needs_numpy_and_blender_only():
         if target.split(".")[0] not in allowed
     ]
     assert not wrong, "\n".join(wrong)
+
+
+ROOM = "gof.look"  # the one that knows HTML and charts
+DRAWS = {"matplotlib": "gof.look.charts", "jinja2": "gof.look.pages"}  # in that room one file alone imports each
+PAGES = re.compile(r"<html|<!doctype|<script", re.I)
+
+
+def draws(known):
+    """What of these modules draws charts or writes pages outside their place.
+
+    Evidence may, and the add-on has a page of its own, because it must install without gof.
+    """
+    for name, path in known.items():
+        if name.startswith(("gof_benchmark.evidence", "gof_blender")):
+            continue
+        for target, line in import_graph.all_imports(name, path):
+            library = target.split(".")[0]
+            if library in ("plotly", "viser") or DRAWS.get(library, name) != name:
+                yield f"{path.name}:{line} imports {library}"
+        if name != ROOM and not name.startswith(f"{ROOM}.") and PAGES.search(path.read_text(encoding="utf-8")):
+            yield f"{path.name} writes HTML"
+
+
+def test_one_room_knows_html_and_charts():
+    wrong = list(draws(modules()))
+    assert not wrong, "\n".join(wrong)
+
+
+def test_a_chart_or_a_page_in_another_room_is_found(tmp_path):
+    (tmp_path / "a.py").write_text("def f():\n    from matplotlib.figure import Figure\n")
+    (tmp_path / "b.py").write_text("PAGE = '<!DOCTYPE html>'\n")
+    outside = {f"gof.evaluate.{name}": tmp_path / f"{name}.py" for name in "ab"}
+    assert list(draws(outside)) == ["a.py:2 imports matplotlib", "b.py writes HTML"]
+    inside = {f"gof.look.{name}": tmp_path / f"{name}.py" for name in "ab"}
+    assert list(draws(inside)) == ["a.py:2 imports matplotlib"]
 
 
 def test_the_diagram_is_true():

@@ -24,8 +24,6 @@ NAME = "gaussians-on-fire"
 PARTS = ["evaluate", "render", "io", "look", "test_cli.py", "test_dataset.py", "test_fields.py", "test_gaussians.py"]
 PARTS += ["test_install.py", "test_names.py", "test_ply.py", "test_portable.py", "test_zarr_array.py"]
 TOOLS = [
-    "plotly>=6,<8",
-    "matplotlib>=3.9,<4",
     "pytest",
     "pytest-timeout",
     "pytest-xdist",

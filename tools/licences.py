@@ -22,10 +22,9 @@ COPYLEFT = re.compile(
 FREE = re.compile(r"\b(MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zlib|Unlicense|CC0|BSL-1\.0|HPND)", re.I)
 # May be copyleft although it comes with other extras than `blender`: name -> (licence, why that binds nobody here).
 EXCEPTIONS = {
-    "certifi": ("MPL-2.0", "a list of certificates, used unchanged (viser, requests)"),
+    "certifi": ("MPL-2.0", "a list of certificates, used unchanged (requests, of mkdocs)"),
     "hypothesis": ("MPL-2.0", "a tool of the tests, used unchanged"),
     "pathspec": ("MPL-2.0", "a tool of the documents' site, used unchanged (mkdocs)"),
-    "tqdm": ("MPL-2.0", "used unchanged (viser); the MPL binds changes of its own files only"),
 }
 # Copyleft in a wheel that metadata do not tell: name -> (licence, what it is, words that stand in a binary).
 INSIDE = {

@@ -27,8 +27,7 @@ from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.host.terminal import console
 from gof.look.comparison import Moment
-from gof.look.flat import side_by_side
-from gof.look.leaderboard_page import PageGrid
+from gof.look.pages import PageGrid, side_by_side
 from gof.look.suite_page import to_html, to_markdown
 from gof_benchmark.suite import pick, scenes_of, suite_name
 from gof_benchmark.suite.made import MadeScene, made_scenes

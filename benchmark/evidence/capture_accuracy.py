@@ -14,7 +14,7 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -32,6 +32,7 @@ from gof.capture.template import BoardTemplate
 from gof.capture.times import VideoTimes
 from gof.core.errors import GofError
 from gof.core.files import write_json
+from gof.look.charts import frame_times_chart
 
 SHOWN = ("frame_interval_us", "rms_us", "max_residual_us", "outliers", "row_time_us", "readout", "faults")
 GOAL_US, GOAL_COMPRESSED_US, GOAL_REAL_US = 5.0, 15.0, 9.0
@@ -295,9 +296,9 @@ def real(captures: Path, plots: Path | None) -> list[Row]:
     for folder in scenes:
         scene = f"{folder.parent.name}/{folder.name}"
         videos = sorted(folder.glob("cam_*.mp4"))
-        target = plots / scene.replace("/", "_") if plots else None
+        draw = _into(plots / scene.replace("/", "_")) if plots else None
         points = {c: points_on(board, *marks, c) for c, marks in MARKED.get(scene, {}).items()}
-        result = synchronise(videos, board, [DecodeOptions()] * len(videos), target, points=points)
+        result = synchronise(videos, board, [DecodeOptions()] * len(videos), draw, points=points)
         for camera in result.cameras:
             row = {"clip": scene, "camera": camera.name}
             if camera.times is None:
@@ -308,6 +309,11 @@ def real(captures: Path, plots: Path | None) -> list[Row]:
             print(_real_line(row), flush=True)
             rows.append(row)
     return rows
+
+
+def _into(folder: Path) -> Callable:
+    """Return what draws each camera's residuals into a folder."""
+    return lambda name, *seen: frame_times_chart(name, *seen).write(folder / f"residuals_{name}.png")
 
 
 def _real_figures(times: VideoTimes, offset_us: float) -> Row:

@@ -17,8 +17,7 @@ import numpy as np
 import tyro
 
 from gof.dataset import Dataset
-from gof.look import line_chart
-from gof.look.paper import require_figure
+from gof.look.charts import line_chart, require_figure
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import observe
@@ -72,13 +71,12 @@ def main(argv: list[str] | None = None) -> None:
     if config.chart:
         ends = np.concatenate([np.asarray([point[:2] for point in points]) for points in series.values()])
         diagonal = {"right about itself": [(float(v), float(v), "") for v in (ends.min(), ends.max())]}
-        line_chart.write(
-            config.chart,
+        line_chart(
             "How sure the flow prior is, and how wrong",
             "standard deviation it says, over the mean speed",
             "RMS error, over the mean speed",
             diagonal | series,
-        )
+        ).write(config.chart)
         print(f"chart -> {config.chart}")
 
 

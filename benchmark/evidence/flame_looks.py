@@ -17,8 +17,7 @@ import tyro
 from gof.core.colour import srgb_to_linear
 from gof.core.errors import DataFormatError
 from gof.footage.videos import stored_frames
-from gof.look import line_chart
-from gof.look.paper import require_figure
+from gof.look.charts import line_chart
 from gof_benchmark.fires import measures
 from gof_blender.pure import spec as scene_spec
 
@@ -150,8 +149,8 @@ def draw(generated: list[Looks], filmed: list[Looks], folder: Path) -> None:
             for one in [mean, *generated]
         }
         lines = {name: points for name, points in lines.items() if points}
-        line_chart.write(
-            folder / f"flame_looks_{name}.svg", title, x_label, y_label, lines, log="" if name == "colours" else "xy"
+        line_chart(title, x_label, y_label, lines, log="" if name == "colours" else "xy").write(
+            folder / f"flame_looks_{name}.svg"
         )
 
 
@@ -166,8 +165,6 @@ def _green_by_red(one: Looks) -> tuple[np.ndarray, np.ndarray]:
 def main(argv: list[str] | None = None) -> None:
     """Print the table, and draw."""
     config = tyro.cli(FlameLooks, prog="python -m gof_benchmark.evidence.flame_looks", args=argv)
-    if config.charts:
-        require_figure()
     folders = sorted({video.parent for video in config.clips.glob("**/*.mp4")})
     if len(folders) < 2:
         raise SystemExit(f"{config.clips}: two or more folders with videos are needed")

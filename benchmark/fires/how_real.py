@@ -13,8 +13,7 @@ import tyro
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import DatasetDescription
 from gof.host.progress import progress_bar
-from gof.look import line_chart
-from gof.look.paper import require_figure
+from gof.look.charts import line_chart
 from gof_benchmark.fires import SPLITS, measures
 from gof_benchmark.fires.flames import Axis, Flame, Truth, View, flame_of
 from gof_benchmark.fires.laws import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
@@ -267,21 +266,19 @@ def draw(flames: list[Flame], looks: list[Seen], folder: Path) -> None:
         for flame, look in zip(flames, looks, strict=True):
             if flame.source == source and not flame.truth.windy:
                 lines[flame.name] = _scaled(flame.truth.axis, laws(flame.truth, look.height).heat_kw)
-        line_chart.write(
-            folder / f"how_real_{source.lower()}.svg",
+        line_chart(
             f"{source}: mean speed on the axis",
             "height above the burner / Q^(2/5), m/kW^(2/5)",
             "speed / Q^(1/5), m/s/kW^(1/5)",
             lines,
-        )
+        ).write(folder / f"how_real_{source.lower()}.svg")
     spectra = {source: _mean_spectrum(flames, source) for source in sorted({flame.source for flame in flames})}
-    line_chart.write(
-        folder / "how_real_flicker.svg",
+    line_chart(
         "flicker of the whole flame's light",
         "frequency, Hz",
         "power over the mean light squared, 1/Hz",
         {source: points for source, points in spectra.items() if points},
-    )
+    ).write(folder / "how_real_flicker.svg")
 
 
 def _law_line() -> list[tuple[float, float, str]]:
@@ -344,8 +341,6 @@ def places_in(path: Path) -> list[Path]:
 def main(argv: list[str] | None = None) -> int:
     config = tyro.cli(HowReal, prog="python -m gof_benchmark.fires.how_real", args=argv)
     try:
-        if config.charts:
-            require_figure()
         places = [place for path in config.places for place in places_in(path)]
         flames = []
         with progress_bar("reading fires") as update:

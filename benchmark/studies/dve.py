@@ -23,8 +23,7 @@ from gof.evaluate.closed_forms import Flow, abc, gaussian_vortex, linear, taylor
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import ORDERS, expected_velocity_plain
 from gof.host.progress import progress_bar
-from gof.look import line_chart
-from gof.look.paper import require_figure
+from gof.look.charts import line_chart
 
 HALF = 0.6  # m; the Gaussians stay well inside the box of this half width
 WAVE_NUMBER = 10.0  # 1/m, of the periodic flows; `k_sigma` is this times a Gaussian's width
@@ -75,7 +74,6 @@ def main(argv: list[str]) -> int:
     from rich.table import Table
 
     config = tyro.cli(DveStudy, prog="gof study dve", args=argv)
-    require_figure()
     with progress_bar("study") as progress:
         rows = run(config.gaussians, config.samples, lambda done, total: progress(done, total, stage="DVE"))
     table = Table(title="Expected velocity against closed forms", title_justify="left")
@@ -218,13 +216,12 @@ def write_charts(rows: list[Row], folder: Path) -> list[Path]:
     for flow in dict.fromkeys(row.flow for row in rows):
         lines = {label: _points(rows, flow, study, k_sigma) for study, k_sigma, label in LINES}
         paths.append(folder / f"study_dve_{flow.lower().replace(' ', '_')}.svg")
-        line_chart.write(
-            paths[-1],
+        line_chart(
             f"{flow}: error of the expected velocity",
             "seconds per 10 000 Gaussians",
             "relative L2 error",
             {label: points for label, points in lines.items() if points},
-        )
+        ).write(paths[-1])
     return paths
 
 

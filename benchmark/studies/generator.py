@@ -18,8 +18,7 @@ import tyro
 from gof.core.fields import VelocitySequence
 from gof.core.files import atomic_path, read_json, write_json
 from gof.core.zarr_array import ZarrArray
-from gof.look import line_chart
-from gof.look.paper import require_figure
+from gof.look.charts import line_chart
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.layout import Layout
@@ -99,7 +98,6 @@ class Figures:
 def main(argv: list[str]) -> int:
     """`gof study generate`; see --help."""
     config = tyro.cli(GeneratorStudy, prog="gof study generate", args=argv)
-    require_figure()
     spec = load_scene(config.scene)
     warm_up = round(config.warm_up_s * spec.clip.fps)
     spec = replace(spec, clip=replace(spec.clip, frames=config.frames, warm_up_frames=warm_up))
@@ -285,8 +283,7 @@ def _report(figures: Figures, out: Path) -> None:
 def _draw_charts(figures: Figures, out: Path) -> None:
     finest = max(row.resolution for row in figures.resolution)
     coarser = [row for row in figures.resolution if row.resolution < finest]  # the reference has no error to draw
-    line_chart.write(
-        out / "resolution.svg",
+    line_chart(
         "Velocity error against time",
         "CPU seconds of the bake",
         "relative error",
@@ -294,11 +291,10 @@ def _draw_charts(figures: Figures, out: Path) -> None:
             "instants": [(r.cpu_s, r.error, _label("domain", "resolution", r.resolution)) for r in coarser],
             "mean over the clip": [(r.cpu_s, r.error_mean, str(r.resolution)) for r in coarser],
         },
-    )
+    ).write(out / "resolution.svg")
     denoised = [r for r in figures.samples if r.denoise]
     traced = [r for r in figures.samples if not r.denoise]
-    line_chart.write(
-        out / "samples.svg",
+    line_chart(
         "Picture error against time",
         "CPU seconds per picture",
         "mean error in the flame, 8-bit steps",
@@ -306,10 +302,9 @@ def _draw_charts(figures: Figures, out: Path) -> None:
             "denoised": [(r.cpu_s, r.error, _label("render", "samples", r.samples)) for r in denoised],
             "as traced": [(r.cpu_s, r.error, str(r.samples)) for r in traced],
         },
-    )
+    ).write(out / "samples.svg")
     half, single = ([r for r in figures.storage if r.dtype == dtype] for dtype in ("float16", "float32"))
-    line_chart.write(
-        out / "storage.svg",
+    line_chart(
         "Size of the velocity store against reading time",
         "seconds to read the core",
         "MB per frame",
@@ -317,7 +312,7 @@ def _draw_charts(figures: Figures, out: Path) -> None:
             "float16": [(r.read_core_s, r.mb, str(r.chunk)) for r in half],
             "float32": [(r.read_core_s, r.mb, str(r.chunk)) for r in single],
         },
-    )
+    ).write(out / "storage.svg")
 
 
 def _label(section: str, field: str, value: int) -> str:

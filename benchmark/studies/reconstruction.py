@@ -9,8 +9,7 @@ import numpy as np
 import tyro
 
 from gof.dataset import Dataset
-from gof.look import line_chart
-from gof.look.paper import require_figure
+from gof.look.charts import Point, line_chart
 from gof.reconstruct.presets import PRESETS
 from gof_benchmark.studies.variants import Row, Setting, VariantStudy, run_one, table, write_page
 
@@ -50,7 +49,6 @@ class SettingsStudy(VariantStudy):
 def main(argv: list[str]) -> int:
     """`gof study reconstruct DATASET`; see --help."""
     study = tyro.cli(SettingsStudy, prog="gof study reconstruct", args=argv)
-    require_figure()
     dataset = Dataset.open(study.dataset)
     groups = run_all(study, dataset)
     _draw_charts(study, groups)
@@ -119,6 +117,6 @@ def _draw_charts(study: VariantStudy, groups: dict[str, list[Row]]) -> None:
                 words = "" if group == "choices" or place in labelled else row["name"].split("-")[-1]
                 labelled.add(place)
                 line = row["name"] if group == "choices" else group
-                lines.setdefault(line, []).append(line_chart.Point(*place, words, row.get(f"{key}_sd", 0.0)))
+                lines.setdefault(line, []).append(Point(*place, words, row.get(f"{key}_sd", 0.0)))
         title = f"{label} against time"
-        line_chart.write(study.out / f"{key}.svg", title, "seconds of the reconstruction", label, lines, log="x")
+        line_chart(title, "seconds of the reconstruction", label, lines, log="x").write(study.out / f"{key}.svg")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -14,7 +15,6 @@ from gof.capture.board_points import BoardPoints
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
 from gof.capture.doubts import MOST_US, doubts, refusal
 from gof.capture.flame_clock import estimate_times, read_light
-from gof.capture.plot import plot_camera
 from gof.capture.ring_board import RingBoard
 from gof.capture.ring_decode import decode_ring
 from gof.capture.ring_signals import read_ring_signals
@@ -40,7 +40,7 @@ def synchronise(
     videos: list[Path],
     template: BoardTemplate | RingBoard,
     options: list[DecodeOptions],
-    plots: Path | None = None,
+    show: Callable[[str, CameraTimes, np.ndarray | None, float], None] | None = None,
     known: Sensor | None = None,
     estimate: bool = False,
     points: dict[str, BoardPoints] | None = None,
@@ -52,7 +52,8 @@ def synchronise(
     Args:
         template: the board; a ring board's period is its own, whatever the options say.
         options: one per video.
-        plots: folder for one picture of residuals per camera.
+        show: is told of every camera that was decoded: name, times, slots (S,) of the board's strips (None of a ring),
+            and the board's period in us.
         known: gives the row time of pictures of any size.
         estimate: estimate the clock of a camera without the board from its flame.
         points: of the board, by video, marked where the marker is partly hidden.
@@ -82,9 +83,8 @@ def synchronise(
             cameras.append(camera)
             continue
         cameras.append(replace(camera, times=_describe(decoded[name], stated_fps(video))))
-        if plots:
-            slot = None if ring else template.strip_slot
-            plot_camera(times[name], name, slot, period_us, plots / f"residuals_{name}.png")
+        if show:
+            show(name, times[name], None if ring else template.strip_slot, period_us)
     if estimate:
         cameras = _estimate_missing(cameras)
     warnings = [

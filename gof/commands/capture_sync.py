@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,6 +23,7 @@ from gof.core.errors import GofError
 from gof.core.records import write_record
 from gof.footage.videos import distinct_names, require_different
 from gof.host.options import require_all_positive, require_number, require_positive
+from gof.look.charts import Chart, frame_times_chart
 from gof.look.sync_report import write_report
 
 NO_MARKER = (
@@ -105,10 +107,17 @@ def main(argv: list[str]) -> int:
         if isinstance(board, RingBoard):
             raise GofError("--board-points: a ring board is found anew in every frame; its marker must be whole")
         points = read_board_points(config.board_points, board, names)
-    result = synchronise(config.videos, board, decoding, config.out, known, config.estimate, points)
+    charts: dict[str, Chart] = {}
+
+    def draw(name: str, *seen) -> None:
+        charts[name] = frame_times_chart(name, *seen)
+
+    result = synchronise(config.videos, board, decoding, draw, known, config.estimate, points)
     if not any(camera.times for camera in result.cameras):
         raise GofError(f"no camera could be decoded with board '{board.name}': {said_once(result)} {WAYS_OUT}")
     write_record(target, result)
+    for name, chart in charts.items():
+        chart.write(config.out / f"residuals_{name}.png")
     if config.board == AUTO:
         print(f"board: {board.name}, recognised from the pictures")
     for camera in result.cameras:
@@ -116,7 +125,7 @@ def main(argv: list[str]) -> int:
     for warning in result.warnings:
         print(f"warning: {warning}")
     print(f"wrote {target}")
-    write_beside(config, result)
+    write_beside(config, result, charts)
     if config.json:
         write_record(config.json, replace(result, cameras=tuple(map(without_frames, result.cameras))))
     return 0
@@ -130,11 +139,11 @@ def said_once(take: FrameTimesFile) -> str:
     return " ".join(f"{', '.join(names)}: {reason.rstrip('.?')}." for reason, names in cameras.items())
 
 
-def write_beside(config: SyncConfig, take: FrameTimesFile) -> None:
+def write_beside(config: SyncConfig, take: FrameTimesFile, charts: Mapping[str, Chart]) -> None:
     """The report and the aligned videos, as asked for; one camera alone has neither."""
     together = sum(camera.times is not None for camera in take.cameras) > 1
     if config.report and together:
-        print(write_report(config.out / "report.html", take, config.out))
+        print(write_report(config.out / "report.html", take, charts))
         print(f"wrote {config.out / 'report.html'}")
     if config.write_videos:
         folder = config.out / "aligned"

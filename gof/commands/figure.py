@@ -31,8 +31,7 @@ what people type:
   gof figure compare out/fire out/other.ply --names ours theirs --dataset data/fire --out compare.pdf
   gof figure removal data/fire --out removal.pdf
 
-Figures need the extra "figures" (matplotlib). Every part writes what its tiles show with --json FILE. Films and single
-panels: gof video.
+Every part writes what its tiles show with --json FILE. Films and single panels: gof video.
 """
 
 

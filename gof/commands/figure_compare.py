@@ -17,9 +17,10 @@ from gof.evaluate.leaderboard import collect
 from gof.host.options import require_number
 from gof.host.terminal import console
 from gof.io.importers import ImportOptions
+from gof.look.charts import require_figure
 from gof.look.comparison import KINDS, Kind, Moment, comparison, scored_subject, subject
 from gof.look.panels import Subject
-from gof.look.paper import WIDTH_IN, require_figure, write_sheet
+from gof.look.paper import WIDTH_IN, write_sheet
 from gof.look.player.opened import dataset_beside, open_moving
 from gof.look.tiles import Box, facts
 

@@ -16,8 +16,9 @@ from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.host.progress import progress_bar
 from gof.host.terminal import console
+from gof.look.charts import require_figure
 from gof.look.modalities import Sources, modalities, training_frame
-from gof.look.paper import WIDTH_IN, require_figure, write_sheet
+from gof.look.paper import WIDTH_IN, write_sheet
 from gof.look.player.opened import dataset_beside
 from gof.look.tiles import facts
 from gof.reconstruct.seen import see_again

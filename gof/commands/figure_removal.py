@@ -13,9 +13,10 @@ from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.host.terminal import console
+from gof.look.charts import require_figure
 from gof.look.comparison import Moment
 from gof.look.fire_removal import fire_removal
-from gof.look.paper import WIDTH_IN, require_figure, write_sheet
+from gof.look.paper import WIDTH_IN, write_sheet
 from gof.look.player.opened import newest
 from gof.look.tiles import facts
 

@@ -25,12 +25,10 @@ from gof.evaluate.leaderboard import (
 )
 from gof.host.options import require_number
 from gof.host.terminal import console
-from gof.look.accuracy_chart import accuracy_charts
+from gof.look.charts import Kind, accuracy_charts, require_figure
 from gof.look.comparison import Moment
-from gof.look.curves import Kind, write_accuracy
-from gof.look.flat import side_by_side
 from gof.look.leaderboard_page import stream_plots, to_html
-from gof.look.paper import require_figure
+from gof.look.pages import side_by_side
 
 SHOWN = (
     "flow_prior",
@@ -73,12 +71,11 @@ def main(argv: list[str]) -> int:
     dataset = Dataset.open(config.truth) if config.truth else None
     streams = stream_plots(results, dataset, config.time) if dataset else []
     charts = [
-        (chart, config.out / f"accuracy_{chart.key}.{kind}")
-        for chart in accuracy_charts(rows)
+        (chart, config.out / f"accuracy_{key}.{kind}")
+        for key, chart in accuracy_charts(rows).items()
         for kind in config.figure
     ]
-    if charts:
-        require_figure(*(path for _, path in charts))
+    require_figure(*(path for _, path in charts))
     write_record(config.out / "leaderboard.json", Leaderboard(tuple(rows)))
     if config.json is not None:
         write_record(config.json, Leaderboard(tuple(rows)))
@@ -90,7 +87,7 @@ def main(argv: list[str]) -> int:
         with atomic_path(config.out / f"leaderboard.{suffix}") as temporary:
             temporary.write_text(text, encoding="utf-8")
     for chart, path in charts:
-        write_accuracy(path, chart)
+        chart.write(path)
     out = console()
     out.print(_table(config.title, rows))
     for result in results:

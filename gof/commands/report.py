@@ -15,10 +15,9 @@ from gof.dataset import Dataset
 from gof.evaluate.scores import Scores
 from gof.host.progress import progress_bar
 from gof.look.animation import brightest_frame
-from gof.look.curves import Kind, write_frame_scores
+from gof.look.charts import Kind, frame_chart, require_figure
 from gof.look.fire_removal import fire_removal
-from gof.look.flat import page_pictures
-from gof.look.paper import require_figure
+from gof.look.pages import page_pictures
 from gof.look.preview import Preview
 from gof.look.report import build_report
 
@@ -56,8 +55,7 @@ def main(argv: list[str]) -> int:
     result = config.result or _result_in(out)
     preview = Preview.read(out / "preview.json") if (out / "preview.json").exists() else None
     charts = [out / "pictures" / f"l2.{kind}" for kind in config.figure]
-    if charts:
-        require_figure(*charts)
+    require_figure(*charts)
     removal = fire_removal(dataset, brightest_frame(dataset), range(len(dataset.cameras)), result)
     with progress_bar("report") as progress:
         path = build_report(
@@ -71,9 +69,12 @@ def main(argv: list[str]) -> int:
             fire_removal=page_pictures(removal),
             progress=progress,
         )
-    for chart in charts:
-        if not write_frame_scores(chart, scores):
-            print(f"{chart}: not written, fewer than two frames have a score of velocity")
+    chart = frame_chart(scores)
+    for path_of_chart in charts:
+        if chart is None:
+            print(f"{path_of_chart}: not written, fewer than two frames have a score of velocity")
+        else:
+            chart.write(path_of_chart)
     if config.json:
         write_json(config.json, {"report": str(path), "bytes": path.stat().st_size})
     print(f"{path} ({path.stat().st_size / 2**20:.1f} MB)")

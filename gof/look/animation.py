@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,54 +12,11 @@ from PIL import Image, ImageDraw, ImageFont
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.expectation import expected_velocity
-from gof.evaluate.weighted import weighted_quantile
-from gof.footage.pictures import read_picture
 from gof.look import velocity as velocity_module
+from gof.look.encoder import write_film
+from gof.look.images import data_uri, enlarge, factor_for, side_by_side, to_bytes
 
-PANEL_WIDTH = 360  # px; small pictures are enlarged to about this by a whole factor
-GAP = 4  # px between panels, mid grey: readable on light and dark pages
-
-
-def to_bytes(image: np.ndarray) -> np.ndarray:
-    """Display values (H, W, 3) in [0, 1] to uint8; values outside are clipped."""
-    return (np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
-
-
-def enlarge(image: np.ndarray, factor: int) -> np.ndarray:
-    """(H, W, 3) uint8 enlarged by a whole factor."""
-    return np.asarray(Image.fromarray(image).resize((image.shape[1] * factor, image.shape[0] * factor), Image.BICUBIC))
-
-
-def factor_for(width: int) -> int:
-    return max(1, round(PANEL_WIDTH / width))
-
-
-def data_uri(image: np.ndarray | Path, kind: str = "webp", quality: int = 88) -> str:
-    """A picture as a data: URI. A path is decoded and encoded again, so only pixels enter the page.
-
-    Raises:
-        DataFormatError: the file cannot be decoded.
-    """
-    picture = Image.fromarray(read_picture(image)[..., ::-1] if isinstance(image, Path) else image)
-    buffer = io.BytesIO()
-    picture.save(buffer, kind, **({"quality": quality, "method": 4} if kind == "webp" else {"optimize": True}))
-    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
-
-
-def file_uri(path: Path) -> str:
-    """An animation's own bytes as a data: URI."""
-    return f"data:image/{path.suffix[1:]};base64,{base64.b64encode(path.read_bytes()).decode()}"
-
-
-def side_by_side(panels: list[np.ndarray], gap: int = GAP) -> np.ndarray:
-    """Panels in a row."""
-    height = max(p.shape[0] for p in panels)
-    width = sum(p.shape[1] for p in panels) + gap * (len(panels) - 1)
-    row, x = np.full((height, width, 3), 110, np.uint8), 0
-    for panel in panels:
-        row[: panel.shape[0], x : x + panel.shape[1]] = panel
-        x += panel.shape[1] + gap
-    return row
+QUALITY = 82  # of the animation, which is half of the page
 
 
 @dataclass
@@ -83,11 +38,7 @@ class Animation:
 
     def save(self, path: Path) -> Path:
         """Animated WebP, endless."""
-        first, *rest = (Image.fromarray(f) for f in self.frames)
-        first.save(
-            path, "webp", save_all=True, append_images=rest, duration=self.frame_ms, loop=0, quality=82, method=2
-        )
-        return path
+        return write_film(path, self.frames, 1000 / self.frame_ms, QUALITY)
 
 
 def animate(
@@ -131,7 +82,7 @@ def animate(
         if progress:
             progress(number + 1, len(frames))
 
-    longest = _common_speed([f[-1] for _, f in drawn])
+    longest = velocity_module.fastest([f[-1] for _, f in drawn])
     factor = factor_for(camera.width)
     pages = []
     for k, (pictures, fields) in zip(frames, drawn, strict=True):
@@ -158,7 +109,7 @@ def animate(
 
 
 def original(dataset: Dataset) -> str:
-    """What a dataset's own pictures are called."""
+    """Return what a dataset's own pictures are called."""
     return "filmed" if dataset.description.is_filmed else "truth"
 
 
@@ -188,13 +139,6 @@ def brightest_frame(dataset: Dataset) -> int:
         return float(mask.mean() if mask is not None else np.abs(dataset.image(0, k) - dataset.static(0)).mean())
 
     return max(dataset.test_frames or dataset.train_frames, key=flame)
-
-
-def _common_speed(fields: list[velocity_module.ScreenVelocity]) -> float:
-    """98th percentile of the opacity-weighted speed on the screen, px/s: one colour scale for all panels and frames."""
-    speed = np.concatenate([np.linalg.norm(f.flow, axis=-1).ravel() for f in fields])
-    weight = np.concatenate([f.alpha.ravel() for f in fields])
-    return max(weighted_quantile(speed, weight, 0.98), 1e-9) if weight.any() else 1.0
 
 
 def _stamp(page: np.ndarray, text: str, accent: bool) -> np.ndarray:

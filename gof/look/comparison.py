@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from gof.core.cameras import Camera
+from gof.core.errors import DataFormatError
 from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
@@ -19,12 +20,12 @@ from gof.evaluate.image import psnr
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.scoring import is_flame_alone
 from gof.footage.flame_mask import flame_mask
+from gof.io.importers import ImportOptions, read_result
 from gof.look.animation import brightest_frame, original
-from gof.look.leaderboard_page import read_again, scored_file
 from gof.look.panels import Subject, picture
 from gof.look.path import Shot
-from gof.look.sideways import fastest, of_result, true_there, unit
 from gof.look.tiles import Box, Row, error_tile, picture_tile, velocity_tile
+from gof.look.velocity import fastest, of_result, true_there, unit
 
 Kind = Literal["picture", "parts", "error", "velocity"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -113,6 +114,31 @@ def scored_subject(result: EvaluatedResult, moment: Moment) -> Subject:
     return Subject(result.name, gaussians, plate=_plate(path, moment) if over_plates else None)
 
 
+def read_again(result: EvaluatedResult) -> MovingGaussians:
+    """The Gaussians behind the scores: the file that was scored, or the one in the folder, read and moved as it was.
+
+    Raises:
+        DataFormatError: the file is gone, or damaged.
+    """
+    origin = result.scores.import_
+    options = ImportOptions() if origin.options is None else origin.options.options()
+    gaussians = read_result(scored_file(result), options).gaussians
+    return gaussians if origin.alignment is None else gaussians.transformed(np.array(origin.alignment.matrix))
+
+
+def scored_file(result: EvaluatedResult) -> Path:
+    """The file behind the scores. Raises DataFormatError: it is gone."""
+    origin = result.scores.import_
+    candidates = [result.folder / "result.npz", result.folder / "reconstruct" / "result.npz"]
+    if origin.path is not None:
+        candidates.insert(0, Path(origin.path))
+    path = next((p for p in candidates if p.exists()), None)
+    if path is None:
+        looked = ", ".join(map(str, candidates))
+        raise DataFormatError(f"{result.folder}: the result is not there any more (looked for {looked})")
+    return path
+
+
 def _plate(path: Path, moment: Moment) -> np.ndarray:
     return background(moment.dataset, moment.number, path)
 
@@ -148,7 +174,7 @@ def comparison(
 
 
 def _errors(drawn: Sequence[np.ndarray], moment: Moment) -> Row:
-    """Of judged pictures, on the smallest scale that holds nearly all of them; the plate's own may go beyond."""
+    """Show errors of judged pictures, on the smallest scale that holds nearly all; the plate's own may go beyond."""
     found = np.concatenate([np.abs(image - moment.recorded).mean(-1).ravel() for image in drawn])
     most = next((scale for scale in ERROR_SCALES if scale >= np.quantile(found, 0.999)), 1.0)
     note = moment.flame_db(moment.plate)

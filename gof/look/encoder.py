@@ -25,16 +25,20 @@ def require_film(path: Path) -> None:
         raise GofError(f"--out {path}: a film ends in {', '.join(SUFFIXES)}")
 
 
-def write_film(path: Path, frames: Iterable[np.ndarray], fps: float) -> Path:
+def write_film(path: Path, frames: Iterable[np.ndarray], fps: float, quality: int = WEBP_QUALITY) -> Path:
     """Write frames (H, W, 3) uint8, all of one even size, one after another; atomically.
 
+    Args:
+        quality: of a .webp, 0 to 100.
     Raises:
         GofError: no such kind of film.   DataFormatError: it cannot be written, or not all of it was.
     """
     require_film(path)
     with atomic_path(path) as temporary:
-        write = _write_video if path.suffix.lower() in CODES else _write_pictures
-        count = write(temporary, frames, fps)
+        if path.suffix.lower() in CODES:
+            count = _write_video(temporary, frames, fps)
+        else:
+            count = _write_pictures(temporary, frames, fps, quality)
         if count == 0 or not temporary.is_file() or temporary.stat().st_size == 0:
             raise DataFormatError(f"{path}: no film could be written")
     return path
@@ -58,14 +62,14 @@ def _write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
     return count
 
 
-def _write_pictures(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
+def _write_pictures(path: Path, frames: Iterable[np.ndarray], fps: float, quality: int) -> int:
     from PIL import Image
 
     pictures = [Image.fromarray(frame) for frame in frames]
     if path.suffix.lower() == STILL and pictures:
         pictures[0].save(path, optimize=True)
     elif pictures:
-        how = {"duration": round(1000 / fps), "loop": 0, "quality": WEBP_QUALITY}
+        how = {"duration": round(1000 / fps), "loop": 0, "quality": quality}
         pictures[0].save(path, "webp", save_all=True, append_images=pictures[1:], **how)
     return len(pictures)
 

@@ -16,8 +16,9 @@ import gof
 from gof.core.files import only_run_in
 from gof.dataset import Dataset
 from gof.footage.pictures import read_picture, write_picture
-from gof.look.animation import original, to_bytes
+from gof.look.animation import original
 from gof.look.encoder import require_film, write_film
+from gof.look.images import to_bytes
 from gof.look.panels import (
     MOST_ERROR,
     Panel,
@@ -38,7 +39,7 @@ OURS = re.compile(r"[0-9a-f]{16}_\d{5}\.png")  # frames that a film left behind;
 
 @dataclass(frozen=True)
 class FilmOptions:
-    """How a film looks.
+    """The looks of a film.
 
     Attributes:
         panels: beside each other, for each result.   fps: frames a second.
@@ -54,7 +55,7 @@ class FilmOptions:
 
 @dataclass(frozen=True)
 class Film:
-    """What was made: the file, its frames, how many of them an earlier run had made, and the size in pixels."""
+    """A film that was made: the file, its frames, how many of them an earlier run had made, and the size in pixels."""
 
     path: Path
     frames: int
@@ -65,7 +66,7 @@ class Film:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a camera of a dataset recorded, shown beside the results."""
+    """The pictures that a camera of a dataset recorded, shown beside the results."""
 
     dataset: Dataset
     camera: int

@@ -1,4 +1,4 @@
-"""What a method sees and makes of one picture, from the user's own data (the paper's figure of modalities)."""
+"""All that a method sees and makes of one picture, from the user's own data (the paper's figure of modalities)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,8 @@ from gof.evaluate.depth import read_depth
 from gof.ingest.depth import align, from_relative, monocular
 from gof.ingest.stereo import stereo_depth
 from gof.look.animation import original
-from gof.look.sideways import fastest, of_result, true_there, unit
 from gof.look.tiles import Tile, depth_tile, dimmed, picture_tile, velocity_tile
-from gof.look.velocity import ScreenVelocity, sideways_velocity
+from gof.look.velocity import ScreenVelocity, fastest, of_result, sideways_velocity, true_there, unit
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.seen import Seen
 from gof.render import render
@@ -105,7 +104,7 @@ class _View:
         self.length = "m" if dataset.description.in_metres else "units"
 
     def pictures(self) -> list[Tile]:
-        """What was filmed, what is behind the fire, where the fire is."""
+        """Show what was filmed, what is behind the fire, and where the fire is."""
         image, plate = self.dataset.image(self.number, self.frame), self.dataset.static(self.number)
         mask = self.seen.observation.mask[self.f, self.number]
         small = self.seen.dataset.image(self.number, self.frame)
@@ -113,7 +112,7 @@ class _View:
         return [picture_tile(image, f"picture ({original(self.dataset)})"), picture_tile(plate, "plate"), shown]
 
     def depths(self, result: TransientGaussians | None, out: Modalities) -> list[Tile]:
-        """Of the plates by stereo and by a network, of this frame, and of the result, as far as there are such."""
+        """Show depth of the plates by stereo and a network, of this frame, and of the result, where there is any."""
         stereo = self._stereo()
         sources = {
             "stereo depth": stereo,
@@ -175,7 +174,7 @@ class _View:
         return velocity_tile(shown, "optical flow", max(longest, 1e-9), "px/s", size)
 
     def velocities(self, result: TransientGaussians | None) -> dict[str, Tile]:
-        """Of the gas, parallel to the picture, on one scale: in the flow field, of the result, and true ones there."""
+        """Show the gas' velocities parallel to the picture, on one scale: flow field, result, and true ones there."""
         field = self.seen.field
         frame = field.frames[self.f]
         fields = {FLOW_FIELD: sideways_velocity(voxels_as_gaussians(field, frame), self.small, frame.time_s)}
@@ -195,7 +194,7 @@ class _View:
         return TransientGaussians.load(path).measured_from(self.dataset.datum)
 
     def seeds(self, seeds: TransientGaussians) -> Tile:
-        """What the optimisation starts from, each Gaussian by itself."""
+        """Show what the optimisation starts from, each Gaussian by itself."""
         shrunk = replace(seeds, scale=seeds.scale * SHRUNK, opacity=np.full(len(seeds), 0.9))
         drawn = render(shrunk, self.camera, self.time_s)["color"]
         return picture_tile(drawn, "seeds", f"{len(seeds):,}, of {SHRUNK:g} their size")

@@ -1,4 +1,4 @@
-"""What a film or a figure shows of a result at one instant: its picture, depth, velocity, and its Gaussians shrunk."""
+"""Panels of a result at one instant, for films and figures: picture, depth, velocity, and its Gaussians shrunk."""
 
 from __future__ import annotations
 
@@ -6,27 +6,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.core.harmonics import plain_color
 from gof.evaluate.weighted import weighted_quantile
-from gof.look.animation import side_by_side, to_bytes
+from gof.look.images import BETWEEN, GAP, INFERNO, VIRIDIS, mapped, side_by_side, to_bytes
 from gof.look.path import Shot
 from gof.look.velocity import GROUND, ScreenVelocity, draw, legend, living, sideways_velocity
 
 Panel = Literal["rgb", "depth", "velocity", "reduced", "error"]
-DEPTH_COLOURS = cv2.COLORMAP_VIRIDIS  # near is yellow, far is violet
-GAP = 4  # px between panels
-ERROR_COLOURS, MOST_ERROR = cv2.COLORMAP_INFERNO, 0.5  # display values, of the last colour
+MOST_ERROR = 0.5  # display values, of the last colour
 SEEN = 0.5  # alpha from which a depth counts for the scale
 
 
 @dataclass(frozen=True)
 class Scales:
-    """What full colour means, the same in every panel of a film: m/s, and m of the nearest and the farthest depth."""
+    """The meaning of full colour, one in all panels of a film: m/s, and m of the nearest and the farthest depth."""
 
     speed: float
     near: float
@@ -104,7 +101,7 @@ def depth_colours(depth: np.ndarray, alpha: np.ndarray, scales: Scales) -> np.nd
     """(H, W, 3) uint8: near yellow, far violet, by log depth; dark where nothing is."""
     low, high = np.log(scales.near), np.log(scales.far)
     share = (high - np.log(np.clip(depth, scales.near, scales.far))) / max(high - low, 1e-9)
-    colour = cv2.applyColorMap(np.uint8(255 * share + 0.5), DEPTH_COLOURS)[..., ::-1] / 255
+    colour = mapped(np.uint8(255 * share + 0.5), VIRIDIS) / 255
     return to_bytes(alpha[..., None] * colour + (1 - alpha[..., None]) * GROUND)
 
 
@@ -112,7 +109,7 @@ def error_colours(drawn: np.ndarray, recorded: np.ndarray, most: float = MOST_ER
     """(H, W, 3) uint8 of two pictures (H, W, 3) uint8: the channels' mean difference, black none, bright `most`."""
     error = np.abs(drawn.astype(np.float32) - recorded).mean(-1) / 255
     share = np.uint8(255 * np.clip(error / most, 0, 1) + 0.5)
-    return np.ascontiguousarray(cv2.applyColorMap(share, ERROR_COLOURS)[..., ::-1])
+    return mapped(share, INFERNO)
 
 
 def measure_scales(subjects: Sequence[Subject], some: Sequence[Shot]) -> Scales:
@@ -149,7 +146,7 @@ def label(panel: np.ndarray, title: str, kind: str, scales: Scales) -> np.ndarra
     if kind == "depth":
         bar_height, bar_width = height // 3, max(5, size // 2)
         share = np.linspace(255, 0, bar_height).astype(np.uint8)[:, None].repeat(bar_width, 1)
-        bar = Image.fromarray(np.ascontiguousarray(cv2.applyColorMap(share, DEPTH_COLOURS)[..., ::-1]))
+        bar = Image.fromarray(mapped(share, VIRIDIS))
         corner = width - bar_width - size // 2, height - bar_height - size // 2
         image.paste(bar, corner)
         _write(image, (corner[0] - size // 3, corner[1]), f"{scales.near:.3g} m", size, "ra")
@@ -179,7 +176,7 @@ def _write(image: Image.Image, place: tuple[int, int], text: str, size: int, anc
 
 def sheet(rows: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
     """Rows of panels as one picture of even width and height, as video wants them."""
-    lines = [side_by_side(list(row), GAP) for row in rows]
-    lines = [part for line in lines for part in (line, np.full((GAP, line.shape[1], 3), 110, np.uint8))][:-1]
+    lines = [side_by_side(list(row)) for row in rows]
+    lines = [part for line in lines for part in (line, np.full((GAP, line.shape[1], 3), BETWEEN, np.uint8))][:-1]
     page = np.concatenate(lines)
     return np.pad(page, [(0, page.shape[0] % 2), (0, page.shape[1] % 2), (0, 0)], mode="edge")

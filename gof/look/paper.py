@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gof.core.errors import GofError
-from gof.core.files import atomic_path
-from gof.host import extras
+from gof.look.charts import LETTERS, SMALL, Chart, text_width_in
 from gof.look.tiles import BOX_COLOURS, Bar, Row, Tile, Wheel
 from gof.look.velocity import legend as wheel_picture
 
@@ -19,48 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FOR_PRINT = ("figures", "a figure for print")  # the extra, and what for
 VECTOR = (".pdf", ".svg")
-SUFFIXES = (*VECTOR, ".png")
-DPI = 300  # of a .png; pictures in a .pdf and .svg keep the pixels they have
 WIDTH_IN = 7.0  # of a page's two columns
-LETTERS, SMALL = 7.5, 6.0  # pt
-POINTS = 72  # in an inch
 ROOM = 0.97  # of a tile's width, for words: a picture of letters is a little wider than their outlines
 TITLE_IN, NOTE_IN, LEGEND_IN, GAP_IN = 0.15, 0.11, 0.34, 0.05
 WHEEL_IN = 0.28
-
-
-def require_figure(*paths: Path) -> None:
-    """Raises GofError: a suffix of which no figure is made, or MissingDependencyError: matplotlib is not there."""
-    for path in paths:
-        if path.suffix.lower() not in SUFFIXES:
-            raise GofError(f"{path}: a figure is a {', '.join(SUFFIXES)}")
-    _figure_class()
-
-
-def _figure_class() -> type[Figure]:
-    return extras.load("matplotlib.figure", *FOR_PRINT).Figure
-
-
-@contextmanager
-def printed(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
-    """An empty figure; written to `path` when the block succeeds. The same content is the same file at any time.
-
-    Raises:
-        GofError: see `require_figure`.
-    """
-    require_figure(path)
-    rc_context = extras.load("matplotlib", *FOR_PRINT).rc_context
-    kind = path.suffix.lower()[1:]
-    undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}[kind]
-    # 42: letters stay letters in a PDF, whole TrueType fonts, which publishers ask for.
-    settings = {"pdf.fonttype": 42, "svg.hashsalt": "gof", "font.size": LETTERS, "axes.linewidth": 0.5}
-    with rc_context(settings):
-        figure = _figure_class()(figsize=(width_in, height_in))
-        yield figure
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, format=kind, dpi=DPI, metadata=undated)
 
 
 def write_sheet(path: Path, rows: Sequence[Row], width_in: float = WIDTH_IN, lettered: bool = True) -> None:
@@ -78,21 +38,23 @@ def write_sheet(path: Path, rows: Sequence[Row], width_in: float = WIDTH_IN, let
     height_in = GAP_IN + sum(height.whole for height in heights)
     vector = path.suffix.lower() in VECTOR
     letters = iter("abcdefghijklmnopqrstuvwxyz")
-    with printed(path, width_in, height_in) as figure:
-        top = height_in - GAP_IN
+
+    def draw(figure: Figure) -> None:
+        page, top = _Page(figure, width_in, height_in), height_in - GAP_IN
         for row, height in zip(rows, heights, strict=True):
             for column, tile in enumerate(row):
                 if tile is None:
                     continue
                 left = GAP_IN + column * (tile_in + GAP_IN)
                 letter = f"({next(letters, '')}) " if lettered and tile.title else ""
-                page = _Page(figure, width_in, height_in)
                 page.text(left, top - height.title + 0.045, letter + tile.title, LETTERS, most=tile_in)
                 page.text(left, top - height.title - height.note + 0.035, tile.note, SMALL, most=tile_in)
                 below = top - height.title - height.note - height.picture
                 _draw(page.axes(left, below, tile_in, tile_in * _aspect(tile)), tile, vector)
                 _legend(page, left, below - 0.03, tile_in, tile.legend)
             top -= height.whole
+
+    Chart("", (width_in, height_in), draw).write(path)
 
 
 class _RowHeight:
@@ -127,8 +89,7 @@ class _Page:
     def text(self, x: float, y: float, words: str, size: float, most: float = np.inf, **style) -> None:
         """Words in pt, smaller where they would be wider than `most`."""
         if words:
-            path = extras.load("matplotlib.textpath", *FOR_PRINT).TextPath((0, 0), words, size=size)
-            size *= min(1.0, ROOM * most / max(path.get_extents().xmax / POINTS, 1e-9))
+            size *= min(1.0, ROOM * most / max(text_width_in(words, size), 1e-9))
             self.figure.text(x / self.width, y / self.height, words, fontsize=size, parse_math=False, **style)
 
     def axes(self, x: float, y: float, width: float, height: float) -> Axes:

@@ -33,7 +33,7 @@ def shots(journey: Journey, times_s: np.ndarray, along: np.ndarray) -> list[Shot
 def clock(
     kind: Clock, span_s: tuple[float, float], slow: float, seconds: float, fps: float, stop_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What instant each frame shows, and how far along its way the camera is.
+    """Return the instant that each frame shows, and how far along its way the camera is.
 
     Args:
         kind: "play": the clip once, while the camera goes its way once. "freeze": time stands at `stop_s` for

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from PIL import Image
 
@@ -15,15 +15,29 @@ from gof.core.files import atomic_path, path_in
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.evaluate.scores import Scores
+from gof.evaluate.scores import ControlScore, Scores, VelocityScore
 from gof.host.machine import machine, versions
 from gof.look import animation as pictures
-from gof.look.frame_chart import l2_chart
-from gof.look.leaderboard_page import PagePicture
+from gof.look.charts import frame_chart
+from gof.look.images import data_uri, enlarge, factor_for, file_uri, to_bytes
+from gof.look.pages import PagePicture, template
 from gof.look.preview import Preview
 from gof.look.velocity import legend
-from gof.look.verdicts import verdicts
 from gof.reconstruct.captions import Captions
+
+COMPARED = {
+    "zero": "standing still",
+    "random": "moving at the same speed in random directions",
+    "constant": "the best single vector for everything (fitted to the truth)",
+    "height_mean": "the mean velocity of each height (fitted to the truth)",
+}
+OUTCOMES = {  # by (smaller L2, larger CosSim)
+    (True, True): "Better than",
+    (False, False): "Not better than",
+    (True, False): "Closer in size, not in direction, than",
+    (False, True): "Better in direction, not in size, than",
+}
+RIGHT_SPEED = (0.8, 1.25)  # ratios of the estimated to the true speed that are called right
 
 
 def build_report(
@@ -69,10 +83,10 @@ def build_report(
         "name": dataset.description.name,
         "dataset": _facts(dataset, gaussians),
         "animation": animation,
-        "animation_uri": pictures.file_uri(folder / "animation.webp"),
-        "still_uri": pictures.data_uri(folder / "animation.png"),
+        "animation_uri": file_uri(folder / "animation.webp"),
+        "still_uri": data_uri(folder / "animation.png"),
         "animation_camera": dataset.cameras[camera].name,
-        "legend_uri": pictures.data_uri(legend(), "png"),
+        "legend_uri": data_uri(legend(), "png"),
         "longest_px_per_frame": animation.longest * dataset.frame_time_s,
         "views": pictures.three_views(dataset, gaussians, plates, frame),
         "views_frame": frame,
@@ -84,7 +98,7 @@ def build_report(
         "picture_size": in_words(scores.images.sizes_px) if scores.images else "",
         "scores": scores,
         "verdicts": verdicts(scores),
-        "chart": l2_chart(scores),
+        "chart": chart.svg() if (chart := frame_chart(scores)) else "",
         "stages": list(stages),
         "preview": _preview(preview, out_dir, dataset),
         "fire_removal": fire_removal,
@@ -94,14 +108,13 @@ def build_report(
         "effects": dataset.description.effects,
     }
     with atomic_path(out_dir / "report.html") as temporary:
-        temporary.write_text(_render(content), encoding="utf-8")
+        temporary.write_text(template("report.html").render(content), encoding="utf-8")
     return out_dir / "report.html"
 
 
 def _save(animation: pictures.Animation, folder: Path) -> None:
     """Write folder/animation.webp, and its frame with most flame as animation.png."""
-    with atomic_path(folder / "animation.webp") as temporary:
-        animation.save(temporary)
+    animation.save(folder / "animation.webp")
     with atomic_path(folder / "animation.png") as temporary:
         Image.fromarray(animation.frames[animation.still]).save(temporary)
 
@@ -127,10 +140,10 @@ def _preview(preview: Preview | None, folder: Path, dataset: Dataset) -> dict[st
     image = path_in(folder, preview.image)
     if not image.is_file():
         raise DataFormatError(f"{image}: no such picture; render the Blender preview first")
-    truth = pictures.to_bytes(dataset.image(preview.camera, preview.frame))
+    truth = to_bytes(dataset.image(preview.camera, preview.frame))
     return {
-        "truth": pictures.data_uri(pictures.enlarge(truth, pictures.factor_for(truth.shape[1]))),
-        "image": pictures.data_uri(image),
+        "truth": data_uri(enlarge(truth, factor_for(truth.shape[1]))),
+        "image": data_uri(image),
         "camera": dataset.cameras[preview.camera].name,
         "frame": preview.frame,
     }
@@ -140,7 +153,7 @@ def _stage_pictures(folder: Path) -> list[tuple[str, str]]:
     """[(caption, data URI)] in the order of the captions; empty when there are none."""
     captions = Captions.read(folder).images
     files = [(c.text, path_in(folder, c.file)) for c in captions]
-    return [(text, pictures.data_uri(file)) for text, file in files if file.is_file()]
+    return [(text, data_uri(file)) for text, file in files if file.is_file()]
 
 
 def _provenance(dataset: Dataset) -> dict[str, str]:
@@ -148,16 +161,39 @@ def _provenance(dataset: Dataset) -> dict[str, str]:
     return {f"dataset: {k}": str(v) for k, v in provenance.items() if isinstance(v, str | int | float)}
 
 
-def _render(content: dict[str, Any]) -> str:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+# ---------------------------------------------------------------- scores in plain words
 
-    environment = Environment(
-        loader=PackageLoader("gof.look", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+
+class Verdict(NamedTuple):
+    good: bool
+    sentence: str
+
+
+def verdicts(scores: Scores) -> list[Verdict]:
+    """The velocities against the controls, their speed, the flame's pixels against the plate: what is defined of it."""
+    out = []
+    if scores.dve is not None and scores.dve.l2 is not None:
+        for name, words in COMPARED.items():
+            control = scores.controls.get(name)
+            if control is not None and control.l2 is not None:
+                out.append(_against(control, words, scores.dve))
+        ratio = scores.dve.speed_ratio
+        low, high = RIGHT_SPEED
+        out.append(Verdict(low <= ratio <= high, f"Speeds are {ratio:.2f} times the true ones."))
+    if scores.psnr_flame is not None:
+        gain = scores.psnr_flame - scores.psnr_flame_plate
+        side = "above" if gain > 0 else "below"
+        size = in_words(scores.images.sizes_px) if scores.images else ""
+        where = f"held-out frames ({size})" if size else "held-out frames"
+        sentence = f"On flame pixels of {where}, {abs(gain):.1f} dB {side} the fire-free plate alone."
+        out.append(Verdict(gain > 0, sentence))
+    return out
+
+
+def _against(control: ControlScore, words: str, dve: VelocityScore) -> Verdict:
+    closer, straighter = dve.l2 < control.l2, dve.cos_sim > control.cos_sim
+    return Verdict(
+        closer and straighter,
+        f"{OUTCOMES[closer, straighter]} {words}: L2 {dve.l2:.3f} against {control.l2:.3f}, "
+        f"CosSim {dve.cos_sim:.3f} against {control.cos_sim:.3f}.",
     )
-    environment.filters["number"] = lambda value, digits=3: "n/a" if value is None else f"{value:.{digits}f}"
-    environment.filters["duration"] = lambda s: f"{s:.1f} s" if s < 100 else f"{int(s // 60)} min {int(s % 60)} s"
-    return environment.get_template("report.html").render(content)

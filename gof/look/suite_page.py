@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from html import escape
 
 import numpy as np
 
-from gof.core.errors import MissingDependencyError
 from gof.evaluate.cells import in_markdown
 from gof.evaluate.leaderboard import COLUMNS
 from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
-from gof.host import extras
-from gof.look import leaderboard_page
-
-PLOTLY = ("leaderboard", "a chart of training loss")  # the extra, and what for
+from gof.look.charts import line_chart
+from gof.look.pages import PageGrid, template
 
 
 def used(rows: tuple[BoardRow, ...]) -> list[str]:
@@ -34,7 +30,7 @@ def best(figures: Mapping[int, Figure], key: str) -> int | None:
 
 
 def marks_of(figures: Mapping[int, Figure], key: str) -> dict[int, str]:
-    """How a column's figures are marked: "best" is the best mean, "first" are the others that may be first as well."""
+    """Return a column's marks: "best" is the best mean, "first" are the others that may be first as well."""
     leader = best(figures, key)
     may_be = {i: "first" for i, figure in figures.items() if figure.rank == 1}
     return may_be if leader is None else may_be | {leader: "best"}
@@ -72,18 +68,18 @@ def _two_digits(number: float) -> str:
 
 
 def partly(row: BoardRow, board: SuiteBoard) -> str:
-    """That its means are of fewer scenes than the others'; "" where they are not."""
+    """Say that its means are of fewer scenes than the others'; "" where they are not."""
     return f"in {row.scenes} of {len(board.scenes)} scenes" if row.scenes < len(board.scenes) else ""
 
 
 def refusal(row: BoardRow) -> str:
-    """That the check refuses the submission, and why; "" where it does not."""
+    """Say that the check refuses the submission, and why; "" where it does not."""
     more = f" and {len(row.refused) - 1} more" if len(row.refused) > 1 else ""
     return f"refused by the check, not ranked: {row.refused[0]}{more}" if row.refused else ""
 
 
 def marks(row: BoardRow) -> tuple[str, str]:
-    """What a method was given beside pictures, and what it knew before; empty for controls, which are no methods."""
+    """Return what a method was given beside pictures and what it knew before; empty for controls, no methods."""
     if row.control:
         return "", ""
     knew = "not said" if row.prior is None else ", ".join(row.prior) or "nothing"
@@ -116,14 +112,12 @@ def _in_brackets(text: str) -> str:
     return f"({text})" if text else ""
 
 
-def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | None]) -> str:
+def to_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
     """The page; everything is inside it.
 
     Args:
         grids: the methods' pictures side by side, by the scene's name.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     keys = used(board.rows)
     marked = {key: marks_of(competing(board.rows, key), key) for key in keys}
     table = []
@@ -147,23 +141,19 @@ def to_html(board: SuiteBoard, grids: Mapping[str, leaderboard_page.PageGrid | N
         )
         about = {"name": row.name, "method": row.what, "competes": row.competes}
         table.append((about | {"small": [one for one in small if one]}, cells))
-    charts, no_charts = _charts(board)
-    environment = Environment(loader=PackageLoader("gof.look", "."), autoescape=True, undefined=StrictUndefined)
-    return environment.get_template("suite.html").render(
+    return template("suite.html").render(
         title=board.title,
         board=board,
         methods=[row for row in board.rows if not row.control],
         ranked=any(row.competes for row in board.rows),
         headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
         table=table,
-        scenes=[_scene(scene, grids.get(scene.name), charts.get(scene.name)) for scene in board.scenes],
-        no_charts=no_charts,
-        plotlyjs=extras.load("plotly.offline", *PLOTLY).get_plotlyjs() if charts else "",
+        scenes=[_scene(scene, grids.get(scene.name)) for scene in board.scenes],
     )
 
 
-def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None, chart: str | None) -> dict:
-    """What the page shows of a scene."""
+def _scene(scene: BoardScene, grid: PageGrid | None) -> dict:
+    """Return all that the page shows of a scene."""
     keys = [key for key in RANKED if any(key in figures for figures in scene.figures.values())]
     finished = {name: figures for name, figures in scene.figures.items() if any(one.rank for one in figures.values())}
     marked = {key: marks_of({name: has[key] for name, has in finished.items() if key in has}, key) for key in keys}
@@ -193,7 +183,7 @@ def _scene(scene: BoardScene, grid: leaderboard_page.PageGrid | None, chart: str
         "rows": rows,
         "grid": grid,
         "curves": [_curve(name, curve) for name, curve in scene.curves.items()],
-        "chart": chart,
+        "chart": _loss_chart(scene.curves) if scene.curves else "",
     }
 
 
@@ -209,33 +199,10 @@ def _curve(name: str, curve: TrainingCurve) -> dict:
     }
 
 
-def _charts(board: SuiteBoard) -> tuple[dict[str, str], str]:
-    """The chart of each scene with known trainings, and why there is none: the tables do not need plotly."""
-    try:
-        return {scene.name: _chart(scene.curves) for scene in board.scenes if scene.curves}, ""
-    except MissingDependencyError as e:
-        return {}, str(e)
-
-
-def _chart(curves: Mapping[str, TrainingCurve]) -> str:
-    """HTML of a plotly chart: the loss over processor seconds, each method's over its own first value."""
-    figure = extras.load("plotly.graph_objects", *PLOTLY).Figure()
-    for number, (name, curve) in enumerate(curves.items()):
-        figure.add_scatter(
-            x=curve.processor_seconds,
-            y=[loss / curve.loss[0] for loss in curve.loss],
-            mode="lines",
-            name=escape(name),
-            line={"color": leaderboard_page.COLORS[number % len(leaderboard_page.COLORS)]},
-        )
-    figure.update_layout(
-        template="plotly_white",
-        height=380,
-        margin={"l": 64, "r": 24, "t": 44, "b": 50},
-        legend={"orientation": "h", "y": -0.22},
-        title={"text": "Training loss", "font": {"size": 15}},
-        showlegend=True,
-    )
-    figure.update_xaxes(type="log", title="processor seconds")
-    figure.update_yaxes(type="log", title="loss / its first value")
-    return figure.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True})
+def _loss_chart(curves: Mapping[str, TrainingCurve]) -> str:
+    """SVG of the losses over CPU seconds, each method's over its own first value."""
+    lines = {}
+    for name, curve in curves.items():
+        places = zip(curve.processor_seconds, curve.loss, strict=True)
+        lines[name] = [(seconds, loss / curve.loss[0], "") for seconds, loss in places]
+    return line_chart("Training loss", "CPU seconds", "loss / its first value", lines).svg()

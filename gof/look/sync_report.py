@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import base64
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,9 @@ from gof.capture.doubts import missing_frames
 from gof.capture.times import FrameTimesFile, SyncedVideo
 from gof.core.files import atomic_path
 from gof.footage.videos import stored_frames
+from gof.look.charts import Chart
+from gof.look.images import data_uri
+from gof.look.pages import template
 
 CROP_HEIGHT = 320
 MOVES = 40  # grey levels by which a pixel changes where there is flame or light
@@ -42,13 +44,11 @@ class Moment:
     changes: np.ndarray
 
 
-def write_report(path: Path, take: FrameTimesFile, plots: Path) -> str:
-    """Write the page; plots: folder of the residual pictures. Returns the verdict in a sentence.
+def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) -> str:
+    """Write the page, with the charts of the cameras' times by name. Returns the verdict in a sentence.
 
     Raises GofError as `align`.
     """
-    from jinja2 import Environment
-
     alignment = align(take.cameras)
     timed = [c for c in take.cameras if c.times]
     moments = {c.name: look(c, alignment) for c in timed}
@@ -57,18 +57,13 @@ def write_report(path: Path, take: FrameTimesFile, plots: Path) -> str:
     worst = max(sigma, key=sigma.get)
     estimated = [c.name for c in timed if c.times.clock != "board"]
     said = verdict(worst, sigma[worst], speed, alignment, estimated)
-    pictures = [(n, plots / f"residuals_{n}.png") for n in sigma if n not in estimated]
-    page = (
-        Environment(autoescape=True)
-        .from_string((files("gof.look") / "sync_report.html").read_text(encoding="utf-8"))
-        .render(
-            verdict=said,
-            doubtful=sigma[worst] * speed > DOUBT_PX or bool(estimated),
-            strip=_encoded(strip(moments)),
-            rows=[_row(c, sigma[c.name], speed) for c in timed],
-            warnings=take.warnings,
-            residuals=[(n, base64.b64encode(p.read_bytes()).decode()) for n, p in pictures if p.is_file()],
-        )
+    page = template("sync_report.html").render(
+        verdict=said,
+        doubtful=sigma[worst] * speed > DOUBT_PX or bool(estimated),
+        strip=data_uri(strip(moments)[..., ::-1], "png"),
+        rows=[_row(c, sigma[c.name], speed) for c in timed],
+        warnings=take.warnings,
+        residuals=[(name, chart.svg()) for name, chart in charts.items() if name in sigma],
     )
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -184,9 +179,3 @@ def _box(changes: np.ndarray) -> tuple[slice, slice]:
         margin = 20
         box.append(slice(max(0, int(seen[0]) - margin), int(seen[-1]) + margin))
     return tuple(box)
-
-
-def _encoded(picture: np.ndarray) -> str:
-    import cv2
-
-    return base64.b64encode(cv2.imencode(".png", picture)[1].tobytes()).decode()

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from gof.look.animation import to_bytes
-from gof.look.panels import DEPTH_COLOURS, ERROR_COLOURS, MOST_ERROR, Scales, depth_colours, error_colours
+from gof.look.images import INFERNO, VIRIDIS, ramp, to_bytes
+from gof.look.panels import MOST_ERROR, Scales, depth_colours, error_colours
 from gof.look.velocity import GROUND, ScreenVelocity, arrows, colours
 
 BOX_COLOURS = ("#22d3ee", "#facc15", "#a3e635", "#f472b6")  # of the first box, the second ...
@@ -81,7 +80,7 @@ Row = Sequence[Tile | None]  # of a figure; None leaves a place empty
 
 
 def facts(rows: Sequence[Row]) -> dict[str, list]:
-    """What a figure's tiles are and what their colours mean, for a JSON file."""
+    """Return what a figure's tiles are and what their colours mean, for a JSON file."""
     return {"tiles": [[tile and _fact(tile) for tile in row] for row in rows]}
 
 
@@ -96,13 +95,8 @@ def _fact(tile: Tile) -> dict:
     return said
 
 
-def ramp(colour_map: int) -> np.ndarray:
-    """(256, 3) display values of one of OpenCV's colour maps, from its first colour to its last."""
-    return cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], colour_map)[:, 0, ::-1] / 255
-
-
 def picture_tile(image: np.ndarray, title: str, note: str = "") -> Tile:
-    """Of display values (H, W, 3)."""
+    """Make a tile of display values (H, W, 3)."""
     return Tile(to_bytes(image[..., :3]), title, note)
 
 
@@ -112,16 +106,16 @@ def velocity_tile(velocity: ScreenVelocity, title: str, longest: float, unit: st
 
 
 def depth_tile(depth: np.ndarray, title: str, near: float, far: float, unit: str, note: str = "") -> Tile:
-    """Of (H, W) depth: near yellow, far violet, by its logarithm; what is not finite is dark."""
+    """Make a tile of (H, W) depth: near yellow, far violet, by its logarithm; what is not finite is dark."""
     known = np.isfinite(depth)
     image = depth_colours(np.where(known, depth, far), known.astype(float), Scales(1.0, near, far))
-    return Tile(image, title, note, Bar(near, far, unit, ramp(DEPTH_COLOURS)[::-1], log=True))
+    return Tile(image, title, note, Bar(near, far, unit, ramp(VIRIDIS)[::-1] / 255, log=True))
 
 
 def error_tile(drawn: np.ndarray, recorded: np.ndarray, title: str, note: str = "", most: float = MOST_ERROR) -> Tile:
-    """Of two pictures (H, W, 3) of display values: the mean difference of their channels, up to `most`."""
+    """Make a tile of two pictures (H, W, 3), display values: the mean difference of their channels, up to `most`."""
     image = error_colours(to_bytes(drawn[..., :3]), to_bytes(recorded[..., :3]), most)
-    return Tile(image, title, note, Bar(0.0, most, "of display values", ramp(ERROR_COLOURS)))
+    return Tile(image, title, note, Bar(0.0, most, "of display values", ramp(INFERNO) / 255))
 
 
 def dimmed(image: np.ndarray, share: np.ndarray) -> np.ndarray:

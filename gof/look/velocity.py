@@ -1,7 +1,11 @@
-"""Velocities as pictures: what moves where on the screen, by the reconstruction and by the truth at its Gaussians."""
+"""Velocities as pictures: what moves where on the screen, by the reconstruction and by the truth at its Gaussians.
+
+Also parallel to a picture in m/s, of a result and of the truth, and one scale for all.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,6 +15,9 @@ import numpy as np
 from gof.core.cameras import Camera
 from gof.core.direction_colors import direction_colors
 from gof.core.gaussians import TransientGaussians
+from gof.dataset import Dataset
+from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.weighted import weighted_quantile
 
 GROUND = np.array([0.11, 0.11, 0.12])  # display colour where nothing is
 ARROWS_ACROSS = 14
@@ -49,7 +56,7 @@ def screen_velocity(
 def sideways_velocity(
     gaussians: TransientGaussians, camera: Camera, time_s: float, velocity: np.ndarray | None = None
 ) -> ScreenVelocity:
-    """What of the gas' velocity is parallel to the picture, in m/s instead of px/s: the same from near and from far.
+    """Return the part of the gas' velocity that is parallel to the picture, m/s: the same from near and from far.
 
     Args:
         velocity: (N, 3) m/s to show in place of their own; where they are drawn does not change.
@@ -126,3 +133,28 @@ def legend(size: int = 160) -> np.ndarray:
     offset = np.stack(np.meshgrid(c, c), -1)
     alpha = np.clip((1 - np.linalg.norm(offset, axis=-1)) * size / 2, 0, 1)
     return (np.concatenate([direction_colors(offset, 1.0), alpha[..., None]], -1) * 255 + 0.5).astype(np.uint8)
+
+
+def of_result(gaussians: TransientGaussians, camera: Camera, time_s: float) -> ScreenVelocity:
+    """Return the velocity of the gas by the dynamic Gaussians that live then."""
+    return sideways_velocity(living(gaussians, time_s), camera, time_s)
+
+
+def true_there(gaussians: TransientGaussians, dataset: Dataset, camera: Camera, time_s: float) -> ScreenVelocity:
+    """The simulated velocity at the same Gaussians, the mean over each one's extent; the dataset has to know it."""
+    alive = living(gaussians, time_s)
+    centre, _ = alive.at(time_s)
+    true = expected_velocity(dataset.velocity.at(time_s), centre, alive.scale, alive.rotation).mean
+    return sideways_velocity(alive, camera, time_s, true)
+
+
+def fastest(fields: Sequence[ScreenVelocity]) -> float:
+    """The speed of full brightness for all of them: the 98th percentile by opacity; > 0."""
+    speed = np.concatenate([np.linalg.norm(one.flow, axis=-1).ravel() for one in fields])
+    weight = np.concatenate([one.alpha.ravel() for one in fields])
+    return max(float(weighted_quantile(speed, weight, 0.98)), 1e-9) if weight.any() else 1.0
+
+
+def unit(dataset: Dataset) -> str:
+    """Return the unit of speeds on pictures of a dataset, whose poses may have no known length."""
+    return "m/s" if dataset.description.in_metres else "units/s"

@@ -4,7 +4,6 @@ import json
 import re
 import zlib
 from dataclasses import replace
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -15,25 +14,22 @@ from gof.core.colour import linear_to_srgb, srgb_to_linear
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.evaluate.scores import FrameScore
-from gof.look.accuracy_chart import AccuracyChart
+from gof.look.charts import DPI
 from gof.look.comparison import Moment, comparison, largest_errors, subject
-from gof.look.curves import write_accuracy, write_frame_scores
 from gof.look.fire_removal import fire_removal
-from gof.look.flat import flat, in_words, page_pictures
+from gof.look.images import ramp
 from gof.look.modalities import Modalities, Sources, modalities, training_frame
-from gof.look.paper import DPI, GAP_IN, write_sheet
-from gof.look.tiles import Bar, Box, Tile, Wheel, depth_tile, ramp
+from gof.look.pages import flat, in_words, page_pictures
+from gof.look.paper import GAP_IN, write_sheet
+from gof.look.tiles import Bar, Box, Tile, Wheel, depth_tile
 from gof.look.velocity import ScreenVelocity, arrows, sideways_velocity
 from gof.reconstruct import pipeline
 from gof.reconstruct.seen import see_again
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.render import render
 from tests.conftest import arc, look_at, random_gaussians, write_dataset
-from tests.look.printed import marks, texts
+from tests.look.printed import texts
 from tests.reconstruct.rising_flame import RISE, write_flame
-
-pytest.importorskip("matplotlib", reason="the extra 'figures' is not installed")
 
 
 def streams(pdf: bytes) -> bytes:
@@ -83,7 +79,7 @@ def test_boxes_arrows_and_outlines_lie_on_their_pixels(tmp_path):
 def test_a_printed_page_has_letters_and_lines_and_the_pictures_own_pixels(tmp_path):
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (20, 30, 3)).astype(np.uint8)
-    bar = Bar(1.5, 6.0, "m", ramp(cv2.COLORMAP_VIRIDIS), log=True)
+    bar = Bar(1.5, 6.0, "m", ramp(cv2.COLORMAP_VIRIDIS) / 255, log=True)
     tiles = [
         Tile(image, "depth & <time>", "45 %", bar),
         Tile(image, "$speed$", legend=Wheel(2.25, "m/s"), arrows=np.array([[[3.0, 3.0], [9.0, 9.0]]])),
@@ -420,41 +416,7 @@ def test_pages_have_the_tiles_with_all_that_is_drawn_over_them():
     assert line[0] is None and line[1].uri.startswith("data:image/webp;base64,")
 
 
-# ---------------------------------------------------------------- curves
-
-
-def test_accuracy_is_printed_with_names_as_they_are_and_its_points_where_they_belong(tmp_path):
-    names = (
-        "cheap $1 and $2",
-        "_hidden",
-        "a name so long that nobody could print it in a single line of a narrow legend",
-    )
-    chart = AccuracyChart("l2", names, ((10.0, 0.5), (100.0, 0.4), (1000.0, 0.45)), 0.6)
-    assert chart.front == [(10.0, 0.5), (100.0, 0.4)]
-    write_accuracy(tmp_path / "a.svg", chart)
-    write_accuracy(tmp_path / "a.pdf", chart)
-    svg = (tmp_path / "a.svg").read_text()
-    said = texts(svg)
-    for words in ("cheap $1 and $2", "hidden", "seconds to train", "DVE L2 (lower is better)", "10", "100", "1000"):
-        assert words in said, (words, said)
-    x, y = np.concatenate(list(marks(svg).values())).T
-    assert x[1] - x[0] == pytest.approx(x[2] - x[1], rel=1e-3), "decades are as wide as each other"
-    assert (y[0] - y[1]) / (y[2] - y[1]) == pytest.approx((0.5 - 0.4) / (0.45 - 0.4), rel=1e-2)
-    assert b"/FontFile2" in (tmp_path / "a.pdf").read_bytes()
-
-
-def test_scores_of_frames_are_printed_with_gaps_and_controls(tmp_path):
-    frames = tuple(FrameScore(0.01 * k, None if k == 2 else 0.5, 0.9, 10, 0) for k in range(5))
-    agreement = {"l2": 0.5, "cos_sim": 0.9, "n": 10}
-    dve = SimpleNamespace(frames=frames)
-    scores = SimpleNamespace(dve=dve, controls={"constant": SimpleNamespace(**agreement)})
-    assert write_frame_scores(tmp_path / "l2.svg", scores)
-    svg = (tmp_path / "l2.svg").read_text()
-    line = re.search(r'<path d="([^"]*)"[^>]*stroke: #c2410c', svg)[1]
-    assert line.count("M") == 2, "cut where a frame has no score"
-    assert {"standing still", "one constant vector", "time (ms)"} <= set(texts(svg))
-    few = SimpleNamespace(dve=SimpleNamespace(frames=frames[:1]), controls={})
-    assert not write_frame_scores(tmp_path / "few.pdf", few) and not (tmp_path / "few.pdf").exists()
+# ---------------------------------------------------------------- charts
 
 
 def test_the_leaderboard_prints_its_charts(two, capsys):

@@ -39,7 +39,8 @@ class Drawer {
     const program = (name) => this.program(shaders[`${name}.vert.glsl`], shaders[`${name}.frag.glsl`]);
     [this.splat, this.line, this.pane] = ["splat", "line", "pane"].map(program);
     this.perLine = Math.floor(Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), 4096) / TEXELS);
-    this.clouds = clouds.map(({ columns, count }) => this.cloud(texels(columns, count, this.perLine), count));
+    [this.clouds, this.most] = [[], 0];
+    this.replace(clouds);
     this.scheme = this.texture(gl.LINEAR);
     const rgba = new Uint8Array(4 * (scheme.length / 3)).map((_, i) => (i % 4 === 3 ? 255 : scheme[3 * (i >> 2) + (i % 4)]));
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, rgba.length / 4, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
@@ -49,7 +50,6 @@ class Drawer {
     this.blended = this.texture(gl.NEAREST);
     this.frame = gl.createFramebuffer();
     this.none = gl.createVertexArray();
-    this.corners = this.quads(Math.max(...clouds.map(({ count }) => count)));
     this.size = [0, 0];
   }
 
@@ -96,9 +96,17 @@ class Drawer {
     return { texture, order: this.texture(gl.NEAREST), shown: 0 };
   }
 
+  /** Other clouds in the place of those that were drawn. */
+  replace(clouds) {
+    for (const { texture, order } of this.clouds) for (const old of [texture, order]) this.gl.deleteTexture(old);
+    this.clouds = clouds.map(({ columns, count }) => this.cloud(texels(columns, count, this.perLine), count));
+    const most = Math.max(...clouds.map(({ count }) => count));
+    if (most > this.most || !this.corners) this.corners = this.quads((this.most = most));
+  }
+
   /**
    * Corners of so many quads, two triangles each. One call draws them all: instances of four vertices are slow, above all
-   * where a processor does the work of a GPU.
+   * where a CPU does the work of a GPU.
    */
   quads(count) {
     const { gl } = this;

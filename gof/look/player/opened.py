@@ -1,4 +1,4 @@
-"""What a user may name as a result: a file of any known method, a reconstruction's folder, or the folder of a demo."""
+"""Results as a user may name them: a file of any known method, a reconstruction's folder, or the folder of a demo."""
 
 from __future__ import annotations
 

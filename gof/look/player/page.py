@@ -1,15 +1,15 @@
-"""`gof share`: results as one HTML file that plays from the disk and asks nothing of the network.
+"""The player's page, and `gof share`: one HTML file that plays from the disk and asks nothing of the network.
 
-The page's own code lies in `player/`: `unpack.js` turns the columns of `quantise.py` into numbers, `sort.js` orders
+The page's own code lies beside this file: `unpack.js` turns the columns of `quantise.py` into numbers, `sort.js` orders
 them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `player.js` is what people touch.
+`live.py` serves the same page to this machine.
 """
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,20 +19,21 @@ import numpy as np
 import gof
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
+from gof.core.fields import VelocitySequence
 from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.look import legend
-from gof.look import switches as controls
-from gof.look.player.agreement import Agreement, measure
+from gof.look.images import VIRIDIS, base64_text, ramp
+from gof.look.pages import template
+from gof.look.player import legend
 from gof.look.player.opened import Opened, middle_of, time_span
-from gof.look.player.quantise import Packed, pack, unpack
-from gof.look.player.recorded import PLATE_QUALITY, PLATE_SIDE, base64_text, frames_within, webp
-from gof.look.player.truth import true_velocity
+from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
+from gof.look.player.recorded import PLATE_QUALITY, PLATE_SIDE, frames_within, webp
 
 PLAYER = Path(__file__).parent
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")
+LIVE = "live.js"  # of the page of `gof view` alone
 SHADERS = [f"{name}.{kind}.glsl" for name in ("splat", "line", "pane") for kind in ("vert", "frag")]
 FILLED = 0.65  # of the picture's height, by the flame, where no dataset has a camera
 CHECKED = 3  # cameras, and times, at which quantisation is measured
@@ -40,13 +41,94 @@ CHECKED = 3  # cameras, and times, at which quantisation is measured
 
 @dataclass(frozen=True)
 class Shared:
-    """What was written: its size, that of the Gaussians in it (base64), and what quantising cost each result."""
+    """A page that was written: its size, that of the Gaussians in it (base64), and what quantising cost each result."""
 
     path: Path
     bytes: int
     gaussian_bytes: list[int]
     agreement: list[Agreement]
     notes: list[str]
+
+
+@dataclass(frozen=True)
+class PageSetting:
+    """Where results are shown: what stays as it is while they change.
+
+    Attributes:
+        dataset: None where there is none.
+        first_s, length_s: of the clip.
+        middle: (3,) m, of the flame.
+        views: (dataset, number of a camera in it).   cameras: theirs, or one in front of the flame.
+    """
+
+    dataset: Dataset | None
+    first_s: float
+    length_s: float
+    middle: np.ndarray
+    views: list[tuple[Dataset, int]]
+    cameras: list[Camera]
+
+    @classmethod
+    def of(cls, results: Sequence[Opened], dataset: Dataset | None) -> PageSetting:
+        spans = [time_span(result.gaussians, dataset) for result in results]
+        first_s, last_s = min(first for first, _ in spans), max(last for _, last in spans)
+        middle_s = (first_s + last_s) / 2
+        middle, reach = middle_of(results[0].gaussians.state_at(middle_s), middle_s)
+        views = _views(dataset)
+        cameras = [d.cameras[c] for d, c in views] or [front_camera(middle, reach)]
+        return cls(dataset, first_s, last_s - first_s, middle, views, cameras)
+
+    def content(
+        self, first: Opened, pictures_mb: float, progress: Callable[[int, int], None]
+    ) -> tuple[dict[str, Any], str]:
+        """Return what the page has of the setting, as JSON, and in words what was done to recorded pictures.
+
+        Args:
+            first: the result whose plates lie behind the flame.
+            pictures_mb: at most so much of recorded pictures; 0 = none.
+        """
+        frames, said = frames_within(self.views, round(pictures_mb * 1e6), progress)
+        plates = _plates(self.views, first)
+        dataset = self.dataset
+        return {
+            "first_s": self.first_s,
+            "length_s": self.length_s,
+            "frame_s": [] if dataset is None else (dataset.times_s - self.first_s).tolist(),
+            "held_out": [] if dataset is None else dataset.test_frames,
+            "centre": self.middle.tolist(),
+            "start": 0 if dataset is None else len(dataset.cameras) // 2,
+            "cameras": [_camera(*item) for item in zip(self.cameras, plates, frames or [None], strict=True)],
+            "line_s": legend.line_s(self.length_s),
+            "lines": legend.MOST_LINES,
+            "scheme": ramp(VIRIDIS).ravel().tolist(),
+            "colours": legend.COLOURS,
+            "notes": {
+                "speed": legend.SPEED_NOTE,
+                "doubt": legend.DOUBT_NOTE,
+                "line": legend.line_note(legend.line_s(self.length_s)),
+            },
+        }, said
+
+    def truth_at(self, gaussians: TransientGaussians) -> np.ndarray | None:
+        """Return the true velocity (N, 3) m/s at the Gaussians, None where it is not known."""
+        known = self.dataset is not None and self.dataset.has_velocity
+        return true_velocity(gaussians, self.dataset.velocity) if known else None
+
+
+def scales(states: Sequence[TransientGaussians], truths: Sequence[np.ndarray | None]) -> dict[str, Any]:
+    """Return what the last colours mean, and the words below the colours, of all these Gaussians."""
+    speed_max, doubt_max = legend.speed_scale(states, truths), legend.doubt_scale(states)
+    return {
+        "speed_max": speed_max,
+        "doubt_max": doubt_max,
+        "speed_ticks": legend.ticks(speed_max),
+        "doubt_ticks": legend.ticks(doubt_max),
+    }
+
+
+def packed_result(name: str, packed: Packed) -> dict[str, Any]:
+    """Return quantised Gaussians as JSON."""
+    return {"name": name, "header": packed.header(), "data": base64_text(packed.data)}
 
 
 def share_page(
@@ -72,60 +154,41 @@ def share_page(
     if len(set(names)) < len(names):
         raise GofError(f"two results are called {names}; give each a name of its own with --names")
     progress = progress or (lambda *a, **k: None)
-    results = _measured_alike(results, dataset)
-    first_s, last_s = _span(results, dataset)
-    middle, reach = middle_of(results[0].gaussians, (first_s + last_s) / 2)
-    views = _views(dataset)
-    cameras = [d.cameras[c] for d, c in views] or [front_camera(middle, reach)]
-    truth = dataset.velocity if dataset is not None and dataset.has_velocity else None
+    results = measured_alike(results, dataset)
+    setting = PageSetting.of(results, dataset)
     packed, agreement, truths = [], [], []
     for number, result in enumerate(results):
         progress(number, len(results), stage=f"quantise {result.name}")
-        truths.append(None if truth is None else true_velocity(result.gaussians, truth))
+        truths.append(setting.truth_at(result.gaussians))
         packed.append(pack(result.gaussians, truths[-1]))
-        agreement.append(_checked(result.gaussians, packed[-1], cameras, first_s, last_s))
-    frames, said = frames_within(views, round(pictures_mb * 1e6), lambda i, n: progress(i, n, stage="pictures"))
-    plates = _plates(views, results)
-    texts = [base64_text(p.data) for p in packed]
-    shown = [result.gaussians for result in results]
-    speed_max, doubt_max = legend.speed_scale(shown, truths), legend.doubt_scale(shown)
-    line_s = legend.line_s(last_s - first_s)
-    content = {
-        "first_s": first_s,
-        "length_s": last_s - first_s,
-        "frame_s": [] if dataset is None else (dataset.times_s - first_s).tolist(),
-        "held_out": [] if dataset is None else dataset.test_frames,
-        "centre": middle.tolist(),
-        "start": _middle_camera(dataset),
-        "cameras": [_camera(*item) for item in zip(cameras, plates, frames or [None], strict=True)],
-        "results": [
-            {"name": r.name, "header": p.header(), "data": text}
-            for r, p, text in zip(results, packed, texts, strict=True)
-        ],
-        "speed_max": speed_max,
-        "doubt_max": doubt_max,
-        "speed_ticks": legend.ticks(speed_max),
-        "doubt_ticks": legend.ticks(doubt_max),
-        "notes": {"speed": legend.SPEED_NOTE, "doubt": legend.DOUBT_NOTE, "line": legend.line_note(line_s)},
-        "line_s": line_s,
-        "lines": legend.LINES,
-        "scheme": controls.scheme().ravel().tolist(),
-        "colours": controls.COLOURS,
+        agreement.append(_checked(result.gaussians, packed[-1], setting))
+    content, said = setting.content(results[0], pictures_mb, lambda i, n: progress(i, n, stage="pictures"))
+    shown = [packed_result(result.name, one) for result, one in zip(results, packed, strict=True)]
+    content |= scales([result.gaussians for result in results], truths)
+    content |= {
+        "results": shown,
         "file": out.stem,
-        "subtitle": _subtitle(results, last_s - first_s),
+        "subtitle": subtitle(results, setting),
         "facts": _facts(results, packed, agreement, dataset, said),
     }
-    title = title or (dataset.description.name if dataset is not None else results[0].name)
-    html = assemble(content, title)
+    html = assemble(content, title or title_of(results, dataset))
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
-    notes = [f"recorded: {said}"] if views else ["no --dataset: no cameras, recorded pictures or true velocity in it"]
-    return Shared(out, out.stat().st_size, [len(text) for text in texts], agreement, notes)
+    known = setting.views
+    notes = [f"recorded: {said}"] if known else ["no --dataset: no cameras, recorded pictures or true velocity in it"]
+    return Shared(out, out.stat().st_size, [len(one["data"]) for one in shown], agreement, notes)
 
 
-def _measured_alike(results: list[Opened], dataset: Dataset | None) -> list[Opened]:
-    """All from the dataset's datum; without one, from the first result's."""
-    datum = results[0].gaussians.datum if dataset is None else dataset.datum
+def title_of(results: Sequence[Opened], dataset: Dataset | None) -> str:
+    """Return a page's usual heading."""
+    return results[0].name if dataset is None else dataset.description.name
+
+
+def measured_alike(results: list[Opened], dataset: Dataset | None) -> list[Opened]:
+    """Return all, measured from the dataset's datum; without one, from the first result's."""
+    first = results[0].gaussians
+    own = first.datum if isinstance(first, TransientGaussians) else None  # positions over time have none
+    datum = own if dataset is None else dataset.datum
     if datum is None:
         return results
     return [replace(result, gaussians=result.gaussians.measured_from(datum)) for result in results]
@@ -133,15 +196,14 @@ def _measured_alike(results: list[Opened], dataset: Dataset | None) -> list[Open
 
 def assemble(content: dict[str, Any], title: str) -> str:
     """The page: texts of `player/` around the content. Only the script and the style that are in it may run in it."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(loader=PackageLoader("gof.look", "player"), autoescape=True, undefined=StrictUndefined)
-    script = "\n".join(_text(name) for name in SCRIPTS)
+    live = content.get("live", False)
+    script = "\n".join(_text(name) for name in (*([LIVE] if live else []), *SCRIPTS))
     style = _text("style.css")
     own = {"shaders": {name: _text(name) for name in SHADERS}, "sorter": _text("sort.js")}
-    return environment.get_template("page.html").render(
+    return template("player/page.html").render(
         title=title,
-        controls=controls,
+        live=live,
+        controls=legend,
         generator=f"gof {gof.__version__}",
         style=style,
         script=script,
@@ -161,6 +223,22 @@ def front_camera(middle: np.ndarray, reach: float) -> Camera:
     return Camera("front", width, height, [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], pose)
 
 
+def true_velocity(gaussians: TransientGaussians, truth: VelocitySequence) -> np.ndarray:
+    """(N, 3) m/s of the gas at each Gaussian's centre at its own time t_mu; 0 outside the field.
+
+    Linear between the stored frames, the first or last one beyond them: as `VelocitySequence.at`, a frame read once.
+    """
+    clock = np.asarray(truth.times_s, np.float64)
+    out = np.zeros((len(gaussians), 3))
+    place = np.interp(gaussians.t_mu.astype(np.float64), clock, np.arange(len(clock)))
+    for k in range(len(clock)):
+        weight = np.clip(1 - np.abs(place - k), 0, 1)
+        near = np.flatnonzero(weight > 0)
+        if len(near):
+            out[near] += weight[near, None] * truth.frame(k).sample(gaussians.position[near])
+    return out
+
+
 # ---------------------------------------------------------------- parts
 
 
@@ -170,12 +248,7 @@ def _text(name: str) -> str:
 
 def _hash(text: str) -> str:
     """As a Content-Security-Policy names a script or a style."""
-    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
-
-
-def _span(results: list[Opened], dataset: Dataset | None) -> tuple[float, float]:
-    spans = [time_span(result.gaussians, dataset) for result in results]
-    return min(first for first, _ in spans), max(last for _, last in spans)
+    return f"sha256-{base64_text(hashlib.sha256(text.encode()).digest())}"
 
 
 def _views(dataset: Dataset | None) -> list[tuple[Dataset, int]]:
@@ -187,17 +260,13 @@ def _views(dataset: Dataset | None) -> list[tuple[Dataset, int]]:
     return [(d, c) for d in both for c in range(len(d.cameras))]
 
 
-def _middle_camera(dataset: Dataset | None) -> int:
-    return 0 if dataset is None else len(dataset.cameras) // 2
-
-
-def _plates(views: list[tuple[Dataset, int]], results: list[Opened]) -> list[str | None]:
-    """What lies behind the flame: the first result's plates; none where it has a static scene of its own."""
+def _plates(views: list[tuple[Dataset, int]], result: Opened) -> list[str | None]:
+    """Return what lies behind the flame: the result's plates; none where it has a static scene of its own."""
     if not views:
         return [None]
-    if not results[0].gaussians.dynamic.all():
+    if not result.gaussians.dynamic.all():
         return [None] * len(views)
-    plates = [background(dataset, camera, results[0].path) for dataset, camera in views]
+    plates = [background(dataset, camera, result.path) for dataset, camera in views]
     return [base64_text(webp(plate[..., :3], PLATE_SIDE, PLATE_QUALITY)) for plate in plates]
 
 
@@ -214,23 +283,23 @@ def _camera(camera: Camera, plate: str | None, frames: list[str | None] | None) 
     }
 
 
-def _checked(
-    gaussians: TransientGaussians, packed: Packed, cameras: list[Camera], first_s: float, last_s: float
-) -> Agreement:
+def _checked(gaussians: TransientGaussians, packed: Packed, setting: PageSetting) -> Agreement:
+    cameras = setting.cameras
     some = [cameras[i] for i in sorted({int(k) for k in np.linspace(0, len(cameras) - 1, CHECKED)})]
-    times = [first_s + share * (last_s - first_s) for share in np.linspace(0, 1, CHECKED + 2)[1:-1]]
+    times = [setting.first_s + share * setting.length_s for share in np.linspace(0, 1, CHECKED + 2)[1:-1]]
     return measure(gaussians, unpack(packed), some, times)
 
 
-def _subtitle(results: list[Opened], length_s: float) -> str:
+def subtitle(results: Sequence[Opened], setting: PageSetting) -> str:
+    """Return how many Gaussians there are, and how long the clip is."""
     count = " and ".join(f"{len(result.gaussians):,}" for result in results)
-    return f"{count} transient Gaussians, {1e3 * length_s:.0f} ms"
+    return f"{count} transient Gaussians, {1e3 * setting.length_s:.0f} ms"
 
 
 def _facts(
     results: list[Opened], packed: list[Packed], agreement: list[Agreement], dataset: Dataset | None, recorded: str
 ) -> list[tuple[str, str]]:
-    """What stands under "About this file"; nothing of where its author keeps files."""
+    """Return what stands under "About this file"; nothing of where its author keeps files."""
     facts = []
     for result, p, a in zip(results, packed, agreement, strict=True):
         facts.append((result.name, f"{len(result.gaussians):,} Gaussians, read as {result.method}"))

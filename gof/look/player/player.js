@@ -11,11 +11,15 @@ const STILL_MS = 250; // after this the picture is drawn in full resolution
 const byId = (id) => document.getElementById(id);
 const share = JSON.parse(byId("share").textContent);
 const shaders = share.shaders;
-const clouds = share.results.map((result) => ({
-  count: result.header.count,
-  columns: unpack(result.header, bytes(result.data), share.first_s),
-}));
-for (const result of share.results) result.data = null;
+/** Its results' Gaussians as numbers; the text that they came in is let go. */
+function unpacked(results) {
+  return results.map((result) => {
+    const columns = unpack(result.header, bytes(result.data), share.first_s);
+    result.data = null;
+    return { count: result.header.count, columns };
+  });
+}
+let clouds = unpacked(share.results);
 const pictures = new Pictures(share.cameras);
 const hasFrames = share.cameras.some((camera) => camera.frames);
 const hasTruth = clouds.some(({ columns }) => columns.v_true);
@@ -40,7 +44,9 @@ function startSorter() {
   const waiting = [];
   worker.onmessage = ({ data }) => waiting.shift()(data);
   const kept = ["x0", "v", "t_mu", "t_sigma", "opacity"];
-  worker.postMessage({ clouds: clouds.map(({ columns }) => Object.fromEntries(kept.map((name) => [name, columns[name]]))) });
+  giveSorter = () =>
+    worker.postMessage({ clouds: clouds.map(({ columns }) => Object.fromEntries(kept.map((name) => [name, columns[name]]))) });
+  giveSorter();
   return (question) =>
     new Promise((resolve) => {
       waiting.push(resolve);
@@ -50,7 +56,7 @@ function startSorter() {
 
 // ---------------------------------------------------------------- drawing
 
-let drawer, sorted;
+let drawer, sorted, giveSorter;
 
 function homeView(camera = state.camera) {
   return cameraView(share.cameras[camera], share.centre);
@@ -99,7 +105,9 @@ function grid(count, width, height, camera) {
 
 /** Draw what the state says, and what the panes are called. Resolves when it is on the canvas. */
 async function paint(scale) {
+  if (share.sampled) await goToInstant();
   const { view, time, colouring } = state;
+  const these = clouds;
   const numbers = [...state.panes].sort((a, b) => (a === RECORDED ? -1 : b === RECORDED ? 1 : a - b));
   const shown = numbers.map((number) => (number === RECORDED ? 0 : number));
   const once = [...new Set(shown)]; // the recorded pane shows the first result's Gaussians
@@ -112,6 +120,7 @@ async function paint(scale) {
     state.plate && colouring === RADIANCE ? pictures.plate(state.camera) : null,
     filming ? pictures.frame(filmed, frame) : null,
   ]);
+  if (these !== clouds) return paint(scale); // others came while these were sorted
   const ratio = (window.devicePixelRatio || 1) * scale;
   const canvas = byId("canvas");
   const size = [canvas.clientWidth, canvas.clientHeight].map((length) => Math.max(1, Math.round(length * ratio)));
@@ -236,6 +245,14 @@ function advance(ms) {
 
 // ---------------------------------------------------------------- controls
 
+/** What is chosen by what there is: colours of which the results know something. */
+function offer() {
+  byId("colours").querySelector(".chips").replaceChildren();
+  chips("colours", "radio", offered().map((n) => [n, share.colours[n]]), (n) => n === state.colouring, chooseColouring);
+  byId("lines-row").hidden = !(share.speed_max > 0);
+  byId("subtitle").textContent = share.subtitle;
+}
+
 /** Round buttons of which one (radio) or any number (checkbox) is chosen. */
 function chips(field, kind, names, chosen, choose) {
   const box = byId(field).querySelector(".chips");
@@ -336,7 +353,7 @@ function showScale() {
   const doubt = state.colouring === DOUBT;
   const visible = state.colouring !== RADIANCE || state.lines;
   byId("scale").hidden = !visible;
-  const says = `${doubt} ${visible} ${state.colouring} ${state.lines}`;
+  const says = `${doubt} ${visible} ${state.colouring} ${state.lines} ${share.speed_max} ${share.doubt_max}`;
   if (!visible || byId("scale").dataset.says === says) return;
   byId("scale").dataset.says = says;
   const largest = doubt ? share.doubt_max : share.speed_max;
@@ -588,7 +605,6 @@ const player = {
 };
 
 function begin() {
-  byId("subtitle").textContent = share.subtitle;
   drawer = new Drawer(byId("canvas"), shaders, clouds, share.scheme);
   sorted = startSorter();
   const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -596,12 +612,12 @@ function begin() {
   chips("cameras", "radio", share.cameras.map(({ name }, i) => [i, name]), () => false, chooseCamera);
   const recorded = hasFrames || hasTruth ? [[RECORDED, hasTruth ? "Truth" : "Recorded"]] : [];
   chips("panes", "checkbox", [...recorded, ...share.results.map(({ name }, i) => [i, name])], (n) => state.panes.has(n), choosePane);
-  chips("colours", "radio", offered().map((n) => [n, share.colours[n]]), (n) => n === state.colouring, chooseColouring);
-  byId("lines-row").hidden = !(share.speed_max > 0);
+  offer();
   byId("plate-row").hidden = !share.cameras.some((camera) => camera.plate);
   listen();
   show();
   loop();
+  if (share.live) follow();
 }
 
 window.player = player;

@@ -1,6 +1,6 @@
 """Transient Gaussians as the page of `gof share` carries them, in 27 bytes each, and back.
 
-They are 33 bytes where gas and light have a velocity each.
+They are 33 bytes where gas and light have a velocity each. What that costs is measured: in dB, pixels and m/s.
 
 Every quantity is a column of whole numbers on a grid between its least and its greatest value; t_sigma, scale, opacity
 and v_sd on a grid of their logarithms. The page unpacks by the same description (`player/unpack.js`).
@@ -13,9 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from gof.core.cameras import Camera
 from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import plain_color
+from gof.look.player.opened import VISIBLE
 
+LONGEST_SIDE = 720  # px of the pictures in which the cost is measured
 ROTATION_BITS = 10  # of each of the three smaller parts of a quaternion
 LEAST_OPACITY = 1e-4  # fainter is not drawn (1/255) whatever it is multiplied with; 0 has no logarithm
 
@@ -87,7 +90,7 @@ def pack(gaussians: TransientGaussians, true_velocity: np.ndarray | None = None)
 
 
 def unpack(packed: Packed) -> TransientGaussians:
-    """What the page draws; the twin of `player/unpack.js`. Always-on Gaussians without velocity come back as static."""
+    """Return what the page draws, as `unpack.js` does. Always-on Gaussians without velocity come back as static."""
     values, start = {}, 0
     for column in packed.columns:
         length = packed.count * column.parts * column.bytes
@@ -108,6 +111,46 @@ def unpack(packed: Packed) -> TransientGaussians:
         gas_velocity=values.get("v_gas"),
         velocity_sd=values["v_sd"][:, 0],
     )
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The worst over some cameras and times.
+
+    Attributes:
+        psnr_db: of the pictures over black, clipped to what a screen shows; inf = equal.
+        moved_px: how far a visible Gaussian's centre moved, in pixels of the camera.
+        velocity_m_s: of all Gaussians, the largest difference of a component.
+    """
+
+    psnr_db: float
+    moved_px: float
+    velocity_m_s: float
+
+
+def measure(
+    own: TransientGaussians, drawn: TransientGaussians, cameras: list[Camera], times_s: list[float]
+) -> Agreement:
+    """Compare row by row the same Gaussians before and after."""
+    from gof.render import render
+
+    psnr, moved = [], [0.0]
+    for camera in cameras:
+        share = min(1.0, LONGEST_SIDE / max(camera.width, camera.height))
+        small = camera.scaled(max(1, round(camera.width * share)), max(1, round(camera.height * share)))
+        for time_s in times_s:
+            first, second = (np.clip(render(g, small, time_s, shutter="global")["color"], 0, 1) for g in (own, drawn))
+            error = float(np.mean((first - second) ** 2))
+            psnr.append(-10 * np.log10(error) if error > 0 else np.inf)
+            (before, opacity), (after, _) = own.at(time_s), drawn.at(time_s)
+            seen = opacity >= VISIBLE
+            shift = np.linalg.norm(camera.project(before[seen])[0] - camera.project(after[seen])[0], axis=-1)
+            moved.append(float(np.nanmax(shift, initial=0.0)))
+    speed = own.moving_gas - drawn.moving_gas
+    return Agreement(min(psnr), max(moved), float(np.abs(speed).max(initial=0.0)))
+
+
+# ---------------------------------------------------------------- grids
 
 
 def _linear(name: str, values: np.ndarray, size: int) -> tuple[Column, bytes]:

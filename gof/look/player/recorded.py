@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Callable
 
 import numpy as np
-from PIL import Image
 
 from gof.dataset import Dataset
+from gof.look.images import base64_text, encoded, to_bytes
 
 PLATE_SIDE, PLATE_QUALITY = 960, 86
 # Longest side in px, quality of WebP, every n-th frame: the first that fits the budget is taken.
@@ -28,15 +26,7 @@ SAMPLED = 3  # frames of each camera that tell how large all will be
 
 def webp(picture: np.ndarray, side: int, quality: int) -> bytes:
     """(H, W, 3) display values in [0, 1] as WebP of at most `side` px."""
-    image = Image.fromarray((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8))
-    image.thumbnail((side, side), Image.LANCZOS)
-    buffer = io.BytesIO()
-    image.save(buffer, "webp", quality=quality, method=4)
-    return buffer.getvalue()
-
-
-def base64_text(data: bytes) -> str:
-    return base64.b64encode(data).decode()
+    return encoded(to_bytes(picture), "webp", quality, side)
 
 
 def frames_within(

@@ -34,7 +34,7 @@ vec4 texel(int k) {
 }
 
 vec3 mapped(float value) {
-  if (value < 0.0) return vec3(0.32); // nobody says
+  if (value < 0.0) return vec3(0.32); // not known
   return texture(scheme, vec2(clamp(value / largest, 0.0, 1.0) * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb;
 }
 

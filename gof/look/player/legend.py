@@ -1,4 +1,4 @@
-"""What the colours and lines of velocity stand for, on the page of `gof share` and in `gof view`: ranges and words."""
+"""The player's controls, and what the colours and lines of velocity stand for: names, ranges and words."""
 
 from __future__ import annotations
 
@@ -9,15 +9,28 @@ import numpy as np
 from gof.core.gaussians import TransientGaussians
 from gof.evaluate.weighted import weighted_quantile
 
+# Controls, in the order in which the page shows them
+CAMERA = "Camera"
+COLOUR = "Colour"
+COLOURS = ("Radiance", "Speed", "Doubt")  # of the light; of the gas, m/s; standard deviation of its components, m/s
+LINES = "Velocity lines"
+SIZE = "Size of Gaussians"
+SIZE_PERCENT = (5, 150, 5)  # least, most, step; 100 = as they are
+RESET = "Reset view"
+TIME = "Time"
+PLAY = "Play"
+SPEED = "Speed"
+LOOP = "Loop"
+SPEEDS = {"1\u00d7": 1, "1/2": 2, "1/5": 5, "1/10": 10, "1/20": 20, "1/50": 50, "1/100": 100}  # times slower
+FIRST_SPEED = "1/10"
+
+# Colours and lines
 TOP = 0.98  # the last colour is this quantile, by opacity
-NOBODY_SAYS = 0.32  # grey, display value, of a doubt that no result states
-LINES = 9000  # Gaussians of a result that have a velocity line; a quarter of them or fewer live at a time
+MOST_LINES = 9000  # Gaussians of a result that have a velocity line; a quarter of them or fewer live at a time
 LINE_SHARE = 0.03  # of the clip, that a velocity line lasts
-GOLDEN = 0.61803399  # spreads the Gaussians with a line over all of them; the same number stands in line.vert.glsl
-ROWS = 65536
 SPEED_NOTE = "Speed."
 LINE_NOTE = "A line is the way of {} ms."
-DOUBT_NOTE = "How unsure the velocity is, as the result says: standard deviation of a component. Grey: nobody says."
+DOUBT_NOTE = "How unsure the velocity is, as the result says: standard deviation of a component. Grey: not known."
 
 
 def speed_scale(results: Sequence[TransientGaussians], others: Sequence[np.ndarray | None] = ()) -> float:
@@ -32,7 +45,7 @@ def speed_scale(results: Sequence[TransientGaussians], others: Sequence[np.ndarr
 
 
 def doubt_scale(results: Sequence[TransientGaussians]) -> float:
-    """m/s of the last colour over all results; 0 = nobody says."""
+    """m/s of the last colour over all results; 0 = no result says."""
     known = [g[g.dynamic & np.isfinite(g.velocity_sd)] for g in results]
     return _scale([(g.velocity_sd, g.opacity) for g in known])
 
@@ -42,13 +55,8 @@ def line_s(length_s: float) -> float:
     return float(f"{LINE_SHARE * length_s:.1g}")
 
 
-def has_line(count: int) -> np.ndarray:
-    """(count,) bool: which Gaussians have a line, the same ones at all times."""
-    return (np.arange(count) % ROWS) * GOLDEN % 1 < LINES / max(count, 1)
-
-
 def ticks(largest: float) -> list[str]:
-    """What stands below the colours, from the first to the last."""
+    """Return what stands below the colours, from the first to the last."""
     return ["0", *(_short(share * largest) for share in (0.25, 0.5, 0.75)), f"{_short(largest)}+ m/s"]
 
 

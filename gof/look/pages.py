@@ -1,9 +1,11 @@
-"""Tiles for pages on a screen: one picture each with all that is drawn over it, and its words beside."""
+"""Parts that pages share: templates, and tiles as one picture each with all that is drawn over it and words beside."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -11,12 +13,42 @@ from PIL import ImageColor
 
 from gof.core.errors import GofError
 from gof.evaluate.leaderboard import EvaluatedResult
-from gof.look.animation import data_uri, enlarge, factor_for
 from gof.look.comparison import Moment, comparison, scored_subject
-from gof.look.leaderboard_page import PageGrid, PagePicture
+from gof.look.images import data_uri, enlarge, factor_for
 from gof.look.tiles import BOX_COLOURS, Bar, Row, Tile, Wheel
 
+if TYPE_CHECKING:
+    from jinja2 import Template
+
 WIDEST = 480  # px that a page shows of a picture
+
+
+def template(name: str) -> Template:
+    """Return a template of this room; what is not there is an error, and what comes in is text unless marked safe."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    how = {"autoescape": True, "undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
+    environment = Environment(loader=PackageLoader("gof.look", "."), **how)
+    environment.filters["number"] = lambda value, digits=3: "n/a" if value is None else f"{value:.{digits}f}"
+    environment.filters["duration"] = lambda s: f"{s:.1f} s" if s < 100 else f"{int(s // 60)} min {int(s % 60)} s"
+    return environment.get_template(name)
+
+
+@dataclass(frozen=True)
+class PagePicture:
+    """A picture of a page as a data URI, with what stands above it and below."""
+
+    uri: str
+    title: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class PageGrid:
+    """Results side by side: rows of pictures, None where a place is empty; `of` which camera and frame they are."""
+
+    rows: Sequence[Sequence[PagePicture | None]]
+    of: str
 
 
 def page_pictures(rows: Sequence[Row]) -> list[list[PagePicture | None]]:
