@@ -19,7 +19,7 @@ from gof.evaluate.depth import read_depth
 from gof.look.preview import Preview
 from gof.look.report import _stage_pictures
 from gof.reconstruct.captions import Caption, Captions
-from gof_blender.pure.checked_json import SpecError
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.description import DatasetDescription as DescriptionOfTheAddOn
 from gof_blender.pure.io import FileFormatError, velocity_reader
 from gof_blender.pure.io import files as files_of_the_add_on

@@ -20,7 +20,7 @@ from gof.io.importers.normalisation import world_from_training
 from gof_benchmark.evidence.reliability import damage, fuzz, kill
 from gof_benchmark.evidence.reliability.format import finite
 from gof_benchmark.evidence.reliability.formats import formats
-from gof_blender.pure.checked_json import SpecError
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.io import FileFormatError, gaussians_file
 from gof_blender.pure.spec import SceneSpec
 from tests.conftest import arc, random_gaussians

@@ -19,7 +19,7 @@ from gof.footage.flame_mask import flame_mask
 from gof.footage.videos import stored_frames
 from gof_benchmark.fires import measures
 from gof_benchmark.solvers.grids import FireGrids, FireHistory, Hearth
-from gof_blender.pure.checked_json import SpecError
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.fires import GridFire
 from gof_blender.pure.spec import SceneSpec
 

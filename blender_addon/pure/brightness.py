@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .checked_json import SpecError, from_dict
+from ..core.checked_json import SpecError, from_dict
 from .io.files import read_json, write_json
 
 WHITE, BLACK = 252, 26

@@ -22,7 +22,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from .checked_json import SpecError
+from ..core.checked_json import SpecError
 from .io import FileFormatError
 from .io.records import read_record, write_record
 from .spec import SceneSpec

@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from .checked_json import require
+from ..core.checked_json import require
 from .io import FileFormatError
 from .io.files import is_name, is_pattern, is_relative_path
 from .io.records import read_record, write_record

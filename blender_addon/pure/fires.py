@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from ..core.checked_json import SpecError, require
 from . import effects as effect_modules
-from .checked_json import SpecError, require
 from .fuels import FUELS
 from .io import FileFormatError
 from .io.fire_store import FireStore

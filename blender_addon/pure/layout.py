@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..core.checked_json import SpecError
 from . import spec as scene_spec
-from .checked_json import SpecError
 from .io.files import read_json, write_json
 from .spec import SceneSpec
 

@@ -14,8 +14,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from ..core.checked_json import SpecError, from_dict, require
 from . import effects as effect_modules
-from .checked_json import SpecError, from_dict, require
 from .clip import Clip
 from .fires import Domain, Fire, GridFire
 from .fuels import FUELS, Fuel

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..pure.checked_json import SpecError
+from ..core.checked_json import SpecError
 from ..pure.description import CameraEntry
 from ..pure.io import FileFormatError
 from ..pure.rig import Pose, Rig

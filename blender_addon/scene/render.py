@@ -17,8 +17,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..core.checked_json import SpecError
 from ..pure.brightness import Brightness
-from ..pure.checked_json import SpecError
 from ..pure.effects import absorbs_light, encodes, expose, gain, meters, shows_board
 from ..pure.io.files import atomic_path, read_json, temporary, write_json
 from ..pure.layout import Layout

@@ -7,9 +7,9 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
+from ..core.checked_json import SpecError
 from ..pure import cost_model, look_process
 from ..pure import spec as spec_file
-from ..pure.checked_json import SpecError
 from ..pure.dataset_process import Job, expected_s, left_s
 from ..pure.effects import changes_bake, name_of
 from ..pure.layout import Layout, leaving

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
-from ..pure.checked_json import SpecError
+from ..core.checked_json import SpecError
 from ..pure.description import CameraEntry
 from ..pure.io import FileFormatError, camera_files
 from ..scene import camera_exchange, exchange, place

@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty
 
-from ..pure.checked_json import SpecError
+from ..core.checked_json import SpecError
 from ..pure.fires import LEAST_LOGS, MOST_LOGS
 from ..pure.fuels import FUELS
 from ..scene import baked, place

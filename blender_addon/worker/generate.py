@@ -31,8 +31,8 @@ import sys
 import time
 from pathlib import Path
 
+from ..core.checked_json import SpecError
 from ..pure import spec as scene_spec
-from ..pure.checked_json import SpecError
 from ..pure.description import DatasetDescription, held_out
 from ..pure.effects import encodes, shows_board
 from ..pure.io.files import write_json

@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..pure.checked_json import SpecError
+from ..core.checked_json import SpecError
 from ..pure.description import FILE, DatasetDescription
 from ..pure.io import FileFormatError, gaussians_file
 from ..pure.io.files import atomic_path

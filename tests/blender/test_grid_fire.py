@@ -20,9 +20,9 @@ from gof_benchmark.commands import generate
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim, load_scene
 from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireGrids, Hearth, write_fire
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.clip import Clip
 from gof_blender.pure.cost_model import REFERENCE, cells, predict
 from gof_blender.pure.effects import motion_blur, wind

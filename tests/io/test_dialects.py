@@ -248,8 +248,8 @@ def test_a_number_beyond_floats_is_refused_by_commands(tmp_path, capsys, digits)
 
 
 def test_a_broken_brightness_is_named_by_its_file(tmp_path):
+    from gof_blender.core.checked_json import SpecError
     from gof_blender.pure.brightness import Brightness
-    from gof_blender.pure.checked_json import SpecError
 
     (tmp_path / "brightness.json").write_text('{"flame": "much", "clipped": 0, "dark": 0}')
     with pytest.raises(SpecError, match=r"brightness\.json: "):

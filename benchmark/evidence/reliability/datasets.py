@@ -14,7 +14,7 @@ from gof_benchmark.evidence.reliability.malice import impossible
 
 def formats() -> dict[str, Format]:
     """By name."""
-    from gof_blender.pure.checked_json import SpecError
+    from gof_blender.core.checked_json import SpecError
     from gof_blender.pure.io import FileFormatError
 
     grid, add_on = "velocity.zarr/**/*", (FileFormatError,)

@@ -10,7 +10,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
-from ..checked_json import SpecError, from_dict
+from ...core.checked_json import SpecError, from_dict
 from . import FileFormatError
 from .files import read_json, write_json
 

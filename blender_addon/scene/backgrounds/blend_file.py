@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 from mathutils import Matrix
 
-from ...pure.checked_json import SpecError
+from ...core.checked_json import SpecError
 from ...pure.io.files import atomic_path
 from ...pure.spec import SceneSpec
 from .. import paths, place
