@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import DataFormatError
+from .errors import DataFormatError, MissingDependencyError
 from .files import path_in, read_json, write_json
 
 TYPES = ("float16", "float32", "float64")
@@ -57,12 +57,16 @@ class ZarrArray:
     def open(cls, path: str | Path) -> ZarrArray:
         """Raises:
         DataFormatError: no array of format 3, or one of another kind than is read here.
+        MissingDependencyError: it is packed with zstd, and this Python has no zstandard (Blender's has not).
         """
         path = Path(path)
         try:
-            return cls(path, *_described(read_json(path_in(path, "zarr.json"))))
+            array = cls(path, *_described(read_json(path_in(path, "zarr.json"))))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as e:
             raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e}); {REMEDY}") from e
+        if array.packing == "zstd":
+            _require_zstandard(path)
+        return array
 
     @classmethod
     def create(
@@ -229,6 +233,15 @@ def _described(description: dict) -> tuple:
         dict(description.get("attributes", {})),
         tuple(description.get("dimension_names") or ()),
     )
+
+
+def _require_zstandard(path: Path) -> None:
+    try:
+        import zstandard  # noqa: F401
+    except ModuleNotFoundError as e:
+        raise MissingDependencyError(
+            f"{path}: its chunks are packed with zstd, which takes zstandard; install that, or {REMEDY}"
+        ) from e
 
 
 def _unpacked(data: bytes, packing: str, size: int) -> bytes:

@@ -116,7 +116,7 @@ def test_only_numpy_and_blender_are_imported(built):
         "pxr",
         "_cycles",
     }
-    late = {"psutil", "zstandard", "msgspec", "scipy"}  # in gof/core, for what the add-on does without
+    late = {"psutil", "zstandard"}  # in gof/core, for what the add-on does without
     for path in build_addon.files():
         if path.suffix != ".py":
             continue

@@ -216,7 +216,7 @@ def test_round_trip_and_paths(tmp_path):
         ({"domain": Domain()}, "domain must be left out"),
         ({"effects": (wind.Settings(),)}, r"effects must be those of cameras.*\['wind'\]"),
         ({"fire": {"grids": "g", "fuel": "wood"}}, "fire.fuel is not a field"),
-        ({"fire": {"grids": 3}}, "fire.grids must be a str"),
+        ({"fire": {"grids": 3}}, "fire.grids must be a text"),
         ({"fire": {"grids": "g", "radiance": 0}}, "fire.radiance must be positive"),
         ({"fire": {"grids": "g", "position": [0, 0]}}, "fire.position must be 3 numbers"),
     ],

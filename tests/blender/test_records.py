@@ -66,7 +66,7 @@ def test_costs_go_both_ways(tmp_path):
     "change, message",
     [
         ({"version": 2}, "not schema 'gof-dataset' version 1"),
-        ({"name": None}, "name must be a str, got None"),
+        ({"name": None}, "name must be a text, got None"),
         ({"time_s": [0.0, "late"]}, r"time_s\[1\] must be a finite number, got 'late'"),
         ({"splits": {"train": [0]}}, "splits.test is missing"),
     ],
