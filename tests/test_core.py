@@ -1,8 +1,10 @@
 """`gof/core` alone: installed as `gof_blender.core` it works in Blender's Python, which has numpy and little else."""
 
+import dataclasses
 import json
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gof.core.checked_json import from_dict
+from gof.core.description import DatasetDescription
 from gof.core.errors import DataFormatError
+from gof.core.files import atomic_path, write_json
 from gof.core.records import from_json
 from gof.core.rotations import quaternions_wxyz
 from gof.evaluate.scores import Scores
@@ -65,8 +69,6 @@ except modules["errors"].MissingDependencyError as error:
 
 
 def test_core_needs_numpy_only(tmp_path):
-    import zipfile
-
     with zipfile.ZipFile(build_addon.build(tmp_path)) as archive:
         archive.extractall(tmp_path)
     command = [sys.executable, "-c", ALONE, str(tmp_path), f"{build_addon.NAME}.core", str(GOLDEN), str(tmp_path)]
@@ -127,9 +129,26 @@ def test_a_field_named_like_a_keyword_has_its_plain_key():
         from_json(Scores, data, "x")
 
 
-def test_types_are_told_apart():
-    import dataclasses
+def test_fields_of_a_newer_writer_are_left_aside():
+    data = json.loads((GOLDEN / "gof-dataset.json").read_text())
+    assert from_json(DatasetDescription, data | {"weather": "fine"}, "x") == from_json(DatasetDescription, data, "x")
+    with pytest.raises(DataFormatError, match="weather is not a field; known: "):
+        from_json(DatasetDescription, data | {"weather": "fine"}, "x", ignore_unknown=False)
 
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "new folder" / "a.json"
+    write_json(path, {"a": 1})
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(path, {"a": float("nan")})
+    with pytest.raises(RuntimeError), atomic_path(path) as draft:
+        draft.write_text("half")
+        raise RuntimeError
+    assert json.loads(path.read_text()) == {"a": 1}
+    assert [found.name for found in path.parent.iterdir()] == ["a.json"]
+
+
+def test_types_are_told_apart():
     kind = dataclasses.make_dataclass("Kind", [("pair", tuple[int, float]), ("table", dict[str, tuple[int, ...]])])
     found = from_dict(kind, {"pair": [2.0, 3], "table": {"a": [1, 2]}}, "")
     assert (type(found.pair[0]), type(found.pair[1]), found.table) == (int, float, {"a": (1, 2)})

@@ -141,7 +141,7 @@ def of_grids(fire: FireGrids) -> Flame:
         return (fire.velocity.frame(k).velocity for k in frames)
 
     def light() -> Iterator[np.ndarray]:
-        return (fire.grids["emission"].frame(k).sum(-1) for k in frames)
+        return (fire.grids["emission"].cells(k).sum(-1) for k in frames)
 
     along = [(e.sum(0).max(0), e.sum(1).max(0), e.sum((0, 1))) for e in light()]
     from_x, from_y, total = (np.array(part, float) for part in zip(*along, strict=True))

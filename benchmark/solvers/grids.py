@@ -25,7 +25,7 @@ import numpy as np
 
 from gof.core.drafts import whole_folder
 from gof.core.errors import DataFormatError, require_finite
-from gof.core.fields import CHUNK, VelocitySequence, is_affine, open_array
+from gof.core.fields import CHUNK, GridSequence, VelocitySequence, open_array
 from gof.core.files import is_name
 from gof.core.records import read_record, write_record
 from gof.core.zarr_array import ZarrArray
@@ -127,44 +127,6 @@ class FireFrame:
     fuel: np.ndarray | None = None
 
 
-class GridSequence:
-    """A quantity over time in a chunked zarr store (schema gof-grid); frames are read when asked for.
-
-    Attributes:
-        times_s: (T,) seconds; index_to_world: (4, 4); quantity, units: what the numbers are.
-    Raises:
-        DataFormatError: not such a store.
-    """
-
-    def __init__(self, path: Path):
-        self.path, self._array = path, open_array(path)
-        attributes = self._array.attributes
-        if (attributes.get("schema"), attributes.get("version")) != ("gof-grid", 1):
-            raise DataFormatError(f"{path}: not a grid (schema gof-grid version 1)")
-        try:
-            self.times_s = np.asarray(attributes["time_s"], np.float64)
-            self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
-            self.quantity, self.units = str(attributes["quantity"]), str(attributes["units"])
-        except (KeyError, TypeError, ValueError) as e:
-            raise DataFormatError(f"{path}: zarr.json lacks time_s, index_to_world, quantity or units ({e})") from e
-        if self.times_s.shape != self._array.shape[:1] or not is_affine(self.index_to_world):
-            raise DataFormatError(
-                f"{path}: {self.times_s.shape} times do not fit shape {self._array.shape}, or index_to_world is no "
-                "finite, invertible 4x4 matrix"
-            )
-
-    @property
-    def resolution(self) -> tuple[int, int, int]:
-        return tuple(self._array.shape[1:4])
-
-    def frame(self, index: int) -> np.ndarray:
-        """(X, Y, Z) or (X, Y, Z, 3) of a stored frame. Raises DataFormatError when it is damaged or not finite."""
-        values = self._array[(index,)]
-        if not np.isfinite(values).all():
-            raise DataFormatError(f"{self.path}: frame {index} holds NaN or Inf; bake the fire again")
-        return values
-
-
 @dataclass(frozen=True)
 class FireGrids:
     """A fire on disk, opened: `FireGrids.open(folder)`."""
@@ -211,9 +173,7 @@ class FireGrids:
             store = path / f"{quantity}.zarr"
             if not store.exists() and quantity != "emission":
                 continue
-            grid = grids[quantity] = GridSequence(store)
-            if grid.quantity != quantity:
-                raise DataFormatError(f"{store}: holds '{grid.quantity}', not '{quantity}'")
+            grid = grids[quantity] = GridSequence(open_array(store), quantity)
             if not np.array_equal(grid.times_s, velocity.times_s):
                 raise DataFormatError(f"{store}: its clock is not that of velocity.zarr")
             same_box = np.allclose(grid.index_to_world, velocity.index_to_world, rtol=0, atol=1e-9)
@@ -234,7 +194,7 @@ class FireGrids:
         for k in range(len(self.times_s)):
             self.velocity.frame(k)
             for quantity, grid in self.grids.items():
-                values = grid.frame(k)
+                values = grid.cells(k)
                 if values.min() < -1e-3 * max(1.0, np.abs(values).max()):
                     raise DataFormatError(f"{grid.path}: frame {k} holds negative {quantity} ({values.min():.3g})")
 

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..core.checked_json import SpecError, from_dict, require
+from ..core.errors import GofError
+from ..core.files import is_name, path_in, read_json, write_json
 from . import effects as effect_modules
 from .clip import Clip
 from .fires import Domain, Fire, GridFire
 from .fuels import FUELS, Fuel
-from .io import FileFormatError
-from .io.files import is_name, path_in, read_json, write_json
 from .presets import PRESETS
 from .rig import Rig
 from .similarity import Constants, scaled, unscaled
@@ -175,7 +175,7 @@ class SceneSpec:
         return self._with_paths(lambda path: (folder / path).resolve())
 
     def resolved_in(self, folder: Path) -> SceneSpec:
-        """As `resolved`, for a spec that came with the folder: its .blend lies in there, or FileFormatError is raised.
+        """As `resolved`, for a spec that came with the folder: its .blend lies in there, or DataFormatError is raised.
 
         The grids of a fire are not opened to build a scene again.
         """
@@ -278,7 +278,7 @@ def load(path: str | os.PathLike) -> SceneSpec:
     path = Path(path)
     try:
         return SceneSpec.from_dict(read_json(path)).resolved(path.parent)
-    except FileFormatError as error:
+    except GofError as error:
         raise SpecError(str(error)) from error
     except SpecError as error:
         raise SpecError(f"{path}: {error}") from error

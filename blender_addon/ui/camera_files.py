@@ -7,12 +7,13 @@ import bpy
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..core.checked_json import SpecError
-from ..pure.description import CameraEntry
-from ..pure.io import FileFormatError, camera_files
+from ..core.description import CameraEntry
+from ..core.errors import DataFormatError, GofError
+from ..pure.io import camera_files
 from ..scene import camera_exchange, exchange, place
 from . import scene_spec
 
-FAILURES = (SpecError, FileFormatError, OSError, RuntimeError)
+FAILURES = (GofError, OSError, RuntimeError)
 FROM_FIRE = "Places count from the fire's empty, as in a dataset of this scene; otherwise from the scene's origin"
 
 
@@ -86,7 +87,7 @@ class GOF_OT_import_cameras(bpy.types.Operator, ImportHelper):
         with exchange.read(path) as things:
             cameras = [thing for thing in things if thing.type == "CAMERA"]
             if not cameras:
-                raise FileFormatError(f"{path}: holds no cameras")
+                raise DataFormatError(f"{path}: holds no cameras")
             return camera_exchange.describe_all(cameras, scene, to_file)
 
     @staticmethod

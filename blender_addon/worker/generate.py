@@ -33,10 +33,10 @@ from pathlib import Path
 
 from ..core.checked_json import SpecError
 from ..core.costs import peak_memory_mb
+from ..core.description import DatasetDescription, held_out
+from ..core.files import write_json
 from ..pure import spec as scene_spec
-from ..pure.description import DatasetDescription, held_out
 from ..pure.effects import encodes, shows_board
-from ..pure.io.files import write_json
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from .reporter import Reporter, exit_status, leave, run_alone

@@ -87,7 +87,7 @@ def everything():
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """One result in every form that the panel imports."""
-    from gof.io.importers.freetime import save
+    from gof.core.ftgs import save
     from tests.blender.test_gaussians_file import plain_ply
 
     folder = tmp_path_factory.mktemp("results")

@@ -310,7 +310,7 @@ def test_cost_is_that_of_a_conversion(tmp_path):
 
 
 def test_a_damaged_frame_is_named(tmp_path):
-    from gof_blender.pure.io import FileFormatError
+    from gof_blender.core.errors import DataFormatError
     from gof_blender.pure.io.fire_store import FireStore
 
     write_puff(tmp_path / "grids")
@@ -318,5 +318,5 @@ def test_a_damaged_frame_is_named(tmp_path):
     chunk.write_bytes(chunk.read_bytes()[:50])
     store = FireStore(tmp_path / "grids")
     store.emission.at(STEP_S)
-    with pytest.raises(FileFormatError, match=r"emission\.zarr/c/2.*truncated"):
+    with pytest.raises(DataFormatError, match=r"emission\.zarr/c/2.*truncated"):
         store.emission.at(1.5 * STEP_S)

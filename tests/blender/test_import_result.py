@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from gof.core.gaussians import TransientGaussians
-from gof_blender.pure.description import DatasetDescription, held_out
-from gof_blender.pure.io import FileFormatError
+from gof_blender.core.description import DatasetDescription, held_out
+from gof_blender.core.errors import DataFormatError
 from gof_blender.pure.spec import SceneSpec
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -160,5 +160,5 @@ def test_foreign_dataset(folder, tmp_path, changes, message):
 
 def test_a_broken_description_is_named(tmp_path):
     (tmp_path / "dataset.json").write_text("{")
-    with pytest.raises(FileFormatError, match=r"dataset\.json: not readable as JSON"):
+    with pytest.raises(DataFormatError, match=r"dataset\.json: not readable as JSON"):
         DatasetDescription.read(tmp_path)

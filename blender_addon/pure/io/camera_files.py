@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from ...core.description import FILE, CameraEntry, DatasetDescription
+from ...core.errors import DataFormatError
+from ...core.files import is_name, read_json, read_text, write_json, write_text
 from ..camera_poses import rotation_matrix
-from ..description import FILE, CameraEntry, DatasetDescription
-from . import FileFormatError
-from .files import is_name, read_json, read_text, write_json, write_text
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's, and back
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye", "distortion_params", "rolling_shutter")
@@ -34,22 +34,22 @@ def read(path: Path) -> tuple[CameraEntry, ...]:
     """The cameras of dataset.json, transforms.json, or cameras.txt with images.txt; pictures of one camera are one.
 
     Raises:
-        FileFormatError: no such file, another format, distortion, or values that are no camera.
+        DataFormatError: no such file, another format, distortion, or values that are no camera.
     """
     if path.name == FILE:
         return DatasetDescription.read(path.parent).cameras
     if path.suffix.lower() == ".json":
         found = list(_of_transforms(path))
     elif path.name in BINARY or (path.name in COLMAP and _is_binary(path.parent)):
-        raise FileFormatError(
+        raise DataFormatError(
             f"{path}: a binary COLMAP model; make text of it: colmap model_converter --output_type TXT"
         )
     elif path.name in COLMAP:
         found = list(_of_colmap(path.parent))
     else:
-        raise FileFormatError(f"{path}: not {FILE}, transforms.json, cameras.txt or images.txt")
+        raise DataFormatError(f"{path}: not {FILE}, transforms.json, cameras.txt or images.txt")
     if not found:
-        raise FileFormatError(f"{path}: holds no cameras")
+        raise DataFormatError(f"{path}: holds no cameras")
     return tuple(_named_apart(_different(found)))
 
 
@@ -89,7 +89,7 @@ def _of_transforms(path: Path) -> Iterator[CameraEntry]:
     whole = read_json(path)
     frames = whole.get("frames") if isinstance(whole, dict) else None
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise FileFormatError(f"{path}: has no list 'frames', so it is not a transforms.json")
+        raise DataFormatError(f"{path}: has no list 'frames', so it is not a transforms.json")
     names = _camera_names([str(frame.get("file_path", "cam")) for frame in frames])
     for number, (own, name) in enumerate(zip(frames, names, strict=True)):
         frame, what = whole | own, f"{path}: frame {number}"
@@ -98,7 +98,7 @@ def _of_transforms(path: Path) -> Iterator[CameraEntry]:
         if frame.get("camera_model", "OPENCV") not in STRAIGHT:
             bent.append(f"camera_model {str(frame['camera_model'])[:40]}")
         if bent:
-            raise FileFormatError(
+            raise DataFormatError(
                 f"{what} has {', '.join(bent)}: distortion, which Blender's cameras have not: undistort the pictures"
             )
         try:
@@ -114,9 +114,9 @@ def _of_transforms(path: Path) -> Iterator[CameraEntry]:
             to_camera = np.linalg.inv(pose @ FLIP)
             entry = _entry(name, width, height, lens, to_camera)
         except KeyError as error:
-            raise FileFormatError(f"{what} has no {error}") from None
+            raise DataFormatError(f"{what} has no {error}") from None
         except (TypeError, ValueError, ZeroDivisionError, OverflowError, np.linalg.LinAlgError) as error:
-            raise FileFormatError(f"{what}: {error}") from None
+            raise DataFormatError(f"{what}: {error}") from None
         yield _with_role(entry, frame.get("role"))
 
 
@@ -137,7 +137,7 @@ def _of_colmap(folder: Path) -> Iterator[CameraEntry]:
                 raise ValueError(f"no camera {lens_number} in cameras.txt")
             yield _entry(name, *lenses[lens_number], pose)
         except ValueError as error:
-            raise FileFormatError(f"{path}: line {number}: {error}") from None
+            raise DataFormatError(f"{path}: line {number}: {error}") from None
 
 
 def _lenses(path: Path) -> dict[int, tuple[int, int, list[float]]]:
@@ -149,7 +149,7 @@ def _lenses(path: Path) -> dict[int, tuple[int, int, list[float]]]:
             continue
         what = f"{path}: line {number}"
         if len(words) < 5 or words[1] not in LENSES:
-            raise FileFormatError(f"{what} is no PINHOLE or SIMPLE_PINHOLE: run COLMAP's image_undistorter")
+            raise DataFormatError(f"{what} is no PINHOLE or SIMPLE_PINHOLE: run COLMAP's image_undistorter")
         try:
             if not words[0].isdecimal() or int(words[0]) in lenses:
                 raise ValueError(f"{words[0][:40]} is no camera number of its own")
@@ -158,7 +158,7 @@ def _lenses(path: Path) -> dict[int, tuple[int, int, list[float]]]:
             lens = [float(words[4 + place]) for place in LENSES[words[1]]]
             lenses[int(words[0])] = (_whole(words[2]), _whole(words[3]), lens)
         except ValueError as error:
-            raise FileFormatError(f"{what}: {error}") from None
+            raise DataFormatError(f"{what}: {error}") from None
     return lenses
 
 
@@ -173,22 +173,22 @@ def _pictures(path: Path) -> list[tuple[int, list[float], int, str]]:
         if not line:
             observed = True
         elif picture and observations and not observed and _turns(line):
-            raise FileFormatError(
+            raise DataFormatError(
                 f"{path}: line {number} may be a picture or observations; write an empty line after every picture"
             )
         elif picture and (observed or not observations):
             words = line.split(maxsplit=9)
             if any("\udc80" <= c <= "\udcff" for c in words[9]):
-                raise FileFormatError(f"{path}: line {number}: the picture's name is not UTF-8")
+                raise DataFormatError(f"{path}: line {number}: the picture's name is not UTF-8")
             if words[9] in names:
-                raise FileFormatError(f"{path}: line {number}: a second picture is called '{words[9][:80]}'")
+                raise DataFormatError(f"{path}: line {number}: a second picture is called '{words[9][:80]}'")
             found.append((number, [float(word) for word in words[1:8]], int(words[8]), words[9]))
             names.add(words[9])
             observed = False
         elif observations and not observed:
             observed = True
         else:
-            raise FileFormatError(
+            raise DataFormatError(
                 f"{path}: line {number} is no 'IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME': {line[:60]!r}"
             )
     return found
@@ -278,7 +278,7 @@ def _different(found: list[CameraEntry]) -> list[CameraEntry]:
         )
         kept.setdefault(key, entry)
     if len(kept) > MOST:
-        raise FileFormatError(f"{len(kept)} cameras; does this file hold a moving camera's path? {MOST} are the most")
+        raise DataFormatError(f"{len(kept)} cameras; does this file hold a moving camera's path? {MOST} are the most")
     return list(kept.values())
 
 

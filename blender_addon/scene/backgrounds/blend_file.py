@@ -15,7 +15,7 @@ import bpy
 from mathutils import Matrix
 
 from ...core.checked_json import SpecError
-from ...pure.io.files import atomic_path
+from ...core.files import atomic_path
 from ...pure.spec import SceneSpec
 from .. import paths, place
 from . import foreign

@@ -19,6 +19,7 @@ import numpy as np
 import gof
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
+from gof.core.fields import VelocitySequence
 from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
@@ -29,7 +30,6 @@ from gof.look.player.agreement import Agreement, measure
 from gof.look.player.opened import Opened, middle_of, time_span
 from gof.look.player.quantise import Packed, pack, unpack
 from gof.look.player.recorded import PLATE_QUALITY, PLATE_SIDE, base64_text, frames_within, webp
-from gof.look.player.truth import true_velocity
 
 PLAYER = Path(__file__).parent
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")
@@ -81,7 +81,7 @@ def share_page(
     packed, agreement, truths = [], [], []
     for number, result in enumerate(results):
         progress(number, len(results), stage=f"quantise {result.name}")
-        truths.append(None if truth is None else true_velocity(result.gaussians, truth))
+        truths.append(None if truth is None else _true_velocity(result.gaussians, truth))
         packed.append(pack(result.gaussians, truths[-1]))
         agreement.append(_checked(result.gaussians, packed[-1], cameras, first_s, last_s))
     frames, said = frames_within(views, round(pictures_mb * 1e6), lambda i, n: progress(i, n, stage="pictures"))
@@ -249,3 +249,8 @@ def in_words(agreement: Agreement) -> str:
         f"{agreement.psnr_db:.1f} dB from the unquantised picture at worst, "
         f"centres within {agreement.moved_px:.2g} px, velocities within {1e3 * agreement.velocity_m_s:.1g} mm/s"
     )
+
+
+def _true_velocity(gaussians: TransientGaussians, truth: VelocitySequence) -> np.ndarray:
+    """(N, 3) m/s of the gas at each Gaussian's centre at its own time t_mu; 0 outside the field."""
+    return truth.sample(gaussians.position, gaussians.t_mu.astype(np.float64))[0]
