@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.core.colmap import read_colmap
 from gof.core.errors import DataFormatError
 from gof.core.files import read_json
-from gof.io.colmap import read_colmap
 from gof.io.importers.alignment import read_cameras
 from gof_blender.core.errors import DataFormatError as AddOnError
 from gof_blender.pure.io import camera_files
@@ -164,7 +164,7 @@ def test_a_binary_model_in_the_add_on(tmp_path):
 
 def test_the_model_with_most_pictures_is_read(tmp_path):
     """COLMAP writes a model for every part of the pictures that it could not join, in no order of size."""
-    from gof.io.colmap import name_model
+    from gof.core.colmap import name_model
 
     _colmap(tmp_path / "sparse/0", "\n\n".join(ROWS[:2]))
     _colmap(tmp_path / "sparse/1", PAIRS)

@@ -7,9 +7,9 @@ from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
+from gof.core.colmap import Poses, check_poses, name_model, read_colmap
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import read_json
-from gof.io.colmap import Poses, check_poses, name_model, read_colmap
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's
 PICTURES = frozenset("avif bmp dng exr gif hdr heic heif jp2 jpeg jpg jxl pgm png ppm raw tga tif tiff webp".split())

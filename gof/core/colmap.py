@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.core.errors import DataFormatError
-from gof.core.files import read_text
-from gof.core.rotations import rotation_matrices
+from .errors import DataFormatError
+from .files import read_text
+from .rotations import rotation_matrices
 
 Poses = dict[str, np.ndarray]  # world_to_camera (4, 4) by image name
 Line = tuple[int, str]  # of text: its number, from 1, and what it says
