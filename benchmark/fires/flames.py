@@ -13,12 +13,13 @@ import numpy as np
 from gof.core.cameras import Camera
 from gof.core.colour import srgb_to_linear
 from gof.core.errors import DataFormatError
+from gof.core.fire import Hearth
 from gof.core.numbered import is_hidden
 from gof.dataset import Dataset
 from gof.footage.flame_mask import flame_mask
 from gof.footage.videos import stored_frames
 from gof_benchmark.fires import measures
-from gof_benchmark.solvers.grids import FireGrids, FireHistory, Hearth
+from gof_benchmark.solvers.grids import FireGrids, FireHistory
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.fires import GridFire
 from gof_blender.pure.spec import SceneSpec

@@ -51,13 +51,13 @@ class GOF_OT_export_cameras(bpy.types.Operator, ExportHelper):
 
 
 class GOF_OT_import_cameras(bpy.types.Operator, ImportHelper):
-    """Add cameras of transforms.json, COLMAP's images.txt, dataset.json, USD or Alembic; with a fire, as its rig"""
+    """Add cameras of transforms.json, COLMAP's images, dataset.json, USD or Alembic; with a fire, as its rig"""
 
     bl_idname = "gof.import_cameras"
     bl_label = "Import Cameras"
     bl_options = {"UNDO"}
 
-    filter_glob: bpy.props.StringProperty(default="*.json;*.txt;*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.json;*.txt;*.bin;*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
     from_fire: bpy.props.BoolProperty(name="From the Fire", description=FROM_FIRE)
     rig: bpy.props.BoolProperty(
         name="As the Rig",

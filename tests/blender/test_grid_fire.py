@@ -13,13 +13,14 @@ import pytest
 
 from gof.core.errors import GofError
 from gof.core.fields import VelocitySequence
+from gof.core.fire import FireDescription, Hearth
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.emission import FlameGrid, score_on_emission
 from gof_benchmark.commands import generate
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim, load_scene
-from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireGrids, Hearth, write_fire
+from gof_benchmark.solvers.grids import FireFrame, FireGrids, write_fire
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,12 +155,37 @@ def test_pictures_of_one_name_that_stand_apart(tmp_path):
     assert _by_the_addon(tmp_path) == {"left": 1, "left_2": 2}
 
 
-def test_a_binary_model_in_the_add_on(tmp_path):
-    _colmap(tmp_path, PAIRS)
-    (tmp_path / "images.txt").rename(tmp_path / "images.bin")
-    for name in ("images.txt", "cameras.txt", "images.bin", "cameras.bin"):
-        with pytest.raises(AddOnError, match=f"{name}: a binary COLMAP model.*model_converter"):
-            camera_files.read(tmp_path / name)
+@pytest.mark.parametrize("lens", ["PINHOLE 100 80 90 91 50 40", "SIMPLE_PINHOLE 100 80 90 50 40"])
+def test_a_binary_model_in_the_add_on(tmp_path, lens):
+    pycolmap = pytest.importorskip("pycolmap")
+    text = _colmap(tmp_path / "text", PAIRS)
+    (text / "cameras.txt").write_text(f"1 {lens}\n")
+    model, binary = pycolmap.Reconstruction(str(text)), tmp_path / "binary"
+    binary.mkdir()
+    model.write_binary(str(binary))
+    found = camera_files.read(binary / "images.bin")
+    assert {entry.name: entry.world_to_camera[0][3] for entry in found} == THREE
+    fx, fy = (90, 91) if lens.startswith("PIN") else (90, 90)
+    assert {(e.width, e.height, e.K) for e in map(_hashable, found)} == {
+        (100, 80, ((fx, 0, 50), (0, fy, 40), (0, 0, 1)))
+    }
+    (binary / "cameras.bin").write_bytes((binary / "cameras.bin").read_bytes()[:-3])
+    with pytest.raises(AddOnError, match=r"cameras\.bin: the COLMAP model cannot be read"):
+        camera_files.read(binary / "cameras.bin")
+
+
+def _hashable(entry):
+    return replace(entry, K=tuple(map(tuple, entry.K)))
+
+
+def test_a_binary_model_with_distortion_in_the_add_on(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    text = _colmap(tmp_path / "text", PAIRS)
+    (text / "cameras.txt").write_text("1 OPENCV 100 80 90 90 50 40 0.1 0 0 0\n")
+    (tmp_path / "binary").mkdir()
+    pycolmap.Reconstruction(str(text)).write_binary(str(tmp_path / "binary"))
+    with pytest.raises(AddOnError, match="image_undistorter"):
+        camera_files.read(tmp_path / "binary/cameras.bin")
 
 
 def test_the_model_with_most_pictures_is_read(tmp_path):

@@ -8,8 +8,9 @@ import pytest
 
 from gof.core.errors import DataFormatError, NonFiniteError
 from gof.core.fields import VelocitySequence
+from gof.core.fire import FireDescription
 from gof.core.records import from_json, to_json
-from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireGrids, FireHistory, write_fire
+from gof_benchmark.solvers.grids import FireFrame, FireGrids, FireHistory, write_fire
 from tests.solvers.conftest import write_small_fire
 
 

@@ -134,7 +134,8 @@ def _depth(folder: Path) -> None:
 
 def _fire(folder: Path) -> None:
     """As the solvers write it: a description, velocities and light on one grid."""
-    from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireHistory, Hearth, write_fire
+    from gof.core.fire import FireDescription, Hearth
+    from gof_benchmark.solvers.grids import FireFrame, FireHistory, write_fire
 
     hearth = Hearth(30.0, 0.3, (0.0, 0.0, 0.0), 0.1)
     about = FireDescription("sample", "a solver 1", (0.0, 0.01), "grey", hearths=(hearth,))

@@ -10,47 +10,15 @@ All on one clock and one box of upright cubes, world axes (Z up, metres). Other 
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
 from ...core.errors import DataFormatError
 from ...core.fields import SAME_TIME_S, GridSequence, VelocitySequence, open_array
+from ...core.fire import FILE, FireDescription
 from ...core.numbered import is_hidden
 from ...core.records import read_record
-
-FILE = "fire.json"
-
-
-@dataclass(frozen=True)
-class Hearth:
-    """One burner: centre of its opening (m, on the store's axes), and the diameter of the circle of equal area (m)."""
-
-    diameter_m: float
-    position_m: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class FireDescription:
-    """What this add-on reads of `fire.json`; `gof_benchmark.solvers.grids` has all of it.
-
-    Attributes:
-        solver: name and version of what solved it.
-        time_s: (T,) clock of all grids.
-        emission_law: how light follows from the gas, with its source.
-    """
-
-    SCHEMA: ClassVar[str] = "gof-fire"
-    VERSION: ClassVar[int] = 1
-
-    name: str
-    solver: str
-    time_s: tuple[float, ...]
-    emission_law: str
-    hearths: tuple[Hearth, ...] = ()
-    seed: int = 0
 
 
 class FireStore:
