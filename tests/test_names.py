@@ -7,11 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.capture import annotate as annotate_module
+from gof.capture.template import BoardTemplate
 from gof.core.cameras import Camera
 from gof.core.drafts import draft_of
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import is_name, path_in
 from gof.dataset import Dataset
+from gof.dataset.plates import background, save_plates
+from gof.evaluate.depth import read_depth
 from gof.look.preview import Preview
 from gof.look.report import _stage_pictures
 from gof.reconstruct.captions import Caption, Captions
@@ -19,6 +23,7 @@ from gof_blender.core.checked_json import SpecError
 from gof_blender.core.errors import DataFormatError as ErrorOfTheAddOn
 from gof_blender.pure.spec import SceneSpec
 from gof_blender.worker.import_result import read_spec
+from tests.conftest import arc
 
 # By hand, not by a rule: what no name may be, and what one may be.
 HOSTILE = [
@@ -160,6 +165,90 @@ def test_velocity_is_a_name(tiny_dataset):
         edited(tiny_dataset, lambda d, name=name: d.update(velocity=name))
         with pytest.raises(DataFormatError, match=r"dataset\.json.*velocity"):
             Dataset.open(tiny_dataset)
+
+
+def test_plates_are_neither_written_nor_read_outside(tiny_dataset, tmp_path):
+    plates = [np.zeros((8, 8, 3))] * 2
+    out = tmp_path / "out"
+    with pytest.raises(DataFormatError):
+        save_plates(out, ["../../escaped", "cam_1"], plates)
+    outside = tmp_path / "elsewhere"
+    outside.mkdir()
+    out.mkdir()
+    (out / "plates").symlink_to(outside)  # of an unpacked archive, say
+    with pytest.raises(DataFormatError, match="outside"):
+        save_plates(out, ["cam_0", "cam_1"], plates)
+    assert not list(outside.iterdir()) and not (tmp_path / "escaped.png").exists()
+    (outside / "cam_0.png").write_bytes(b"secret")
+    with pytest.raises(DataFormatError, match="outside"):
+        background(Dataset.open(tiny_dataset), 0, out)
+
+
+def test_board_masks_are_not_written_through_links(tiny_dataset, tmp_path, monkeypatch):
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (tiny_dataset / "cameras" / "cam_0").rename(tmp_path / "moved")
+    (tiny_dataset / "cameras" / "cam_0").symlink_to(victim)
+    mask = np.full((64, 36), 255, np.uint8)
+    monkeypatch.setattr(annotate_module, "find_mask", lambda pictures, template: mask)
+    with pytest.raises(DataFormatError, match="outside"):
+        annotate_module.annotate(Dataset.open(tiny_dataset), BoardTemplate.load("paper_rig"))
+    assert not list(victim.iterdir())
+
+
+def test_depth_maps_are_read_in_their_folder(tiny_dataset, tmp_path):
+    np.save(tmp_path / "000000.npy", np.ones((4, 4)))
+    (tmp_path / "d").mkdir()
+    with pytest.raises(DataFormatError):
+        read_depth(tmp_path / "d", "..", 0)
+
+
+def test_views_are_not_written_through_links(tmp_path):
+    """`gof generate --views` in a folder that a stranger has prepared."""
+    from gof_benchmark.views import dynerf
+    from gof_benchmark.views.source import ViewSource
+    from tests.conftest import write_dataset
+
+    root, victim = tmp_path / "d", tmp_path / "victim"
+    images = np.zeros((1, 1, 64, 36, 3))
+    write_dataset(root, arc(1), images, images[0], [0.0])
+    victim.mkdir()
+    (root / "dynerf").symlink_to(victim)
+    source = ViewSource.open(root)
+    with pytest.raises(DataFormatError, match="outside"):
+        dynerf.link_pictures(source, 0, 0)
+    assert not list(victim.iterdir())
+
+
+def test_a_view_never_links_what_lies_outside(tmp_path):
+    from gof_benchmark.views import dynerf
+    from gof_benchmark.views.source import ViewSource
+    from tests.conftest import write_dataset
+
+    root, secret = tmp_path / "d", tmp_path / "id_rsa"
+    images = np.zeros((1, 1, 64, 36, 3))
+    write_dataset(root, arc(1), images, images[0], [0.0])
+    secret.write_text("secret")
+    picture = root / "cameras/cam_0/rgb/000000.png"
+    picture.unlink()
+    picture.symlink_to(secret)
+    with pytest.raises(DataFormatError, match="outside"):
+        dynerf.link_pictures(ViewSource.open(root), 0, 0)
+    assert os.stat(secret).st_nlink == 1
+
+
+def test_no_grid_is_read_from_a_pipe(tmp_path):
+    from gof.core.fields import VelocityField, VelocitySequence
+
+    field = VelocityField.from_array(np.ones((4, 4, 4, 3)), (0, 0, 0), 0.5, 0.0)
+    VelocitySequence.create(tmp_path / "velocity.zarr", [field])
+    chunk = next(p for p in (tmp_path / "velocity.zarr/c").rglob("*") if p.is_file())
+    chunk.unlink()
+    os.mkfifo(chunk)
+    with pytest.raises(DataFormatError, match="a pipe or a device"):
+        VelocitySequence.open(tmp_path / "velocity.zarr").frame(0)
+    with pytest.raises(DataFormatError, match="a pipe or a device"):
+        VelocitySequence.open(tmp_path / "velocity.zarr").sample(np.full((1, 3), 0.3), np.zeros(1))
 
 
 # ---------------------------------------------------------------- reports

@@ -191,9 +191,7 @@ def _check_view(args: argparse.Namespace, scene: GeneratedScene | CapturedScene)
     if not 0 <= args.frame <= last:
         raise DataFormatError(f"--frame {args.frame}: the dataset {args.dataset} has frames 0 to {last}")
     if args.camera not in names:
-        raise DataFormatError(
-            f"--camera {args.camera}: the dataset {args.dataset} has {', '.join(names) or 'no cameras'}"
-        )
+        raise DataFormatError(f"--camera {args.camera}: the dataset {args.dataset} has {', '.join(names)}")
 
 
 def main(argv: list[str] | None = None) -> int:

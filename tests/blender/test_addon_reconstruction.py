@@ -300,7 +300,7 @@ for name in ("unsure", "silent"):
         ("truncated.ply", "", "truncated"),
         ("cut.npz", "", "not a readable npz"),
         ("none.npz", "", "0 points"),
-        ("nan.npz", "", "must be finite"),
+        ("nan.npz", "", "NaN or Inf"),
         ("clip.ftgs.ply", "", "set Clip Length"),
         ("huge.ply", "", "Set Every n-th to 5 or more"),
         ("huge.ply", "step=3", "tick However Many"),

@@ -265,13 +265,13 @@ def change(file, how):
     "spoil, message",
     [
         (lambda g: (g / "fire.json").unlink(), r"fire\.grids.*fire\.json: no such file"),
-        (lambda g: shutil.rmtree(g / "emission.zarr"), r"emission\.zarr: no zarr\.json inside"),
-        (lambda g: shutil.move(g / "velocity.zarr", g / "v"), r"velocity\.zarr: no zarr\.json inside"),
+        (lambda g: shutil.rmtree(g / "emission.zarr"), r"emission\.zarr.*zarr\.json: no such file"),
+        (lambda g: shutil.move(g / "velocity.zarr", g / "v"), r"velocity\.zarr.*zarr\.json: no such file"),
         (lambda g: change(g / "emission.zarr/zarr.json", lambda d: d["attributes"].update(quantity="soot")), "soot"),
         (lambda g: change(g / "velocity.zarr/zarr.json", lambda d: d["attributes"].update(units="knots")), "knots"),
         (
-            lambda g: change(g / "emission.zarr/zarr.json", lambda d: d["codecs"][1].update(name="zstd")),
-            r"zstd.*GzipCodec",
+            lambda g: change(g / "emission.zarr/zarr.json", lambda d: d["codecs"][1].update(name="blosc")),
+            r"blosc.*GzipCodec",
         ),
         (other_clock, r"velocity\.zarr: its clock is not that of fire\.json"),
         (other_box, r"emission\.zarr: its box is not that of velocity"),
@@ -318,6 +318,6 @@ def test_a_damaged_frame_is_named(tmp_path):
     chunk = next(path for path in (tmp_path / "grids/emission.zarr/c/2").rglob("*") if path.is_file())
     chunk.write_bytes(chunk.read_bytes()[:50])
     store = FireStore(tmp_path / "grids")
-    store.emission.at(STEP_S)
-    with pytest.raises(DataFormatError, match=r"emission\.zarr/c/2.*truncated"):
-        store.emission.at(1.5 * STEP_S)
+    store.emission.cells_at(STEP_S)
+    with pytest.raises(DataFormatError, match=r"emission\.zarr: frame 2: c/2.*truncated"):
+        store.emission.cells_at(1.5 * STEP_S)
