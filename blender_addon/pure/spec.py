@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from ..core.checked_json import SpecError, from_dict, require
 from ..core.errors import GofError
-from ..core.files import is_name, path_in, read_json, write_json
+from ..core.files import is_name, path_in, read_json, without_place, write_json
 from . import effects as effect_modules
 from .clip import Clip
 from .fires import Domain, Fire, GridFire
@@ -193,7 +193,7 @@ class SceneSpec:
         blend_file = self.blend_file and dataclasses.replace(self.blend_file, path=BACKGROUND)
         fire = self.fire
         if isinstance(fire, GridFire):
-            fire = dataclasses.replace(fire, grids=_without_place(Path(fire.grids), folder.resolve()))
+            fire = dataclasses.replace(fire, grids=without_place(Path(fire.grids), folder.resolve()))
         return dataclasses.replace(self, blend_file=blend_file, fire=fire)
 
     def files(self) -> list[Path]:
@@ -264,24 +264,15 @@ class SceneSpec:
         return dataclasses.replace(self, **sections)
 
 
-def _without_place(path: Path, folder: Path) -> str:
-    """The path relative to a folder, if they have more than the root of the disk in common; else its name."""
-    try:
-        shared = Path(os.path.commonpath([path, folder]))
-    except ValueError:  # other drives, or relative already
-        return path.name
-    return Path(os.path.relpath(path, folder)).as_posix() if shared != Path(shared.anchor) else path.name
-
-
 def load(path: str | os.PathLike) -> SceneSpec:
     """Read a spec from a JSON file; paths of files in it become absolute. Raises SpecError that names the file."""
     path = Path(path)
     try:
         return SceneSpec.from_dict(read_json(path)).resolved(path.parent)
-    except GofError as error:
-        raise SpecError(str(error)) from error
     except SpecError as error:
         raise SpecError(f"{path}: {error}") from error
+    except GofError as error:  # of the file, which it names
+        raise SpecError(str(error)) from error
 
 
 def save(spec: SceneSpec, path: str | os.PathLike) -> None:

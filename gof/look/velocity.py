@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from gof.core.cameras import Camera
-from gof.core.direction_colors import direction_colors
+from gof.core.colour import direction_colors
 from gof.core.gaussians import TransientGaussians
 
 GROUND = np.array([0.11, 0.11, 0.12])  # display colour where nothing is

@@ -51,12 +51,12 @@ def test_a_spec_of_version_1_bakes_the_velocity_that_it_did(tmp_path):
     for stage in ("bake", "ground-truth"):
         run_stage(stage, layout.root)
     velocity = VelocitySequence.open(layout.velocity)
-    frames = [at_cells(velocity, np.moveaxis(np.indices(GRID), 0, -1).reshape(-1, 3), t) for t in velocity.time_s]
+    frames = [at_cells(velocity, np.moveaxis(np.indices(GRID), 0, -1).reshape(-1, 3), t) for t in velocity.times_s]
     speed = np.linalg.norm(frames, axis=-1)
     assert speed.mean(1) == pytest.approx(MEAN_M_S, rel=0.003)
     assert np.sqrt(np.square(speed).mean(1)) == pytest.approx(RMS_M_S, rel=0.003)
     expected = np.array(list(VECTORS_M_S.values()))
-    sampled = at_cells(velocity, np.array(list(VECTORS_M_S)), velocity.time_s[-1])
+    sampled = at_cells(velocity, np.array(list(VECTORS_M_S)), velocity.times_s[-1])
     assert np.linalg.norm(sampled - expected) < 0.01 * np.linalg.norm(expected)
 
 

@@ -192,4 +192,4 @@ def test_the_command_that_the_panel_gives_does_it(tmp_path):
     command = re.search(r"python (-m gof_benchmark.solvers.vdb .*); then choose", str(error.value))[1]
     command = command.replace("--velocity velocity", "--velocity vel").replace("--flame flame", "--flame flames")
     subprocess.run(f"{shlex.quote(sys.executable)} {command}", shell=True, check=True, cwd=tmp_path)
-    assert FireStore(tmp_path / "my cache_fire").velocity.time_s == pytest.approx([0, 1 / 24])
+    assert FireStore(tmp_path / "my cache_fire").velocity.times_s.tolist() == pytest.approx([0, 1 / 24])
