@@ -1,11 +1,13 @@
 """Package names: the folders `benchmark` and `blender_addon` install as `gof_benchmark` and `gof_blender`.
 
-Plain `benchmark` at the top of a user's site-packages would shadow, or be shadowed by, a file of their own.
+Plain `benchmark` at the top of a user's site-packages would shadow, or be shadowed by, a file of their own. `gof/core`
+is installed twice: inside Blender the add-on stands alone, so it has those files under a name of its own.
 """
 
 from setuptools import find_namespace_packages, setup
 
 FOLDERS = {"gof": "gof", "gof_benchmark": "benchmark", "gof_blender": "blender_addon"}
+CORE = {"gof_blender.core": "gof/core"}
 
 # What proves claims of the pages, and how the prior was learned: run from a checkout.
 NOT_INSTALLED = ("evidence", "training")
@@ -17,4 +19,5 @@ packages = [
     if "__pycache__" not in package and package.split(".")[1:2] not in [[part] for part in NOT_INSTALLED]
 ]
 files_not_installed = {"gof_benchmark": [f"{part}/{files}" for part in NOT_INSTALLED for files in ("*", "**/*")]}
-setup(packages=packages, package_dir=FOLDERS, exclude_package_data=files_not_installed)
+files_not_installed |= {"gof_blender": ["core/*"]}  # what stands for the files of CORE in a checkout
+setup(packages=packages, package_dir=FOLDERS | CORE, exclude_package_data=files_not_installed)

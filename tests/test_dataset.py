@@ -75,19 +75,15 @@ CANNOT_BE = {
 }
 
 
-@pytest.mark.parametrize("door", ["gof", "add-on"])
 @pytest.mark.parametrize("name", CANNOT_BE)
-def test_a_dataset_that_cannot_be_is_refused(tiny_dataset, door, name):
-    from gof_blender.pure.description import DatasetDescription
-    from gof_blender.pure.io import FileFormatError
-
+def test_a_dataset_that_cannot_be_is_refused(tiny_dataset, name):
     path = tiny_dataset / "dataset.json"
     meta = json.loads(path.read_text())
     spoil, words = CANNOT_BE[name]
     spoil(meta)
     path.write_text(json.dumps(meta))
-    with pytest.raises((DataFormatError, FileFormatError), match=rf"dataset\.json.*{words}"):
-        (Dataset.open if door == "gof" else DatasetDescription.read)(tiny_dataset)
+    with pytest.raises(DataFormatError, match=rf"dataset\.json.*{words}"):
+        Dataset.open(tiny_dataset)
 
 
 def test_not_a_dataset(tmp_path, tiny_dataset):

@@ -293,19 +293,15 @@ def test_a_closed_pipe_is_no_error():
 
 
 def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
-    from gof_blender.pure.io import files as of_the_add_on
-
     done = []
     real_sync, real_replace = os.fsync, os.replace
     monkeypatch.setattr(
         os, "fsync", lambda number: (done.append(os.readlink(f"/proc/self/fd/{number}")), real_sync(number))
     )
     monkeypatch.setattr(os, "replace", lambda a, b: (done.append(f"rename {Path(b).name}"), real_replace(a, b)))
-    for module in (files, of_the_add_on):
-        done.clear()
-        module.write_json(tmp_path / "a.json", {"a": 1})
-        assert len(done) >= 2 and ".json" in done[0] and done[1] == "rename a.json", (module, done)
-        assert done[2:] == [str(tmp_path)], "and then the folder's list of names"
+    files.write_json(tmp_path / "a.json", {"a": 1})
+    assert len(done) >= 2 and ".json" in done[0] and done[1] == "rename a.json", done
+    assert done[2:] == [str(tmp_path)], "and then the folder's list of names"
 
 
 def test_stores_of_another_zarr_version_are_refused(tmp_path):
@@ -410,14 +406,10 @@ def test_scores_name_no_place_on_their_authors_machine(tiny_dataset, tmp_path):
 @pytest.mark.parametrize("kind", ["device", "pipe", "folder"])
 def test_json_is_read_from_files_only(tmp_path, kind):
     """A device or a pipe would be read for ever."""
-    from gof_blender.pure.io import FileFormatError
-    from gof_blender.pure.io import files as of_the_add_on
-
     path = tmp_path / "captions.json"
     {"device": lambda: path.symlink_to("/dev/zero"), "pipe": lambda: os.mkfifo(path), "folder": path.mkdir}[kind]()
-    for read, error in ((files.read_json, DataFormatError), (of_the_add_on.read_json, FileFormatError)):
-        with pytest.raises(error, match=r"captions\.json: not a file"):
-            read(path)
+    with pytest.raises(DataFormatError, match=r"captions\.json: not a file"):
+        files.read_json(path)
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n half", b"GIF89a", b"<svg></svg>"])

@@ -1,4 +1,4 @@
-"""Files that are a sequence: gof's rule and the add-on's are held to one list, written by hand."""
+"""Files that are a sequence, in one list written by hand."""
 
 from pathlib import Path
 
@@ -6,10 +6,6 @@ import pytest
 
 from gof.core import numbered
 from gof.core.errors import DataFormatError
-from gof_blender.pure.io import FileFormatError
-from gof_blender.pure.io import numbered as numbered_of_the_add_on
-
-RULES = [(numbered, DataFormatError), (numbered_of_the_add_on, FileFormatError)]
 
 # Names as a folder lists them, and the frames' numbers in order of time.
 SEQUENCES = [
@@ -50,24 +46,22 @@ SEQUENCES = [
 ]
 
 
-@pytest.mark.parametrize(("rule", "error"), RULES)
 @pytest.mark.parametrize(("names", "numbers"), SEQUENCES, ids=lambda value: str(value)[:40])
-def test_frames_follow_the_numbers_in_their_names(rule, error, names, numbers):
+def test_frames_follow_the_numbers_in_their_names(names, numbers):
     paths = [Path("cache", f"{name}.ply") for name in names]
     for order in (paths, paths[::-1]):
         if numbers is None:
-            with pytest.raises(error, match="cache"):
-                rule.number_files(order)
+            with pytest.raises(DataFormatError, match="cache"):
+                numbered.number_files(order)
         else:
-            assert [number for number, _ in rule.number_files(order)] == numbers
+            assert [number for number, _ in numbered.number_files(order)] == numbers
 
 
-@pytest.mark.parametrize(("rule", "error"), RULES)
-def test_both_files_of_one_number_are_named(rule, error):
-    with pytest.raises(error, match=r"0001\.png.*0001\.jpg|0001\.jpg.*0001\.png"):
-        rule.number_files([Path("a/0001.jpg"), Path("a/0001.png")])
-    with pytest.raises(error, match=r"b/0001\.ply: has the number 1, and so has a/0001\.ply"):
-        rule.number_files([Path("a/0001.ply"), Path("b/0001.ply")])
+def test_both_files_of_one_number_are_named():
+    with pytest.raises(DataFormatError, match=r"0001\.png.*0001\.jpg|0001\.jpg.*0001\.png"):
+        numbered.number_files([Path("a/0001.jpg"), Path("a/0001.png")])
+    with pytest.raises(DataFormatError, match=r"b/0001\.ply: has the number 1, and so has a/0001\.ply"):
+        numbered.number_files([Path("a/0001.ply"), Path("b/0001.ply")])
 
 
 def test_missing_numbers_are_told_from_an_even_step():

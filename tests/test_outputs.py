@@ -12,8 +12,6 @@ import pytest
 from gof.commands.cli import main
 from gof.core.files import atomic_path, write_json
 from gof.host.processes import python_command
-from gof_blender.pure.io import FileFormatError
-from gof_blender.pure.io import files as files_of_the_add_on
 from tests.conftest import random_gaussians
 from tools.import_graph import modules
 
@@ -109,15 +107,6 @@ def test_a_blend_goes_to_no_device(result, tiny_dataset, tmp_path, capsys):
     assert "x.blend: is not a file but a device or a pipe" in capsys.readouterr().err
 
 
-def test_the_add_on_refuses_them(tmp_path):
-    os.mkfifo(tmp_path / "pipe.json")
-    (tmp_path / "folder.json").mkdir()
-    for name in ("pipe.json", "folder.json"):
-        with pytest.raises(FileFormatError, match=name):
-            files_of_the_add_on.write_json(tmp_path / name, 1)
-    assert stat.S_ISFIFO(os.stat(tmp_path / "pipe.json").st_mode)
-
-
 def test_what_fails_leaves_a_device_untouched(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(ValueError), atomic_path(tmp_path / "pipe") as draft:
@@ -128,9 +117,9 @@ def test_what_fails_leaves_a_device_untouched(tmp_path):
 
 
 def test_files_get_their_names_in_one_place():
-    """`os.replace` and its kin stand where this says: two rules for files, and folders that must not exist before."""
-    files = {"gof.core.files", "gof_blender.pure.io.files"}
-    folders = {"gof.core.drafts", "gof_benchmark.commands.benchmark_add", "gof_blender.pure.io.velocity_store"}
+    """`os.replace` and its kin stand where this says: one rule for files, and folders that must not exist before."""
+    files = {"gof.core.files"}
+    folders = {"gof.core.drafts", "gof_benchmark.commands.benchmark_add", "gof.core.grid_writer"}
     found = set()
     product = {n: path for n, path in modules().items() if not n.startswith("gof_benchmark.evidence")}
     for name, path in product.items():

@@ -20,8 +20,9 @@ from gof.io.importers.normalisation import world_from_training
 from gof_benchmark.evidence.reliability import damage, fuzz, kill
 from gof_benchmark.evidence.reliability.format import finite
 from gof_benchmark.evidence.reliability.formats import formats
-from gof_blender.pure.checked_json import SpecError
-from gof_blender.pure.io import FileFormatError, gaussians_file
+from gof_blender.core.checked_json import SpecError
+from gof_blender.core.errors import GofError as ErrorOfTheAddOn
+from gof_blender.pure.io import cloud as clouds
 from gof_blender.pure.spec import SceneSpec
 from tests.conftest import arc, random_gaussians
 
@@ -191,7 +192,7 @@ def readers(path):
     return (
         (lambda: TransientGaussians.load(path), GofError),
         (lambda: read_result(path), GofError),
-        (lambda: gaussians_file.load(path), FileFormatError),
+        (lambda: clouds.load(path), ErrorOfTheAddOn),
     )
 
 
@@ -432,10 +433,10 @@ def test_records_hold_finite_numbers(tmp_path, number):
 
 @pytest.mark.parametrize("encoding", ["x", 1.5, {"configuration": 3}, []])
 def test_a_store_with_other_chunk_keys_is_named(tmp_path, encoding):
-    from gof_blender.pure.io.velocity_reader import TrueVelocity
+    from gof.core.fields import VelocitySequence
 
-    formats()["velocity.zarr, add-on"].write(tmp_path)
+    formats()["velocity.zarr, at points"].write(tmp_path)
     file = tmp_path / "velocity.zarr" / "zarr.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"chunk_key_encoding": encoding}))
-    with pytest.raises(FileFormatError, match=r"velocity\.zarr"):
-        TrueVelocity(tmp_path / "velocity.zarr")
+    with pytest.raises(DataFormatError, match=r"velocity\.zarr"):
+        VelocitySequence.open(tmp_path / "velocity.zarr")

@@ -22,7 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import gof_blender
-from gof_blender.pure.io import gaussians_file
+from gof_blender.pure.io import cloud as clouds
 from gof_blender.scene import gaussian_nodes, images, point_cloud
 from gof_blender.worker import import_result
 
@@ -84,7 +84,7 @@ def errors(result: Path, dataset: Path, folder: Path) -> list[Path]:
 def side_by_side(result: Path, dataset: Path, folder: Path, frame: int, camera: str) -> list[Path]:
     """The true frame, and the cloud in the same scene."""
     spec = import_result.read_spec(dataset)
-    import_result.import_into_scene(gaussians_file.load(result), spec, "points")
+    import_result.import_into_scene(clouds.load(result), spec, "points")
     bpy.context.scene.frame_set(spec.timeline.blender_frame(frame))
     own, view = folder / "own.png", dataset / "cameras" / camera
     bpy.context.scene.camera = bpy.data.objects[camera]

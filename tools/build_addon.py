@@ -16,10 +16,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "blender_addon"
+CORE = ROOT / "gof" / "core"  # goes into the folder `core`, in place of what stands for it in a checkout
 NAME = "gaussians_on_fire"
 KINDS = {".py", ".toml"}
 BESIDE = {"LICENSE"}
-DOCUMENTATION = {ROOT / "docs" / "addon.md": "documentation.md"}  # what the add-on's Help opens
+# What the add-on's Help opens; whose the files of `core` are.
+ELSEWHERE = {ROOT / "docs" / "addon.md": "documentation.md", ROOT / "LICENSE": "core/LICENSE"}
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the first time a zip can hold
 
 
@@ -46,13 +48,17 @@ def version() -> str:
     return project
 
 
-def files() -> list[Path]:
-    """Everything that belongs into the zip, sorted. Raises SystemExit for a file of an unknown kind."""
-    found = [path for path in SOURCE.rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+def files() -> dict[Path, str]:
+    """Everything that belongs into the zip, and its name there. Raises SystemExit for a file of an unknown kind."""
+    named = {
+        path: path.relative_to(SOURCE).as_posix() for path in SOURCE.rglob("*") if SOURCE / "core" not in path.parents
+    }
+    named |= {path: f"core/{path.relative_to(CORE).as_posix()}" for path in CORE.rglob("*")}
+    found = {path: name for path, name in named.items() if path.is_file() and "__pycache__" not in path.parts}
     strange = [path for path in found if path.suffix not in KINDS and path.name not in BESIDE]
     if strange:
         raise SystemExit(f"{strange[0]} is no file of the add-on; remove it, or add its kind to tools/build_addon.py")
-    return sorted(found)
+    return found | ELSEWHERE
 
 
 def build(folder: Path) -> Path:
@@ -61,8 +67,7 @@ def build(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".tmp")
     with zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
-        named = {file: file.relative_to(SOURCE).as_posix() for file in files()} | DOCUMENTATION
-        for file, name in sorted(named.items(), key=lambda pair: Path(pair[1])):
+        for file, name in sorted(files().items(), key=lambda pair: Path(pair[1])):
             entry = zipfile.ZipInfo(f"{NAME}/{name}", EPOCH)
             entry.external_attr, entry.compress_type = 0o644 << 16, zipfile.ZIP_DEFLATED
             archive.writestr(entry, file.read_bytes())
@@ -74,7 +79,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the zip")
     path = build(parser.parse_args().out)
-    print(f"{path} ({path.stat().st_size / 1000:.0f} kB, {len(files()) + len(DOCUMENTATION)} files)")
+    print(f"{path} ({path.stat().st_size / 1000:.0f} kB, {len(files())} files)")
     return 0
 
 

@@ -15,6 +15,8 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = {"gof": "gof", "gof_benchmark": "benchmark", "gof_blender": "blender_addon"}  # as in setup.py
 # What starts a program belongs to the room that it opens, wherever the file has to stand.
 ENTRANCES = {"gof.commands.cli": "gof/commands", "gof.__main__": "gof/commands", "gof_blender": "blender_addon/ui"}
+ENTRANCES |= {"gof_blender.core": "gof/core"}
+CORE = ("gof_blender.core.", "gof.core.")  # the same files under two names (setup.py)
 PAGE = ROOT / "docs" / "architecture.md"
 BEGIN, END = "<!-- made by tools/import_graph.py --write -->\n", "<!-- end -->\n"
 
@@ -47,6 +49,7 @@ def all_imports(name: str, path: Path) -> Iterator[tuple[str, int]]:
 def imports_of(name: str, path: Path, known: dict[str, Path]) -> Iterator[tuple[str, int]]:
     """(module of ours, line) of a file's imports."""
     for target, line in all_imports(name, path):
+        target = target.replace(*CORE) if target.startswith(CORE[0]) else target
         module = target if target in known else target.rpartition(".")[0]
         if module in known:
             yield module, line

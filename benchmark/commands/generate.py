@@ -15,8 +15,8 @@ from gof.host.terminal import console
 from gof_benchmark.generator.graph import require_certificate
 from gof_benchmark.generator.looks import require_look
 from gof_benchmark.scenes import claimed, load_scene
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import look_process
-from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.child import JobError, python
 from gof_blender.pure.layout import Layout, leaving
 from gof_blender.pure.sense import require_sense

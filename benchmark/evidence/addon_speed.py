@@ -159,14 +159,14 @@ def measure_cloud(result: Path, mode: str) -> Cost:
     import bpy
 
     import gof_blender
-    from gof_blender.pure.io import gaussians_file
+    from gof_blender.pure.io import cloud as clouds
     from gof_blender.scene import point_cloud
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     gof_blender.register()
     scene = bpy.context.scene
     scene.render.fps = FPS
-    few = gaussians_file.load(result, step=1000)
+    few = clouds.load(result, step=1000)
     point_cloud.add_point_cloud(few, 1, mode)  # what a first import also loads is not counted
     scene.frame_set(5)
     bpy.data.objects.remove(bpy.data.objects[0])
@@ -227,10 +227,10 @@ def bake_meshes(result: Path) -> list[Any]:
     """A mesh of the visible points for every frame."""
     import bpy
 
-    from gof_blender.pure.io import gaussians_file
+    from gof_blender.pure.io import cloud as clouds
     from gof_blender.scene import display
 
-    cloud = gaussians_file.load(result)
+    cloud = clouds.load(result)
     light = display.emission(cloud, display.ToneCurve.measure(bpy.context.scene))
     radius = np.cbrt(cloud.scale.prod(1))
     meshes = []

@@ -26,8 +26,8 @@ import tyro
 from gof.core.fields import VelocitySequence
 from gof.core.files import write_json
 from gof.core.gaussians import TransientGaussians
+from gof.core.grid_writer import GridWriter
 from gof_benchmark.evidence import child
-from gof_blender.pure.io.velocity_store import VelocityWriter
 
 SIZE_M = 2.0
 COMPARED = 200  # Gaussians whose expected velocities by both ways are compared
@@ -118,7 +118,7 @@ def make_store(path: Path, n: int) -> float:
         points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
         return plume(points.reshape(-1, 3)).reshape(points.shape)
 
-    writer = VelocityWriter(path, (n, n, n), index_to_world, np.zeros(1), SIZE_M / n)
+    writer = GridWriter(path, (n, n, n), index_to_world, np.zeros(1), SIZE_M / n)
     writer.write_frame(0, block)
     writer.finish()
     return float(np.mean(full))

@@ -19,10 +19,10 @@ from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
 from gof.core.files import write_json
 from gof_benchmark.evidence import child
+from gof_blender.core.description import CameraEntry
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.clip import Clip
-from gof_blender.pure.description import CameraEntry
 from gof_blender.pure.effects import clock, motion_blur, rolling_shutter, sensor_noise, sync_board, video_compression
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.rig import Rig

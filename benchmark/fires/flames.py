@@ -13,13 +13,14 @@ import numpy as np
 from gof.core.cameras import Camera
 from gof.core.colour import srgb_to_linear
 from gof.core.errors import DataFormatError
+from gof.core.fire import Hearth
 from gof.core.numbered import is_hidden
 from gof.dataset import Dataset
 from gof.footage.flame_mask import flame_mask
 from gof.footage.videos import stored_frames
 from gof_benchmark.fires import measures
-from gof_benchmark.solvers.grids import FireGrids, FireHistory, Hearth
-from gof_blender.pure.checked_json import SpecError
+from gof_benchmark.solvers.grids import FireGrids, FireHistory
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.fires import GridFire
 from gof_blender.pure.spec import SceneSpec
 
@@ -141,7 +142,7 @@ def of_grids(fire: FireGrids) -> Flame:
         return (fire.velocity.frame(k).velocity for k in frames)
 
     def light() -> Iterator[np.ndarray]:
-        return (fire.grids["emission"].frame(k).sum(-1) for k in frames)
+        return (fire.grids["emission"].cells(k).sum(-1) for k in frames)
 
     along = [(e.sum(0).max(0), e.sum(1).max(0), e.sum((0, 1))) for e in light()]
     from_x, from_y, total = (np.array(part, float) for part in zip(*along, strict=True))

@@ -7,7 +7,7 @@ import os
 import re
 from pathlib import Path
 
-from gof_blender.pure.checked_json import SpecError
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.spec import Display
 
 LOOK = re.compile(r"^\s*-\s*!<Look>\s*\n?\s*\{?\s*name:\s*\"?([^\"\n,}]+)", re.MULTILINE)

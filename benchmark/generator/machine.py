@@ -23,7 +23,7 @@ from gof.core.records import read_record, write_record
 from gof.host.progress import progress_bar
 from gof_benchmark.generator.blender_process import Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
-from gof_blender.pure.checked_json import SpecError
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.cost_model import (
     CORES,
     REFERENCE,

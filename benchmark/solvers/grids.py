@@ -17,7 +17,7 @@ flame). Chunks are packed with gzip: Blender's Python has no zstd.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -25,66 +25,13 @@ import numpy as np
 
 from gof.core.drafts import whole_folder
 from gof.core.errors import DataFormatError, require_finite
-from gof.core.fields import CHUNK, VelocitySequence, is_affine, open_array
-from gof.core.files import is_name
+from gof.core.fields import CHUNK, GridSequence, VelocitySequence, open_array
+from gof.core.fire import FILE, FireDescription
 from gof.core.records import read_record, write_record
 from gof.core.zarr_array import ZarrArray
 
 QUANTITIES = {"emission": "W m^-3 sr^-1 nm^-1", "temperature": "K", "heat_release": "W/m3", "fuel": "1"}
 COMMON = {"version": 1, "frame": "world", "layout": "cell_centred"}
-
-
-@dataclass(frozen=True)
-class Hearth:
-    """One burner, as far as the laws of fires ask for it.
-
-    Args:
-        heat_release_kw: of its fuel, burnt completely.
-        diameter_m: of the circle of equal area.
-        position_m: centre of its opening.
-        speed_m_s: of the fuel where it comes out, straight up.
-    """
-
-    heat_release_kw: float
-    diameter_m: float
-    position_m: tuple[float, float, float]
-    speed_m_s: float
-
-
-@dataclass(frozen=True)
-class FireDescription:
-    """What a fire is and where it comes from: the record `fire.json`.
-
-    Args:
-        solver: name and version of what solved it.
-        time_s: (T,) clock of all grids, from 0.
-        emission_law: how light follows from the gas, with its source.
-        hearths: its burners; none where they are not known.
-        wind_m_s: (x, y) velocity of the air that comes in.
-        parameters: the solver's own description, enough to make it again.
-        cpu_s: seconds of one core by part of the work.
-    """
-
-    SCHEMA: ClassVar[str] = "gof-fire"
-    VERSION: ClassVar[int] = 1
-
-    name: str
-    solver: str
-    time_s: tuple[float, ...]
-    emission_law: str
-    fuel: str = ""
-    hearths: tuple[Hearth, ...] = ()
-    wind_m_s: tuple[float, float] = (0.0, 0.0)
-    seed: int = 0
-    parameters: dict[str, Any] = field(default_factory=dict)
-    cpu_s: dict[str, float] = field(default_factory=dict)
-
-    def __post_init__(self):
-        times = np.asarray(self.time_s, float)
-        if not is_name(self.name):
-            raise DataFormatError(f"fire {self.name[:80]!r}: folders are named after it; give it a plain name")
-        if len(times) == 0 or not np.isfinite(times).all() or times[0] != 0 or (np.diff(times) <= 0).any():
-            raise DataFormatError(f"fire '{self.name}': time_s must start at 0 and increase")
 
 
 @dataclass(frozen=True)
@@ -127,44 +74,6 @@ class FireFrame:
     fuel: np.ndarray | None = None
 
 
-class GridSequence:
-    """A quantity over time in a chunked zarr store (schema gof-grid); frames are read when asked for.
-
-    Attributes:
-        times_s: (T,) seconds; index_to_world: (4, 4); quantity, units: what the numbers are.
-    Raises:
-        DataFormatError: not such a store.
-    """
-
-    def __init__(self, path: Path):
-        self.path, self._array = path, open_array(path)
-        attributes = self._array.attributes
-        if (attributes.get("schema"), attributes.get("version")) != ("gof-grid", 1):
-            raise DataFormatError(f"{path}: not a grid (schema gof-grid version 1)")
-        try:
-            self.times_s = np.asarray(attributes["time_s"], np.float64)
-            self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
-            self.quantity, self.units = str(attributes["quantity"]), str(attributes["units"])
-        except (KeyError, TypeError, ValueError) as e:
-            raise DataFormatError(f"{path}: zarr.json lacks time_s, index_to_world, quantity or units ({e})") from e
-        if self.times_s.shape != self._array.shape[:1] or not is_affine(self.index_to_world):
-            raise DataFormatError(
-                f"{path}: {self.times_s.shape} times do not fit shape {self._array.shape}, or index_to_world is no "
-                "finite, invertible 4x4 matrix"
-            )
-
-    @property
-    def resolution(self) -> tuple[int, int, int]:
-        return tuple(self._array.shape[1:4])
-
-    def frame(self, index: int) -> np.ndarray:
-        """(X, Y, Z) or (X, Y, Z, 3) of a stored frame. Raises DataFormatError when it is damaged or not finite."""
-        values = self._array[(index,)]
-        if not np.isfinite(values).all():
-            raise DataFormatError(f"{self.path}: frame {index} holds NaN or Inf; bake the fire again")
-        return values
-
-
 @dataclass(frozen=True)
 class FireGrids:
     """A fire on disk, opened: `FireGrids.open(folder)`."""
@@ -202,7 +111,7 @@ class FireGrids:
             DataFormatError: the folder is unfinished, or its grids differ in box or clock (names the file).
         """
         path = Path(path)
-        description = read_record(FireDescription, path / "fire.json")
+        description = read_record(FireDescription, path / FILE)
         velocity = VelocitySequence.open(path / "velocity.zarr")
         if not np.array_equal(velocity.times_s, description.time_s):
             raise DataFormatError(f"{path / 'velocity.zarr'}: its clock is not that of fire.json")
@@ -211,9 +120,7 @@ class FireGrids:
             store = path / f"{quantity}.zarr"
             if not store.exists() and quantity != "emission":
                 continue
-            grid = grids[quantity] = GridSequence(store)
-            if grid.quantity != quantity:
-                raise DataFormatError(f"{store}: holds '{grid.quantity}', not '{quantity}'")
+            grid = grids[quantity] = GridSequence(open_array(store), quantity)
             if not np.array_equal(grid.times_s, velocity.times_s):
                 raise DataFormatError(f"{store}: its clock is not that of velocity.zarr")
             same_box = np.allclose(grid.index_to_world, velocity.index_to_world, rtol=0, atol=1e-9)
@@ -234,7 +141,7 @@ class FireGrids:
         for k in range(len(self.times_s)):
             self.velocity.frame(k)
             for quantity, grid in self.grids.items():
-                values = grid.frame(k)
+                values = grid.cells(k)
                 if values.min() < -1e-3 * max(1.0, np.abs(values).max()):
                     raise DataFormatError(f"{grid.path}: frame {k} holds negative {quantity} ({values.min():.3g})")
 
@@ -274,7 +181,7 @@ def write_fire(
                 stores[name].write(k, np.asarray(value, np.float32))
         if history:
             write_record(partial / "history.json", history)
-        write_record(partial / "fire.json", description)
+        write_record(partial / FILE, description)
     return FireGrids.open(path)
 
 

@@ -32,7 +32,7 @@ def brightest_column(fire: FireGrids) -> float:
     Raises:
         DataFormatError: a frame is damaged.
     """
-    frames = (fire.grids["emission"].frame(k)[..., 0] for k in range(len(fire.times_s)))
+    frames = (fire.grids["emission"].cells(k)[..., 0] for k in range(len(fire.times_s)))
     return (
         max(float(max(red.sum(0, dtype=float).max(), red.sum(1, dtype=float).max())) for red in frames) * fire.voxel_m
     )

@@ -19,10 +19,11 @@ import numpy as np
 import tyro
 
 from gof.core.errors import DataFormatError, GofError
+from gof.core.fire import FireDescription
 from gof.core.numbered import missing_numbers, number_files, usual_step
 from gof.host import extras
 from gof.host.terminal import console
-from gof_benchmark.solvers.grids import FireDescription, FireFrame, write_fire
+from gof_benchmark.solvers.grids import FireFrame, write_fire
 from gof_blender.pure.soot import black_body
 
 

@@ -10,7 +10,7 @@ from gof.core.files import read_json
 from gof.dataset import Dataset
 from gof_benchmark.suite import Size, SuiteScene, scenes_of
 from gof_benchmark.views.shrunk import SHRUNK
-from gof_blender.pure.checked_json import SpecError
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .checked_json import SpecError, from_dict
-from .io.files import read_json, write_json
+from ..core.checked_json import SpecError, from_dict
+from ..core.files import read_json, write_json
 
 WHITE, BLACK = 252, 26
 """8-bit values: clipped from WHITE on in red and green, which go last; black if no colour comes to BLACK."""

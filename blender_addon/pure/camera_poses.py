@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from ..core.rotations import rotation_matrices
 
 if TYPE_CHECKING:
     from .rig import Rig
@@ -48,7 +49,7 @@ def seen(rig: Rig, points: np.ndarray) -> np.ndarray:
 def _axes(rig: Rig) -> np.ndarray:
     """(C, 3, 3) rows: right, up and backward of every camera, in the world."""
     if rig.placed:
-        return np.stack([rotation_matrix(pose.rotation).T for pose in rig.placed])
+        return rotation_matrices(np.array([pose.rotation for pose in rig.placed], float)).transpose(0, 2, 1)
     back = positions(rig) - np.array(rig.look_at, float)
     length = np.linalg.norm(back, axis=1, keepdims=True)
     back = np.divide(back, length, out=np.tile([0.0, -1.0, 0.0], (len(back), 1)), where=length > 0)
@@ -56,15 +57,3 @@ def _axes(rig: Rig) -> np.ndarray:
     level = np.linalg.norm(right, axis=1, keepdims=True)
     right = np.divide(right, level, out=np.tile([1.0, 0.0, 0.0], (len(back), 1)), where=level > 1e-9)  # straight down
     return np.stack([right, np.cross(back, right), back], axis=1)
-
-
-def rotation_matrix(rotation: Sequence[float]) -> np.ndarray:
-    """(3, 3) of a quaternion wxyz that is not zero."""
-    w, x, y, z = np.array(rotation, float) / math.hypot(*rotation)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -22,9 +22,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from .checked_json import SpecError
-from .io import FileFormatError
-from .io.records import read_record, write_record
+from ..core.checked_json import SpecError
+from ..core.errors import GofError
+from ..core.records import read_record, write_record
 from .spec import SceneSpec
 
 # Measured on Blender 4.5, see docs/costs.md.
@@ -122,7 +122,7 @@ def known_machine() -> Machine | None:
     """Coefficients measured on this machine before; None where there are none that this version can read."""
     try:
         return read_record(Machine, machine_file())
-    except FileFormatError:
+    except GofError:
         return None
 
 

@@ -10,10 +10,10 @@ import subprocess
 import time
 from pathlib import Path
 
+from ..core.costs import StageLog
 from . import cost_model, effects, report
 from .brightness import Brightness
 from .child import JobError, Said, code, last_lines
-from .costs import Costs, StageCost
 from .layout import Layout
 from .spec import SceneSpec
 
@@ -71,7 +71,7 @@ class Job:
         self._process: subprocess.Popen | None = None
         self._said = Said()
         self._start = 0.0
-        self._counted = time.monotonic()  # until when costs.json counts this job's time by the clock
+        self._log = StageLog(layout.costs)
 
     @property
     def fraction(self) -> float:
@@ -173,10 +173,10 @@ class Job:
         if self.stage == "render" and (seen := Brightness.read(self.layout.brightness)):
             settings["brightness"] = vars(seen)
             self._note(str(seen))
-        run = StageCost(self.stage, now - self._start, self._said.peak_mb, settings)
-        Costs.read(self.layout.costs).adding(run, now - self._counted).write(self.layout.costs)
-        self._counted = now
-        self._note(f"{self.stage}: {run.seconds:.0f} s, {run.peak_mb:.0f} MB")
+        seconds, before = now - self._start, {cost.name: cost.settings for cost in self._log.stages()}
+        settings["wall_s"] = round(before.get(self.stage, {}).get("wall_s", 0.0) + seconds, 3)
+        self._log.record(self.stage, seconds, self._said.peak_mb, settings, resumed=True)
+        self._note(f"{self.stage}: {seconds:.0f} s, {self._said.peak_mb:.0f} MB")
 
     def _left_here(self) -> float:
         """Seconds left in this stage: by its own pace as soon as there is one."""

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from .description import DatasetDescription
-from .io import FileFormatError
+from ..core.datum import Datum
+from ..core.description import DatasetDescription
+from ..core.errors import DataFormatError
+from ..core.fields import VelocitySequence, trilinear
+from ..core.files import path_in
 from .io.cloud import GaussianCloud
-from .io.trilinear import trilinear
-from .io.velocity_reader import TrueVelocity, of_dataset
 from .scores import Control, Controls, Scores, VelocityScore
 
 NODE = np.sqrt(3.0)  # roots of He_3: -NODE, 0, NODE, with the weights 1/6, 2/3, 1/6
@@ -36,6 +37,40 @@ class Frame:
     velocity: np.ndarray
     truth: np.ndarray
     inside: np.ndarray
+
+
+@dataclass(frozen=True)
+class Window:
+    """Cells of one stored frame, in memory.
+
+    Attributes:
+        cells: (x, y, z, 3) m/s.
+        start: (3,) index of the first of them in the whole grid.
+        grid: cells of the whole grid.
+        world_to_index: (4, 4) world metres to continuous cell index, of the whole grid.
+    """
+
+    cells: np.ndarray
+    start: np.ndarray
+    grid: tuple[int, int, int]
+    world_to_index: np.ndarray
+
+    @classmethod
+    def read(cls, truth: VelocitySequence, number: int, low: np.ndarray, high: np.ndarray) -> Window:
+        """The cells that points between two world corners (3,) are interpolated from. Raises: DataFormatError."""
+        to_index, grid = np.linalg.inv(truth.index_to_world), truth.resolution
+        corners = np.where(np.array(list(np.ndindex(2, 2, 2))), high, low) @ to_index[:3, :3].T + to_index[:3, 3]
+        start = np.clip(np.floor(corners.min(0) - 0.5), 0, np.array(grid) - 1).astype(int)
+        stop = np.clip(np.floor(corners.max(0) - 0.5) + 2, start + 1, grid).astype(int)
+        return cls(truth.cells(number, *map(slice, start, stop)), start, grid, to_index)
+
+    def coordinate(self, points: np.ndarray) -> np.ndarray:
+        """World points (N, 3) to continuous cell index: the centre of cell i has i + 0.5."""
+        return points @ self.world_to_index[:3, :3].T + self.world_to_index[:3, 3]
+
+    def contains(self, coordinate: np.ndarray) -> np.ndarray:
+        """Whether continuous cell indices (N, 3) lie in the whole grid, (N,)."""
+        return ((coordinate >= 0) & (coordinate <= self.grid)).all(1)
 
 
 @dataclass(frozen=True)
@@ -83,26 +118,37 @@ class Sums:
 
 
 def frame_rate(dataset: Path) -> float:
-    """Frames per second of a dataset's clip; 24 for a single frame. Raises: FileFormatError: no dataset."""
+    """Frames per second of a dataset's clip; 24 for a single frame. Raises: DataFormatError: no dataset."""
     time_s = DatasetDescription.read(dataset).time_s
     return float(1 / np.median(np.diff(time_s))) if len(time_s) > 1 else 24.0
+
+
+def true_velocity(dataset: Path, datum: Datum | None = None) -> VelocitySequence:
+    """The true velocity of a dataset folder, its places and times counted from a datum.
+
+    Raises: DataFormatError: there is none, or no dataset.
+    """
+    name = DatasetDescription.read(dataset).velocity
+    if not name:
+        raise DataFormatError(f"{dataset}: the dataset has no true velocity (a real capture?); choose a generated one")
+    return VelocitySequence.open(path_in(dataset, name)).measured_from(datum or Datum())
 
 
 def score(cloud: GaussianCloud, dataset: Path) -> Iterator[tuple[int, int, Scores]]:
     """Score frame after frame: (frames done, frames in all, the score of those).
 
     Raises:
-        FileFormatError: no dataset, one without true velocity or of another time, a damaged store; numbered stills,
+        DataFormatError: no dataset, one without true velocity or of another time, a damaged store; numbered stills,
             which say no velocity; nothing that moves.
     """
     if cloud.begin is not None:
-        raise FileFormatError(
+        raise DataFormatError(
             "numbered stills say where Gaussians are, not how fast; set Python to one that has gof, which scores them"
         )
     if not cloud.dynamic.any():
-        raise FileFormatError("the reconstruction has no moving Gaussian, so there is no velocity to score")
-    truth = of_dataset(dataset, cloud.datum)
-    clip_s = np.array(DatasetDescription.read(dataset).time_s) - cloud.datum[3]
+        raise DataFormatError("the reconstruction has no moving Gaussian, so there is no velocity to score")
+    truth = true_velocity(dataset, cloud.datum)
+    clip_s = np.array(DatasetDescription.read(dataset).time_s) - (cloud.datum or Datum()).time_s
     frames = _frames(truth, clip_s, dataset)
     total, scored = Sums(), 0
     for done, number in enumerate(frames, 1):
@@ -127,21 +173,21 @@ def _scores(sums: Sums, frames: int) -> Scores:
     return Scores(found, controls, ("the true velocity is zero wherever there are Gaussians",) if still else ())
 
 
-def _frames(truth: TrueVelocity, clip_s: np.ndarray, dataset: Path) -> list[int]:
+def _frames(truth: VelocitySequence, clip_s: np.ndarray, dataset: Path) -> list[int]:
     """Numbers of the stored frames that lie in the clip, half a frame's time around it included."""
     slack = float(np.median(np.diff(clip_s))) / 2 if len(clip_s) > 1 else 0.0
-    in_clip = (truth.time_s >= clip_s[0] - slack) & (truth.time_s <= clip_s[-1] + slack)
+    in_clip = (truth.times_s >= clip_s[0] - slack) & (truth.times_s <= clip_s[-1] + slack)
     if not in_clip.any():
-        raise FileFormatError(
-            f"{dataset}: its true velocity covers {truth.time_s[0]:g} to {truth.time_s[-1]:g} s, its pictures "
+        raise DataFormatError(
+            f"{dataset}: its true velocity covers {truth.times_s[0]:g} to {truth.times_s[-1]:g} s, its pictures "
             f"{clip_s[0]:g} to {clip_s[-1]:g} s: make the dataset again"
         )
     return np.flatnonzero(in_clip).tolist()
 
 
-def probe(cloud: GaussianCloud, truth: TrueVelocity, number: int) -> Frame:
-    """What lives and moves at a stored frame, with the expected true velocity under each. Raises: FileFormatError."""
-    dt = np.where(cloud.dynamic, truth.time_s[number] - cloud.t_mu, 0.0)
+def probe(cloud: GaussianCloud, truth: VelocitySequence, number: int) -> Frame:
+    """What lives and moves at a stored frame, with the expected true velocity under each. Raises: DataFormatError."""
+    dt = np.where(cloud.dynamic, truth.times_s[number] - cloud.t_mu, 0.0)
     position = (cloud.position + dt[:, None] * cloud.velocity).astype(np.float32).astype(float)
     window = np.exp(-0.5 * np.clip(dt / cloud.t_sigma, -CLAMP, CLAMP) ** 2)
     opacity = (cloud.opacity * window).astype(np.float32)
@@ -161,20 +207,20 @@ def _not_negligible(weight: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def expected_velocity(
-    truth: TrueVelocity, number: int, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray
+    truth: VelocitySequence, number: int, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """E[V(X)] for X ~ N(position, R diag(scale^2) R^T) at a stored frame, by 27 nodes; outside its domain V is zero.
 
     Args:
         position: (M, 3) m.   scale: (M, 3) standard deviations, m.   rotation: (M, 4) unit quaternions wxyz.
     Returns:
-        (M, 3) m/s, and (M,) share of the nodes' weight that lies in the domain. Raises: FileFormatError.
+        (M, 3) m/s, and (M,) share of the nodes' weight that lies in the domain. Raises: DataFormatError.
     """
     mean, inside = np.zeros((len(position), 3)), np.ones(len(position))
     if not len(position):
         return mean, inside
     reach = NODE * np.sqrt(3.0) * scale.max(1, keepdims=True)  # the corner node, whatever the rotation
-    window = truth.window(number, (position - reach).min(0), (position + reach).max(0))
+    window = Window.read(truth, number, (position - reach).min(0), (position + reach).max(0))
     for start in range(0, len(position), BATCH):
         rows = slice(start, start + BATCH)
         axes = rotation_matrices(rotation[rows]) * scale[rows, None, :]  # columns: own axes times deviation

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from ..core.checked_json import SpecError, require
+from ..core.errors import GofError
 from . import effects as effect_modules
-from .checked_json import SpecError, require
 from .fuels import FUELS
-from .io import FileFormatError
 from .io.fire_store import FireStore
 from .soot import Sheet, sheet
 from .timeline import Timeline
@@ -180,7 +180,7 @@ class GridFire:
         """The fire's folder, opened. Raises SpecError if it is not whole."""
         try:
             return FireStore(Path(self.grids))
-        except FileFormatError as error:
+        except GofError as error:
             raise SpecError(f"fire.grids: {error}") from error
 
     def check(self, spec: SceneSpec) -> None:
@@ -193,7 +193,7 @@ class GridFire:
 
     def check_clock(self, timeline: Timeline) -> None:
         """Raise SpecError if the grids' clock does not cover what pictures and truth look at."""
-        steps, time_s = timeline.steps_needed, self.store.velocity.time_s
+        steps, time_s = timeline.steps_needed, self.store.velocity.times_s
         first, last = (self.start_s + timeline.simulated_s(step) for step in (steps[0], steps[-1]))
         rule = (
             f"such that the clip, {first:g}..{last:g} s with what its shutters see, lies in the clock of {self.grids}, "

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..core.checked_json import SpecError
+from ..core.files import read_json, write_json
 from . import spec as scene_spec
-from .checked_json import SpecError
-from .io.files import read_json, write_json
 from .spec import SceneSpec
 
 CUT_OFF = 0.05  # of the light of the widest section, from which a flame counts as cut off by the domain's side

@@ -7,8 +7,8 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from ..core.checked_json import SpecError
 from . import spec as scene_spec
-from .checked_json import SpecError
 from .child import JobError, code
 from .spec import SceneSpec
 

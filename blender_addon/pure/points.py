@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .io.cloud import SH_C0, GaussianCloud
+from ..core.harmonics import C0
+from .io.cloud import GaussianCloud
 from .voxels import FAINT, linear, state_at
 
 
@@ -65,5 +66,5 @@ def at(cloud: GaussianCloud, time_s: float, least: float = FAINT, time_scale: fl
         cloud.rotation[seen],
         linear(color).astype(np.float32),
         left.astype(np.float32),
-        np.column_stack([(color - 0.5) / SH_C0, left]).astype(np.float32),
+        np.column_stack([(color - 0.5) / C0, left]).astype(np.float32),
     )

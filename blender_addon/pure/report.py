@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from html import escape
 
+from ..core.costs import StageCost, StageLog
+from ..core.description import CameraEntry, DatasetDescription
+from ..core.files import read_json, write_text
 from .brightness import Brightness
-from .costs import Costs, StageCost
-from .description import CameraEntry, DatasetDescription
-from .io.files import read_json, write_text
 from .layout import Layout
 from .spec import SceneSpec
 
@@ -43,7 +43,7 @@ FILES = {
 
 def write(layout: Layout) -> None:
     """Write the page of a finished dataset; pictures are those of the dataset, not copies."""
-    dataset, stages = DatasetDescription.read(layout.root), Costs.read(layout.costs).stages
+    dataset, stages = DatasetDescription.read(layout.root), StageLog(layout.costs).stages()
     times = dataset.time_s
     shown = sorted({round(k * (len(times) - 1) / max(SHOWN - 1, 1)) for k in range(SHOWN)})
     page = PAGE.format(

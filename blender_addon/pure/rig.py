@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from .checked_json import require
+from ..core.checked_json import require
 from .fires import Vector
 
 MOST_PIXELS = 65_536  # along a side; Blender renders no larger

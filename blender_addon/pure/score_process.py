@@ -9,8 +9,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from ..core.errors import GofError
 from .child import JobError, Said, code
-from .io import FileFormatError
 from .scores import Scores
 
 INSTALL = (
@@ -87,7 +87,7 @@ class Evaluation:
             if status:
                 raise EvaluationError(self._reason())
             self.scores = Scores.read(self._folder / "scores.json")
-        except FileFormatError as error:
+        except GofError as error:
             raise EvaluationError(str(error)) from None
         finally:
             self._leave()

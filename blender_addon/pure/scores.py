@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from .io import FileFormatError
-from .io.records import read_record
+from ..core.errors import DataFormatError, GofError
+from ..core.records import read_record
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,11 @@ class Scores:
 
     @classmethod
     def read(cls, path: Path) -> Scores:
-        """Read a scores.json. Raises FileFormatError: absent, or not what this version reads (names the field)."""
+        """Read a scores.json. Raises DataFormatError: absent, or not what this version reads (names the field)."""
         try:
             return read_record(cls, path)
-        except FileFormatError as error:
-            raise FileFormatError(f"{error}; was it written by gof of another version?") from None
+        except GofError as error:
+            raise DataFormatError(f"{error}; was it written by gof of another version?") from None
 
     def rows(self) -> list[tuple[str, str]]:
         """Names and values for people."""

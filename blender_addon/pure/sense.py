@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.checked_json import SpecError
 from .camera_poses import HALF_SENSOR, positions, seen
-from .checked_json import SpecError
 from .fires import MOST_CELLS, Domain, Fire
 from .rooms import ROOMS
 

@@ -14,13 +14,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from ..core.checked_json import SpecError, from_dict, require
+from ..core.errors import GofError
+from ..core.files import is_name, path_in, read_json, without_place, write_json
 from . import effects as effect_modules
-from .checked_json import SpecError, from_dict, require
 from .clip import Clip
 from .fires import Domain, Fire, GridFire
 from .fuels import FUELS, Fuel
-from .io import FileFormatError
-from .io.files import is_name, path_in, read_json, write_json
 from .presets import PRESETS
 from .rig import Rig
 from .similarity import Constants, scaled, unscaled
@@ -175,7 +175,7 @@ class SceneSpec:
         return self._with_paths(lambda path: (folder / path).resolve())
 
     def resolved_in(self, folder: Path) -> SceneSpec:
-        """As `resolved`, for a spec that came with the folder: its .blend lies in there, or FileFormatError is raised.
+        """As `resolved`, for a spec that came with the folder: its .blend lies in there, or DataFormatError is raised.
 
         The grids of a fire are not opened to build a scene again.
         """
@@ -193,7 +193,7 @@ class SceneSpec:
         blend_file = self.blend_file and dataclasses.replace(self.blend_file, path=BACKGROUND)
         fire = self.fire
         if isinstance(fire, GridFire):
-            fire = dataclasses.replace(fire, grids=_without_place(Path(fire.grids), folder.resolve()))
+            fire = dataclasses.replace(fire, grids=without_place(Path(fire.grids), folder.resolve()))
         return dataclasses.replace(self, blend_file=blend_file, fire=fire)
 
     def files(self) -> list[Path]:
@@ -264,24 +264,15 @@ class SceneSpec:
         return dataclasses.replace(self, **sections)
 
 
-def _without_place(path: Path, folder: Path) -> str:
-    """The path relative to a folder, if they have more than the root of the disk in common; else its name."""
-    try:
-        shared = Path(os.path.commonpath([path, folder]))
-    except ValueError:  # other drives, or relative already
-        return path.name
-    return Path(os.path.relpath(path, folder)).as_posix() if shared != Path(shared.anchor) else path.name
-
-
 def load(path: str | os.PathLike) -> SceneSpec:
     """Read a spec from a JSON file; paths of files in it become absolute. Raises SpecError that names the file."""
     path = Path(path)
     try:
         return SceneSpec.from_dict(read_json(path)).resolved(path.parent)
-    except FileFormatError as error:
-        raise SpecError(str(error)) from error
     except SpecError as error:
         raise SpecError(f"{path}: {error}") from error
+    except GofError as error:  # of the file, which it names
+        raise SpecError(str(error)) from error
 
 
 def save(spec: SceneSpec, path: str | os.PathLike) -> None:

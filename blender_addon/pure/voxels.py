@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .camera_poses import rotation_matrix
+from ..core.rotations import rotation_matrices
 from .io.cloud import GaussianCloud
 
 REACH = 3.0  # standard deviations; what is farther away is left out
@@ -80,7 +80,7 @@ def grids_at(
     for row in np.flatnonzero(opacity >= FAINT):
         scale = cloud.scale[row].astype(np.float64)
         wide = np.maximum(scale, voxel_m / 2)
-        turn = rotation_matrix(cloud.rotation[row].astype(np.float64))
+        turn = rotation_matrices(cloud.rotation[row][None])[0]
         half = REACH * np.sqrt((turn**2 * wide**2).sum(axis=1))
         first = np.maximum(np.floor((place[row] - half - low) / voxel_m), 0).astype(int)
         last = np.minimum(np.ceil((place[row] + half - low) / voxel_m), shape).astype(int)

@@ -19,7 +19,7 @@ from .nodes import Nodes
 def write(path: Path, thing: bpy.types.Object, first: int, last: int) -> None:
     """Write what is seen of a cloud from a frame to another, all of it whatever its Share is.
 
-    Raises FileFormatError: this Blender was built without Alembic.
+    Raises DataFormatError: this Blender was built without Alembic.
     """
     with _as_points(thing), _vertices_of(thing) as copy:
         exchange.write([copy], path, first, last)

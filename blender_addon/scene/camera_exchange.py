@@ -13,9 +13,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..pure.checked_json import SpecError
-from ..pure.description import CameraEntry
-from ..pure.io import FileFormatError
+from ..core.checked_json import SpecError
+from ..core.description import CameraEntry
+from ..core.errors import GofError
 from ..pure.rig import Pose, Rig
 from ..pure.spec import SceneSpec
 from . import captured, place, rig
@@ -82,7 +82,7 @@ def add(
     Args:
         folder: where the entries' pictures lie.     to_scene: from the file's world to the scene's.
     Raises:
-        FileFormatError: a picture is missing or cannot be read; then no camera is added.
+        DataFormatError: a picture is missing or cannot be read; then no camera is added.
     """
     collection, scale = place.collection(scene, "Imported Cameras"), scene.unit_settings.scale_length
     added = []
@@ -93,7 +93,7 @@ def add(
             camera.matrix_world = Matrix.LocRotScale(turned.to_translation(), turned.to_quaternion(), None)
             camera.data.display_size = 0.2 / scale
             added.append(camera)
-    except FileFormatError:
+    except GofError:
         for camera in added:
             bpy.data.cameras.remove(camera.data)
         if not collection.objects:

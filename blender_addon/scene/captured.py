@@ -12,9 +12,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..pure.description import CameraEntry, DatasetDescription
-from ..pure.io import FileFormatError
-from ..pure.io.files import path_in
+from ..core.description import CameraEntry, DatasetDescription
+from ..core.errors import DataFormatError
+from ..core.files import path_in
 from . import compat, paths
 
 FIRST_FRAME = 1  # Blender's frame at time 0
@@ -27,7 +27,7 @@ def scene(description: DatasetDescription, folder: Path) -> None:
     """Replace the open scene by the capture's cameras and clock: one Blender frame per frame of the dataset.
 
     Raises:
-        FileFormatError: a camera's plate is not in the dataset.
+        DataFormatError: a camera's plate is not in the dataset.
     """
     bpy.ops.wm.read_factory_settings(use_empty=True)
     current = bpy.context.scene
@@ -65,7 +65,7 @@ def add_camera(
     """A camera with the entry's pose and lens, and its plate behind what it sees.
 
     Its pose is in metres; how far it sees is in the scene's units, as Blender takes it.
-    Raises FileFormatError: its plate is not in the folder, or no picture.
+    Raises DataFormatError: its plate is not in the folder, or no picture.
     """
     plate = _plate(entry, folder)
     data = bpy.data.cameras.new(entry.name)
@@ -115,11 +115,11 @@ def _plate(entry: CameraEntry, folder: Path) -> bpy.types.Image | None:
         return None
     file = path_in(folder, entry.static)
     if not file.is_file():
-        raise FileFormatError(f"{file}: no such file, though camera {entry.name} of {folder.resolve().name} names it")
+        raise DataFormatError(f"{file}: no such file, though camera {entry.name} of {folder.resolve().name} names it")
     image = bpy.data.images.load(str(file))
     if not image.size[0]:
         bpy.data.images.remove(image)
-        raise FileFormatError(f"{file}: is no picture that Blender can read")
+        raise DataFormatError(f"{file}: is no picture that Blender can read")
     image.pack()
     image.name = f"Plate of {entry.name}"
     paths.forget_folder(image)

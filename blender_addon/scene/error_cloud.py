@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..pure.io.velocity_reader import TrueVelocity
+from ..core.fields import VelocitySequence
 from . import gaussian_nodes, point_cloud
 
 VIEW_OF = "gof_view_of"  # custom property: the cloud, which may be renamed
@@ -28,7 +28,7 @@ class CentreError:
     compared: int
 
 
-def add_truth(thing: bpy.types.Object, truth: TrueVelocity) -> CentreError:
+def add_truth(thing: bpy.types.Object, truth: VelocitySequence) -> CentreError:
     """Store the true velocity as gs_true_velocity; a Gaussian that rests or lies outside the domain gets its own.
 
     The cloud's own coordinates are the dataset's world, so it may have been moved since.

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import bpy
 
-from ..pure.io import FileFormatError
-from ..pure.io.files import atomic_path
+from ..core.errors import DataFormatError
+from ..core.files import atomic_path
 
 ALEMBIC, USD = (".abc",), (".usd", ".usdc", ".usda")
 
@@ -22,7 +22,7 @@ def write(things: list[bpy.types.Object], path: Path, first: int, last: int) -> 
     Args:
         first, last: frames; of USD several are the scene's range.
     Raises:
-        FileFormatError: this Blender was built without the format, as Debian's is.
+        DataFormatError: this Blender was built without the format, as Debian's is.
     """
     _require(path)
     with _only_selected(things), atomic_path(path) as draft:
@@ -52,11 +52,11 @@ def write(things: list[bpy.types.Object], path: Path, first: int, last: int) -> 
 def read(path: Path) -> Iterator[list[bpy.types.Object]]:
     """The objects of a file, in the scene until the block ends.
 
-    Raises FileFormatError: no such file, it cannot be read, or this Blender was built without the format.
+    Raises DataFormatError: no such file, it cannot be read, or this Blender was built without the format.
     """
     _require(path)
     if not path.is_file():
-        raise FileFormatError(f"{path}: no such file")
+        raise DataFormatError(f"{path}: no such file")
     before = set(bpy.data.objects)
     try:
         if path.suffix.lower() in ALEMBIC:
@@ -66,7 +66,7 @@ def read(path: Path) -> Iterator[list[bpy.types.Object]]:
         bpy.context.view_layer.update()
         yield sorted(set(bpy.data.objects) - before, key=lambda thing: thing.name)
     except RuntimeError as error:
-        raise FileFormatError(f"{path}: {error}") from None
+        raise DataFormatError(f"{path}: {error}") from None
     finally:
         for thing in set(bpy.data.objects) - before:
             bpy.data.objects.remove(thing)
@@ -75,7 +75,7 @@ def read(path: Path) -> Iterator[list[bpy.types.Object]]:
 def _require(path: Path) -> None:
     name, built = ("Alembic", "alembic") if path.suffix.lower() in ALEMBIC else ("USD", "usd")
     if not getattr(bpy.app.build_options, built, False):
-        raise FileFormatError(f"this Blender was built without {name}: use the one of blender.org")
+        raise DataFormatError(f"this Blender was built without {name}: use the one of blender.org")
 
 
 @contextmanager

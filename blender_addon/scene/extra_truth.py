@@ -10,8 +10,8 @@ from functools import partial
 import bpy
 import numpy as np
 
+from ..core.grid_writer import GridWriter
 from ..pure.io import projected_flow, vdb_file
-from ..pure.io.velocity_store import VelocityWriter
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from . import images, rig
@@ -25,7 +25,7 @@ def grids(spec: SceneSpec, layout: Layout, source: FlameSource) -> None:
     times = np.arange(spec.clip.frames) / spec.clip.fps
     for name, field in source.scalars(spec.timeline.first_frame).items():
         content = source.contents[name]
-        store = VelocityWriter(layout.grid(name), field.shape, matrix, times, side, source.dtype, content)
+        store = GridWriter(layout.grid(name), field.shape, matrix, times, side, source.dtype, content)
         for frame in range(spec.clip.frames):
             if not store.has_frame(frame):
                 store.write_frame(frame, source.scalars(spec.timeline.blender_frame(frame))[name].__getitem__)

@@ -26,7 +26,7 @@ class FlameSource(Protocol):
     """A flame from somewhere. Grids are (X, Y, Z) or (X, Y, Z, 3) float32 at cell centres of `index_to_world`.
 
     Attributes:
-        contents: attributes of the scalar grids that are truth (`velocity_store.scalar`), by name.
+        contents: attributes of the scalar grids that are truth (`grid_writer.scalar`), by name.
         dtype: in which they are stored.
         index_to_world: (4, 4) continuous cell index (cell i spans [i, i + 1]) to world metres.
     """

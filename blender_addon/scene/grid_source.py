@@ -13,8 +13,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..core.grid_writer import GridWriter, scalar
 from ..pure.io import vdb_file
-from ..pure.io.velocity_store import VelocityWriter, scalar
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from . import material
@@ -67,7 +67,7 @@ class GridSource:
     def export_velocity(self, path: Path, progress: Callable[[int, int], None]) -> None:
         clip, store = self._spec.clip, self._fire.store
         times, dtype = np.arange(clip.frames) / clip.fps, store.velocity.dtype.name
-        writer = VelocityWriter(path, store.grid, self.index_to_world, times, store.cell_m, dtype)
+        writer = GridWriter(path, store.grid, self.index_to_world, times, store.cell_m, dtype)
         for frame in range(clip.frames):
             if not writer.has_frame(frame):
                 writer.write_frame(frame, self.velocity(self._spec.timeline.blender_frame(frame)).__getitem__)
@@ -75,7 +75,7 @@ class GridSource:
         writer.finish()
 
     def velocity(self, blender_frame: int) -> np.ndarray:
-        return self._fire.store.velocity.at(self._time_s(blender_frame)) * np.float32(self._spec.clip.time_scale)
+        return self._fire.store.velocity.cells_at(self._time_s(blender_frame)) * np.float32(self._spec.clip.time_scale)
 
     def scalars(self, blender_frame: int) -> dict[str, np.ndarray]:
         return {"flame": self.light(blender_frame)}
@@ -88,7 +88,7 @@ class GridSource:
         return {"fire": {key: getattr(fire, key) for key in ("name", "solver", "seed", "emission_law")}}
 
     def _emission(self, blender_frame: int) -> np.ndarray:
-        return np.maximum(self._fire.store.emission.at(self._time_s(blender_frame)), 0.0)
+        return np.maximum(self._fire.store.emission.cells_at(self._time_s(blender_frame)), 0.0)
 
     def _time_s(self, blender_frame: int) -> float:
         return self._fire.start_s + self._spec.timeline.simulated_s(blender_frame)

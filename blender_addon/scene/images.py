@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..pure.io.files import atomic_path
+from ..core.files import atomic_path
 
 try:
     import OpenImageIO as oiio

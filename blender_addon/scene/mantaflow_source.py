@@ -10,8 +10,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..core.grid_writer import scalar
 from ..pure.effects import beyond_velocity
-from ..pure.io.velocity_store import scalar
 from ..pure.layout import Layout
 from ..pure.soot import within_cells
 from ..pure.spec import SceneSpec

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from ..core.datum import Datum
 from ..pure.io.cloud import GaussianCloud
 from . import compat, display, gaussian_nodes, see_through
 
@@ -81,8 +82,8 @@ def add_point_cloud(
     settings = inputs(thing)
     settings["Mode"], settings["Start Frame"] = gaussian_nodes.MODES.index(mode), start_frame
     settings["Line Time"] = _line_time(cloud)
-    if any(cloud.datum):
-        thing[DATUM] = cloud.datum
+    if cloud.datum:
+        thing[DATUM] = cloud.datum.numbers().tolist()
     see_through.allow(bpy.context.scene)
     return thing
 
@@ -145,9 +146,14 @@ def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
         color=column(mesh, DISPLAY, 3),
         dynamic=(inverse > 0) | (velocity != 0).any(1) | (gas != 0).any(1) | ("begin" in given),
         gas_velocity=gas,
-        datum=tuple(thing.get(DATUM, (0.0,) * 4)),
+        datum=datum_of(thing),
         **given,
     )
+
+
+def datum_of(thing: bpy.types.Object) -> Datum:
+    """The datum that an object's places and times count from; zeros where it names none."""
+    return Datum.from_numbers(thing.get(DATUM, (0.0,) * 4), thing.name)
 
 
 def why_not_color(mesh: bpy.types.Mesh, color: str) -> str | None:
@@ -229,7 +235,7 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
     add_column(mesh, "gs_opacity", cloud.opacity)
     add_column(mesh, "gs_light", light)
     add_column(mesh, DISPLAY, cloud.color)
-    if cloud.velocity_sd is not None:
+    if cloud.says_doubt:
         # No infinity enters the node graph: where nobody says how sure a velocity is, it may be wrong by all of itself.
         speed = np.linalg.norm(cloud.moving_gas, axis=1)
         doubt = np.where(np.isfinite(cloud.velocity_sd), cloud.velocity_sd, speed)

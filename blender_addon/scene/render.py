@@ -17,10 +17,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..core.checked_json import SpecError
+from ..core.drafts import draft_of
+from ..core.files import atomic_path, read_json, write_json
 from ..pure.brightness import Brightness
-from ..pure.checked_json import SpecError
 from ..pure.effects import absorbs_light, encodes, expose, gain, meters, shows_board
-from ..pure.io.files import atomic_path, read_json, temporary, write_json
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from . import effects, images, rig, view
@@ -300,7 +301,7 @@ def _render(camera: bpy.types.Object, beside: Path) -> dict[str, np.ndarray]:
     Blender hands passes out only through a file, kept beside the result.
     """
     scene = bpy.context.scene
-    draft = temporary(beside.with_suffix(".passes.exr"))
+    draft = draft_of(beside.with_suffix(".passes.exr"))
     settings = scene.render.image_settings
     images.set_format(settings, "OPEN_EXR_MULTILAYER")
     settings.color_depth = "32"

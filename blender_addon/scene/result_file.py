@@ -11,7 +11,8 @@ from pathlib import Path
 
 import bpy
 
-from ..pure.io import FileFormatError, gaussians_file
+from ..core.errors import DataFormatError
+from ..pure.io import cloud as clouds
 
 FILE, SUM = "gof_source", "gof_source_sum"  # custom properties of a cloud
 END = 2**16  # bytes at either end of a file that are looked at
@@ -38,19 +39,19 @@ def find(thing: bpy.types.Object, chosen: str = "") -> Path:
     Args:
         chosen: by the user; "" looks where it was imported from in this session, and from the .blend on.
     Raises:
-        FileFormatError: it is not there, or another one is.
+        DataFormatError: it is not there, or another one is.
     """
     if FILE not in thing:
-        raise FileFormatError(f"{thing.name}: not imported from a file; import the reconstruction again")
+        raise DataFormatError(f"{thing.name}: not imported from a file; import the reconstruction again")
     places = [Path(bpy.path.abspath(chosen)).absolute()] if chosen else _places(thing)
     there = [path for path in places if path.exists()]
     if not there:
         where = places[0] if chosen else f"{Path(thing[FILE]).name}, which {thing.name} was imported from"
-        raise FileFormatError(f"{where}: no such file here; choose it as Result in the panel Score")
+        raise DataFormatError(f"{where}: no such file here; choose it as Result in the panel Score")
     for path in there:
-        if SUM not in thing or _sum(gaussians_file.files_of(path)) == thing[SUM]:
+        if SUM not in thing or _sum(clouds.files_of(path)) == thing[SUM]:
             return path
-    raise FileFormatError(
+    raise DataFormatError(
         f"{there[0]}: has changed since {thing.name} was imported, or is another file; import it again, or choose the "
         "right one as Result"
     )

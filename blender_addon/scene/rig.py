@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
+from ..core.description import CameraEntry
 from ..pure import camera_poses
-from ..pure.description import CameraEntry
 from ..pure.rig import Rig
 from ..pure.spec import SceneSpec
 

@@ -22,7 +22,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..pure.io.velocity_store import Block, VelocityWriter
+from ..core.grid_writer import Block, GridWriter
 
 SOLVER_UNITS_PER_SECOND = 2.5
 
@@ -51,14 +51,14 @@ def export_velocity(
     Raises:
         ValueError: no gas domain, adaptive domain, other time scale, frame outside the bake, moving domain, a cache
             that was clipped to the smoke, or NaN in the cache.
-        FileFormatError: `out_path` holds something else.
+        DataFormatError: `out_path` holds something else.
     """
     _check_export(domain_object, frames, fps, time_scale)
     _go_to(frames[0], domain_object)
     matrix = index_to_world(domain_object)
     linear = matrix[:3, :3]
     to_metres_per_second = SOLVER_UNITS_PER_SECOND * time_scale * linear
-    store = VelocityWriter(
+    store = GridWriter(
         out_path,
         tuple(evaluated(domain_object).domain_resolution),
         matrix,

@@ -7,8 +7,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..core.drafts import draft_of
+from ..core.files import atomic_path
 from ..pure.effects.video_compression import Settings
-from ..pure.io.files import atomic_path, temporary
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from . import images
@@ -62,7 +63,7 @@ def _decode(video: Path, scene: bpy.types.Scene, pictures: list[Path], size: tup
     scene.render.image_settings.color_mode = "RGB"
     for number, path in enumerate(pictures, 1):
         scene.frame_set(number)
-        decoded = temporary(path.with_name(f"decoded-{path.name}"))
+        decoded = draft_of(path.with_name(f"decoded-{path.name}"))
         scene.render.filepath = str(decoded)
         bpy.ops.render.render(write_still=True, scene=scene.name)
         images.write_png(path, images.read_png(decoded)[: size[0], : size[1]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..pure.checked_json import SpecError
+from ..core.checked_json import SpecError
 from ..pure.spec import Display
 
 

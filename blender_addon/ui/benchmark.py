@@ -7,9 +7,10 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
+from ..core.checked_json import SpecError
+from ..core.errors import GofError
 from ..pure import cost_model, look_process
 from ..pure import spec as spec_file
-from ..pure.checked_json import SpecError
 from ..pure.dataset_process import Job, expected_s, left_s
 from ..pure.effects import changes_bake, name_of
 from ..pure.layout import Layout, leaving
@@ -241,7 +242,7 @@ class GOF_OT_open_benchmark(bpy.types.Operator):
     def execute(self, context):
         try:
             _, layout = planned(context.scene)
-        except (SpecError, OSError) as error:
+        except (GofError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         path = {"report": layout.report, "log": layout.job_log, "folder": layout.root}[self.what]
@@ -290,13 +291,13 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
         try:
             spec = spec_of(context.scene, Path(BACKGROUND).absolute())
             notes = require_sense(spec, files=context.scene.gof.benchmark.background == "file")
-        except (SpecError, OSError) as error:
+        except (GofError, OSError) as error:
             write_lines(layout, context, str(error), "ERROR")
             return
         try:
             spec, folders = planned(context.scene)
             folders.require_free(spec)
-        except (SpecError, OSError) as error:
+        except (GofError, OSError) as error:
             _draw_cost(layout.box(), context, spec, None)
             write_lines(layout, context, str(error), "ERROR")
             return

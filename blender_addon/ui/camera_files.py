@@ -6,13 +6,14 @@ from pathlib import Path
 import bpy
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
-from ..pure.checked_json import SpecError
-from ..pure.description import CameraEntry
-from ..pure.io import FileFormatError, camera_files
+from ..core.checked_json import SpecError
+from ..core.description import CameraEntry
+from ..core.errors import DataFormatError, GofError
+from ..pure.io import camera_files
 from ..scene import camera_exchange, exchange, place
 from . import scene_spec
 
-FAILURES = (SpecError, FileFormatError, OSError, RuntimeError)
+FAILURES = (GofError, OSError, RuntimeError)
 FROM_FIRE = "Places count from the fire's empty, as in a dataset of this scene; otherwise from the scene's origin"
 
 
@@ -50,13 +51,13 @@ class GOF_OT_export_cameras(bpy.types.Operator, ExportHelper):
 
 
 class GOF_OT_import_cameras(bpy.types.Operator, ImportHelper):
-    """Add cameras of transforms.json, COLMAP's images.txt, dataset.json, USD or Alembic; with a fire, as its rig"""
+    """Add cameras of transforms.json, COLMAP's images, dataset.json, USD or Alembic; with a fire, as its rig"""
 
     bl_idname = "gof.import_cameras"
     bl_label = "Import Cameras"
     bl_options = {"UNDO"}
 
-    filter_glob: bpy.props.StringProperty(default="*.json;*.txt;*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.json;*.txt;*.bin;*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
     from_fire: bpy.props.BoolProperty(name="From the Fire", description=FROM_FIRE)
     rig: bpy.props.BoolProperty(
         name="As the Rig",
@@ -86,7 +87,7 @@ class GOF_OT_import_cameras(bpy.types.Operator, ImportHelper):
         with exchange.read(path) as things:
             cameras = [thing for thing in things if thing.type == "CAMERA"]
             if not cameras:
-                raise FileFormatError(f"{path}: holds no cameras")
+                raise DataFormatError(f"{path}: holds no cameras")
             return camera_exchange.describe_all(cameras, scene, to_file)
 
     @staticmethod

@@ -9,8 +9,9 @@ import bpy
 import numpy as np
 from bpy_extras.io_utils import ExportHelper
 
+from ..core.errors import DataFormatError, GofError
 from ..pure import points, voxels
-from ..pure.io import FileFormatError, usd_points, vdb_file
+from ..pure.io import usd_points, vdb_file
 from ..pure.io.cloud import GaussianCloud
 from ..scene import alembic_points, point_cloud
 from .panel import number
@@ -31,12 +32,12 @@ class Recording:
 
     @classmethod
     def of(cls, scene: bpy.types.Scene, thing: bpy.types.Object) -> "Recording":
-        """Of what the .blend holds: no file is asked. Raises FileFormatError: it holds too little."""
+        """Of what the .blend holds: no file is asked. Raises DataFormatError: it holds too little."""
         rate, settings, cloud = scene.render.fps / scene.render.fps_base, point_cloud.inputs(thing), None
         if thing.type == "MESH":
             cloud = point_cloud.cloud_of(thing)
         if cloud is None:
-            raise FileFormatError(
+            raise DataFormatError(
                 f"{thing.name}: edited since, or imported by an older version of the add-on: its colors are not in "
                 "this .blend; import the reconstruction again"
             )
@@ -76,7 +77,7 @@ class _CloudExport(ExportHelper):
     def execute(self, context):
         try:
             said = self.write(context, context.object, Path(bpy.path.abspath(self.filepath)))
-        except (FileFormatError, OSError, RuntimeError, voxels.VoxelError, MemoryError) as error:
+        except (GofError, OSError, RuntimeError, voxels.VoxelError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory; fewer frames, or larger voxels, need less")
             return {"CANCELLED"}
         self.report({"INFO"}, said)
@@ -121,7 +122,7 @@ class GOF_OT_export_vdb(_CloudExport, bpy.types.Operator):
 
     def write(self, context, thing, path):
         if problem := self.why_not():
-            raise FileFormatError(problem)
+            raise DataFormatError(problem)
         recording = Recording.of(context.scene, thing)
         cloud, voxel_m = recording.cloud, self.voxel_m
         if not voxel_m:
@@ -161,7 +162,7 @@ class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
         elif path.suffix.lower() in usd_points.SUFFIXES:
             self._usd(scene, thing, path)
         else:
-            raise FileFormatError(f"{path.name}: the name must end in .usd, .usdc, .usda or .abc")
+            raise DataFormatError(f"{path.name}: the name must end in .usd, .usdc, .usda or .abc")
         return f"Frames {scene.frame_start} to {scene.frame_end}: {path}"
 
     @staticmethod

@@ -3,7 +3,8 @@
 import bpy
 from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty
 
-from ..pure.checked_json import SpecError
+from ..core.checked_json import SpecError
+from ..core.errors import GofError
 from ..pure.fires import LEAST_LOGS, MOST_LOGS
 from ..pure.fuels import FUELS
 from ..scene import baked, place
@@ -185,7 +186,7 @@ class _SpecOperator:
     def execute(self, context):
         try:
             self.build(context, scene_spec.of_settings(context.scene))
-        except SpecError as error:
+        except GofError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from ..pure.checked_json import SpecError
+from ..core.errors import GofError
 from ..pure.child import python
-from ..pure.io import FileFormatError
 
 TIMER_S = 0.5
-FAILURES = (SpecError, FileFormatError, OSError, RuntimeError)  # what is wrong with the user's work, not with ours
+FAILURES = (GofError, OSError, RuntimeError)  # what is wrong with the user's work, not with ours
 
 
 class JobOperator:

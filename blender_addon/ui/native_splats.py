@@ -3,8 +3,8 @@
 import bpy
 import numpy as np
 
+from ..core.errors import GofError
 from ..pure import points
-from ..pure.io import FileFormatError
 from ..scene import compat, native_splats, point_cloud
 from .export import Recording
 
@@ -26,7 +26,7 @@ class GOF_OT_native_splats(bpy.types.Operator):
             recording = Recording.of(scene, thing)
             now = points.at(recording.cloud, recording.time_s(scene.frame_current_final), recording.least)
             copy = native_splats.add(now, f"{thing.name} {scene.frame_current}")
-        except (FileFormatError, OSError, RuntimeError, TypeError, MemoryError) as error:
+        except (GofError, OSError, RuntimeError, TypeError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory")
             return {"CANCELLED"}
         copy.matrix_world = thing.matrix_world

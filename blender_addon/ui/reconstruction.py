@@ -6,7 +6,8 @@ from pathlib import Path
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
-from ..pure.io import FileFormatError, gaussians_file
+from ..core.errors import DataFormatError, GofError
+from ..pure.io import cloud as clouds
 from ..scene import clip_in_scene, compat, gaussian_nodes, place, point_cloud, result_file, see_through
 from .panel import SidebarPanel, number, write_lines
 
@@ -157,18 +158,18 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
                 return {"CANCELLED"}
             spot = place.on_top_of(under) if self.spot == "OBJECT" else context.scene.cursor.location.copy()
         render = context.scene.render
-        clock = gaussians_file.Clock(self.fps or render.fps / render.fps_base, self.clip_seconds or None)
+        clock = clouds.Clock(self.fps or render.fps / render.fps_base, self.clip_seconds or None)
         try:
             source = self._source()
-            number = gaussians_file.count(source) // self.step
+            number = clouds.count(source) // self.step
             if number > MANY and not self.everything:
-                raise FileFormatError(
+                raise DataFormatError(
                     f"{number:,} Gaussians: about {number * SECONDS_EACH:.0f} s to import, "
                     f"{number * BYTES_EACH / 1e9:.1f} GB of memory and {number * FRAME_SECONDS_EACH:.1f} s per frame. "
                     f"Set Every n-th to {-(-number * self.step // MANY)} or more, or tick However Many"
                 )
-            cloud = gaussians_file.load(source, clock, self.step)
-        except (FileFormatError, OSError, MemoryError) as error:
+            cloud = clouds.load(source, clock, self.step)
+        except (GofError, OSError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory; set Every n-th")
             return {"CANCELLED"}
         thing = point_cloud.add_point_cloud(
@@ -188,9 +189,9 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         said = f"{thing.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s"
         if clip := clip_in_scene.line(context.scene, thing):
             said += f". {clip}"
-        if any(cloud.datum):  # Blender knows seven digits: the datum's place is the origin here
+        if cloud.datum:  # Blender knows seven digits: the datum's place is the origin here
             said += ". The origin is x {:.10g}, y {:.10g}, z {:.10g} m of its world, and time 0 is {:.10g} s".format(
-                *cloud.datum
+                *cloud.datum.numbers()
             )
         if _shows_no_colors(context):
             said += f". {GREY}: press Show Colors in the panel"
@@ -201,7 +202,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         chosen = [Path(self.directory) / file.name for file in self.files if file.name]
         if not chosen:
             chosen = [Path(bpy.path.abspath(self.filepath or self.directory))]
-        return gaussians_file.files_of(chosen)
+        return clouds.files_of(chosen)
 
 
 class GOF_OT_fit_scene(bpy.types.Operator):

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..pure.checked_json import SpecError
+from ..core.checked_json import SpecError
 from ..pure.clip import Clip
 from ..pure.effects import changes_bake
 from ..pure.fires import GridFire

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import bpy
 
-from ..pure.io import FileFormatError, velocity_reader
+from ..core.errors import GofError
+from ..pure import dve
 from ..pure.score_process import Evaluation
 from ..scene import error_cloud, point_cloud, result_file
 from . import preferences
@@ -85,11 +86,10 @@ class GOF_OT_show_errors(_ScoreOperator, bpy.types.Operator):
     def execute(self, context):
         settings, thing = context.scene.gof.score, _cloud(context)
         try:
-            datum = tuple(thing.get(point_cloud.DATUM, (0.0,) * 4))
-            truth = velocity_reader.of_dataset(Path(bpy.path.abspath(settings.dataset)), datum)
+            truth = dve.true_velocity(Path(bpy.path.abspath(settings.dataset)), point_cloud.datum_of(thing))
             found = error_cloud.add_truth(thing, truth)
             error_cloud.show(thing)
-        except (FileFormatError, OSError, point_cloud.CloudError, MemoryError) as error:
+        except (GofError, OSError, point_cloud.CloudError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory for the true velocity")
             return {"CANCELLED"}
         settings.centres = (

@@ -31,14 +31,15 @@ import sys
 import time
 from pathlib import Path
 
+from ..core.checked_json import SpecError
+from ..core.costs import peak_memory_mb
+from ..core.description import DatasetDescription, held_out
+from ..core.files import write_json
 from ..pure import spec as scene_spec
-from ..pure.checked_json import SpecError
-from ..pure.description import DatasetDescription, held_out
 from ..pure.effects import encodes, shows_board
-from ..pure.io.files import write_json
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
-from .reporter import Reporter, exit_status, leave, peak_mb, run_alone
+from .reporter import Reporter, exit_status, leave, run_alone
 
 GENERATOR_VERSION = "0.2.0"
 
@@ -92,7 +93,7 @@ def serve(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     for line in sys.stdin:
         order, start, cpu = json.loads(line), time.perf_counter(), time.process_time()
         renderer(order["frame"], order["camera"])
-        cost = {"seconds": time.perf_counter() - start, "cpu_s": time.process_time() - cpu, "peak_mb": peak_mb()}
+        cost = {"seconds": time.perf_counter() - start, "cpu_s": time.process_time() - cpu, "peak_mb": peak_memory_mb()}
         progress.line(rendered=order | cost)
 
 
@@ -231,7 +232,7 @@ def main(argv: list[str] | None = None) -> int:
         progress = Reporter(args.stage, layout.log(args.stage))
         os.chdir(layout.hidden)  # Mantaflow leaves files where it runs
         STAGES[args.stage](spec, layout, progress)
-        progress.line(cost={"cpu_s": time.process_time(), "peak_mb": peak_mb()})
+        progress.line(cost={"cpu_s": time.process_time(), "peak_mb": peak_memory_mb()})
 
     return exit_status(work, SpecError)
 

@@ -21,10 +21,11 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..pure.checked_json import SpecError
-from ..pure.description import FILE, DatasetDescription
-from ..pure.io import FileFormatError, gaussians_file
-from ..pure.io.files import atomic_path
+from ..core.datum import Datum
+from ..core.description import FILE, DatasetDescription
+from ..core.errors import DataFormatError, GofError
+from ..core.files import atomic_path
+from ..pure.io import cloud as clouds
 from ..pure.spec import SceneSpec
 from .reporter import Reporter, exit_status, leave
 
@@ -33,16 +34,16 @@ def read_spec(dataset: Path) -> SceneSpec:
     """The scene spec of a generated dataset.
 
     Raises:
-        FileFormatError: no dataset there, one without a scene spec, such as a capture, a broken spec, or one whose
+        DataFormatError: no dataset there, one without a scene spec, such as a capture, a broken spec, or one whose
             scene is a file outside the dataset.
     """
     description = DatasetDescription.read(dataset)
     if not description.spec:
-        raise FileFormatError(f"{dataset / FILE}: holds no scene spec; it is no generated dataset")
+        raise DataFormatError(f"{dataset / FILE}: holds no scene spec; it is no generated dataset")
     try:
         return SceneSpec.from_dict(description.spec).resolved_in(dataset)
-    except (SpecError, FileFormatError) as error:
-        raise FileFormatError(f"{dataset / FILE}: spec: {error}") from None
+    except GofError as error:
+        raise DataFormatError(f"{dataset / FILE}: spec: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class GeneratedScene:
     def cameras(self) -> list[str]:
         return list(self.spec.cameras.names)
 
-    def build(self, cloud: gaussians_file.GaussianCloud, mode: str):
+    def build(self, cloud: clouds.GaussianCloud, mode: str):
         """Replace the open scene by this one with the cloud. Returns the cloud's object."""
         return import_into_scene(cloud, self.spec, mode)
 
@@ -91,7 +92,7 @@ class CapturedScene:
     def cameras(self) -> list[str]:
         return [entry.name for entry in self.description.cameras]
 
-    def build(self, cloud: gaussians_file.GaussianCloud, mode: str):
+    def build(self, cloud: clouds.GaussianCloud, mode: str):
         """Replace the open scene by this one with the cloud. Returns the cloud's object."""
         from ..scene import captured, point_cloud
 
@@ -110,10 +111,10 @@ class CapturedScene:
         bpy.context.scene.frame_set(math.floor(at), subframe=at - math.floor(at))
 
 
-def read_scene(dataset: Path, datum: tuple[float, float, float, float]) -> GeneratedScene | CapturedScene:
+def read_scene(dataset: Path, datum: Datum) -> GeneratedScene | CapturedScene:
     """What is known of a dataset's scene, a capture's measured from the datum: Blender knows float32 alone.
 
-    Raises FileFormatError as `read_spec`, but not for a capture.
+    Raises DataFormatError as `read_spec`, but not for a capture.
     """
     description = DatasetDescription.read(dataset)
     if description.spec:
@@ -121,7 +122,7 @@ def read_scene(dataset: Path, datum: tuple[float, float, float, float]) -> Gener
     return CapturedScene(description.measured_from(datum), dataset)
 
 
-def import_into_scene(cloud: gaussians_file.GaussianCloud, spec: SceneSpec, mode: str):
+def import_into_scene(cloud: clouds.GaussianCloud, spec: SceneSpec, mode: str):
     """Replace the open scene by the spec's, with the cloud in place of the fire. Returns the cloud's object."""
     import bpy
 
@@ -158,11 +159,11 @@ def render_preview(path: Path, samples: int) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Check everything that can be wrong, then build, save and render. Raises FileFormatError that names the remedy."""
+    """Check everything that can be wrong, then build, save and render. Raises DataFormatError that names the remedy."""
     outputs = [path for path in (args.blend, args.preview) if path is not None]
     _check_outputs(outputs, args.overwrite)
-    cloud = gaussians_file.load(args.result)
-    scene = read_scene(args.dataset, cloud.datum)
+    cloud = clouds.load(args.result)
+    scene = read_scene(args.dataset, cloud.datum or Datum())
     _check_view(args, scene)
     for path in outputs:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -182,17 +183,15 @@ def run(args: argparse.Namespace) -> None:
 def _check_outputs(outputs: list[Path], overwrite: bool) -> None:
     existing = [path for path in outputs if path.exists()]
     if existing and not overwrite:
-        raise FileFormatError(f"{existing[0]}: exists already; delete it or pass --overwrite")
+        raise DataFormatError(f"{existing[0]}: exists already; delete it or pass --overwrite")
 
 
 def _check_view(args: argparse.Namespace, scene: GeneratedScene | CapturedScene) -> None:
     last, names = scene.frames - 1, scene.cameras
     if not 0 <= args.frame <= last:
-        raise FileFormatError(f"--frame {args.frame}: the dataset {args.dataset} has frames 0 to {last}")
+        raise DataFormatError(f"--frame {args.frame}: the dataset {args.dataset} has frames 0 to {last}")
     if args.camera not in names:
-        raise FileFormatError(
-            f"--camera {args.camera}: the dataset {args.dataset} has {', '.join(names) or 'no cameras'}"
-        )
+        raise DataFormatError(f"--camera {args.camera}: the dataset {args.dataset} has {', '.join(names)}")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -213,7 +212,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("result", "dataset", "blend", "preview"):
         if getattr(args, name) is not None:
             setattr(args, name, getattr(args, name).resolve())
-    return exit_status(lambda: run(args), FileFormatError)
+    return exit_status(lambda: run(args), GofError)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ import argparse
 import json
 from pathlib import Path
 
+from ..core.checked_json import SpecError
 from ..pure import spec as scene_spec
-from ..pure.checked_json import SpecError
 from .reporter import exit_status, leave, run_alone
 
 

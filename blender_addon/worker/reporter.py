@@ -32,18 +32,6 @@ class Reporter:
         print(json.dumps(message), file=self._out, flush=True)
 
 
-def peak_mb() -> float | None:
-    """Peak resident memory of this process, None where it is not known."""
-    status = Path("/proc/self/status")
-    if status.is_file():  # getrusage would count what the process that started this one had in memory
-        return int(status.read_text().partition("VmHWM:")[2].split()[0]) / 1024
-    try:
-        import resource
-    except ModuleNotFoundError:  # Windows
-        return None
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # macOS counts bytes
-
-
 def exit_status(work: Callable[[], None], *wrong: type[Exception]) -> int:
     """Do the work, and return the status to end with: 0; 2 where it raised one of `wrong`, which is what its caller can
     mend and is said in a line; 1 after anything else, with its traceback."""

@@ -10,9 +10,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..core.errors import DataFormatError, GofError
+from ..core.records import write_record
 from ..pure import dve
-from ..pure.io import FileFormatError, gaussians_file
-from ..pure.io.records import write_record
+from ..pure.io import cloud as clouds
 from ..pure.scores import Scores
 from .reporter import Reporter, exit_status, leave, run_alone
 
@@ -25,22 +26,20 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="scores.json to write")
     parser.add_argument("--clip-seconds", type=float, default=0.0, help="of a file whose time runs from 0 to 1")
     args = parser.parse_args(argv)
-    return exit_status(lambda: score(args), FileFormatError, OSError)
+    return exit_status(lambda: score(args), GofError, OSError)
 
 
 def score(args: argparse.Namespace) -> None:
-    """Score frame by frame, and write what came out. Raises FileFormatError, OSError: a file that says no score."""
+    """Score frame by frame, and write what came out. Raises DataFormatError, OSError: a file that says no score."""
     progress = Reporter("score", args.out.with_suffix(".log"))
-    cloud = gaussians_file.load(
-        args.result, gaussians_file.Clock(dve.frame_rate(args.dataset), args.clip_seconds or None)
-    )
+    cloud = clouds.load(args.result, clouds.Clock(dve.frame_rate(args.dataset), args.clip_seconds or None))
     scores = Scores()
     try:
         for done, total, so_far in dve.score(cloud, args.dataset):
             scores = so_far
             progress(done, total)
     except MemoryError as error:
-        raise FileFormatError("not enough memory for the true velocity around the Gaussians of one frame") from error
+        raise DataFormatError("not enough memory for the true velocity around the Gaussians of one frame") from error
     write_record(args.out, scores)
 
 

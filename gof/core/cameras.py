@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from .datum import Datum
 from .errors import DataFormatError, NonFiniteError
 from .files import is_name
 
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's, and back
+PICTURES = frozenset("avif bmp dng exr gif hdr heic heif jp2 jpeg jpg jxl pgm png ppm raw tga tif tiff webp".split())
 READOUT_DIRECTIONS = ("down", "up", "right", "left")
 
 
@@ -192,6 +195,18 @@ class Camera:
             raise DataFormatError(f"{source}: camera field cannot be read ({e})") from e
         except (DataFormatError, NonFiniteError) as e:
             raise type(e)(f"{source}: {e}") from e
+
+
+def names_by_pictures(pictures: Sequence[str]) -> list[str]:
+    """What cameras are called by the names of their pictures.
+
+    `cam_0.png` and `cam_0/000001.png` are of camera `cam_0`, and so is `static/cam_0.png` where all pictures lie in one
+    folder. Folders may be written with backslashes.
+    """
+    paths = [PureWindowsPath(picture) for picture in pictures]  # which knows both separators
+    one_folder = len({path.parent for path in paths}) == 1  # which says nothing of which camera
+    files = [path.stem if path.suffix[1:].lower() in PICTURES else path.name for path in paths]
+    return [file if one_folder else path.parent.name or file for path, file in zip(paths, files, strict=True)]
 
 
 def sizes_px(cameras: Iterable[Camera]) -> tuple[tuple[int, int], ...]:

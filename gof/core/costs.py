@@ -91,14 +91,20 @@ class StageLog:
 
 
 def peak_memory_mb() -> float:
-    """The most memory this process has held so far, in MB."""
+    """The most memory this process has held so far, in MB; 0 where it is not known (Windows without psutil)."""
     status = Path("/proc/self/status")
     if status.is_file():  # getrusage would count what the process that started this one had in memory
         return int(status.read_text(encoding="utf-8").partition("VmHWM:")[2].split()[0]) / 2**10
     try:
         import resource
     except ModuleNotFoundError:  # Windows
-        import psutil
-
-        return psutil.Process().memory_info().peak_wset / 2**20
+        return _peak_on_windows_mb()
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # macOS counts bytes
+
+
+def _peak_on_windows_mb() -> float:
+    try:
+        import psutil
+    except ModuleNotFoundError:  # inside Blender
+        return 0.0
+    return psutil.Process().memory_info().peak_wset / 2**20

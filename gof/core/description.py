@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -81,6 +81,12 @@ class CameraEntry:
         pattern = getattr(self, kind)
         return None if pattern is None else FRAME.sub(lambda m: f"{frame:0{m[1] or 1}d}", pattern)
 
+    def measured_from(self, datum: Datum) -> CameraEntry:
+        """The same camera where the datum is the zero of world and clock."""
+        own = self.time_s and tuple(time_s - datum.time_s for time_s in self.time_s)
+        pose = self.camera().measured_from(datum).world_to_camera
+        return replace(self, world_to_camera=tuple(map(tuple, pose.tolist())), time_s=own)
+
     def camera(self) -> Camera:
         """Raises DataFormatError or NonFiniteError: the matrices are not a camera's."""
         return Camera(self.name, self.width, self.height, self.K, self.world_to_camera, self.row_time_s, self.readout)
@@ -136,6 +142,14 @@ class DatasetDescription:
     def cameras_from(self, datum: Datum, *roles: str) -> list[Camera]:
         """The cameras of these roles, in file order, measured from the datum."""
         return [entry.camera().measured_from(datum) for entry in self.cameras if entry.role in roles]
+
+    def measured_from(self, datum: Datum) -> DatasetDescription:
+        """The same cameras and times where the datum is the zero of world and clock."""
+        return replace(
+            self,
+            cameras=tuple(entry.measured_from(datum) for entry in self.cameras),
+            time_s=tuple(time_s - datum.time_s for time_s in self.time_s),
+        )
 
     @property
     def is_filmed(self) -> bool:

@@ -1,5 +1,9 @@
 """Errors a user can act on. Every message names the file or parameter, what is wrong, and what to do."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 LONGEST = 4000  # characters of a message
 
 
@@ -29,6 +33,15 @@ class NonFiniteError(GofError, ValueError):
 
 class MissingDependencyError(GofError):
     """A library, system package or weight file is absent; says what it is for and how to get it."""
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put a file's name before the text of an error of ours that does not hold it."""
+    try:
+        yield
+    except GofError as e:
+        raise e if str(path) in str(e) else type(e)(f"{path}: {e}") from e
 
 
 def require_finite(name: str, array, context: str = "") -> None:

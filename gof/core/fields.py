@@ -1,4 +1,4 @@
-"""Velocity fields: world-space ground truth on a cell-centred grid, and its chunked store over time."""
+"""Grids over time in chunked stores (schemas gof-velocity and gof-grid), and the velocity field of one time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from .datum import Datum
 from .errors import DataFormatError
 from .zarr_array import ZarrArray
 
-SCHEMA, VERSION, CHUNK = "gof-velocity", 1, 64
+SCHEMA, GRID, VERSION = "gof-velocity", "gof-grid", 1  # of velocity; of any other quantity
+CHUNK = 64  # cells a side: 1.5 MB of float16, small enough to read a flame out of a large domain
+SAME_TIME_S = 1e-6  # a stored frame this near to a time is the frame of that time
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side; a file that claims more is refused: twice what a scene may ask for
 LARGEST_CHUNK_BYTES = 2**29
 AXES = ("time", "x", "y", "z", "component")  # as dimension_names of a zarr.json call them, where it does
@@ -96,58 +98,155 @@ class VelocityField:
         index = self.to_index(points)
         inside = ((index >= 0) & (index <= self.resolution)).all(-1)
         out = np.zeros((len(index), 3), np.float32)
-        out[inside] = self._trilinear(index[inside] - 0.5)
-        return out
-
-    def _trilinear(self, coordinate: np.ndarray) -> np.ndarray:
-        size = np.array(self.resolution)
-        coordinate = np.clip(coordinate, 0, size - 1)
-        low = np.minimum(coordinate.astype(np.int64), np.maximum(size - 2, 0))
-        fraction = (coordinate - low).astype(np.float32)
-        step = (size > 1).astype(np.int64)  # a one-cell axis has no neighbour to blend with
-        flat = self.velocity.reshape(-1, 3)
-        out = np.zeros((len(low), 3), np.float32)
-        for corner in np.ndindex(2, 2, 2):
-            weight = np.prod(np.where(corner, fraction, 1 - fraction), axis=1)
-            index = np.ravel_multi_index(tuple((low + np.array(corner) * step).T), self.resolution)
-            out += weight[:, None] * flat[index]
+        out[inside] = trilinear(self.velocity, index[inside] - 0.5)
         return out
 
 
-class VelocitySequence:
-    """A velocity field over time in a chunked zarr store; frames are read when asked for.
+def trilinear(grid: np.ndarray, coordinate: np.ndarray) -> np.ndarray:
+    """Values between cell centres; outside of them that of the nearest.
+
+    Args:
+        grid: (X, Y, Z, C).   coordinate: (N, 3) in cells, 0 at the centre of the first one.
+    Returns:
+        (N, C) float64.
+    """
+    size = np.array(grid.shape[:3])
+    at = np.clip(coordinate, 0, size - 1)
+    low = np.minimum(at.astype(int), np.maximum(size - 2, 0))
+    part = at - low
+    sides = ((1 - part).T, part.T)
+    along = np.array([size[1] * size[2], size[2], 1])
+    first, step = low @ along, along * (size > 1)  # a one-cell axis has no neighbour to blend with
+    cells = grid.reshape(-1, grid.shape[3])
+    value = np.zeros((len(at), grid.shape[3]))
+    for corner in np.ndindex(2, 2, 2):
+        weight = sides[corner[0]][0] * sides[corner[1]][1] * sides[corner[2]][2]
+        value += weight[:, None] * cells[first + step @ corner]
+    return value
+
+
+class GridSequence:
+    """A quantity on a cell-centred grid over time in a chunked zarr store; cells are read when asked for.
+
+    Args:
+        array: as `open_array` gives it.
+        quantity: what it must hold: "velocity" (schema gof-velocity), or the `quantity` of a gof-grid; None: any grid.
+        components: (3,) of vectors, () of scalars; None for either.
 
     Attributes:
+        path: of the store.
+        attributes: of the store.
         times_s: (T,) float64 seconds on the dataset clock, strictly increasing.
         index_to_world: (4, 4), see `VelocityField`.
+        quantity, units: what the numbers are.
+
+    Raises:
+        DataFormatError: another schema, version or quantity, a missing attribute, or times that do not increase.
     """
 
-    def __init__(self, array: ZarrArray):
-        self._array, self._path, self._cached = array, array.path, None
+    def __init__(self, array: ZarrArray, quantity: str | None = None, components: tuple[int, ...] | None = None):
+        self._array, self.path, self.attributes = array, array.path, array.attributes
         attributes, path = array.attributes, array.path
-        if attributes.get("schema") != SCHEMA or attributes.get("version") != VERSION:
+        schema = SCHEMA if quantity == "velocity" else GRID
+        if (attributes.get("schema"), attributes.get("version")) != (schema, VERSION):
             raise DataFormatError(
                 f"{path}: schema '{attributes.get('schema')}' version {attributes.get('version')}; "
-                f"this version reads '{SCHEMA}' version {VERSION}"
+                f"this version reads '{schema}' version {VERSION}"
             )
         try:
             self.times_s = np.asarray(attributes["time_s"], np.float64)
             self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
-            units, layout = attributes["units"], attributes["layout"]
+            self.units = str(attributes["units"] if schema == SCHEMA else attributes.get("units", ""))
+            self.quantity = "velocity" if schema == SCHEMA else str(attributes["quantity"])
         except KeyError as e:
             raise DataFormatError(f"{path}: attribute {e} is missing from zarr.json") from e
         except (TypeError, ValueError) as e:
             raise DataFormatError(f"{path}: time_s or index_to_world in zarr.json do not hold numbers ({e})") from e
-        if (units, layout) != ("m/s", "cell_centred"):
-            raise DataFormatError(f"{path}: units '{units}', layout '{layout}'; expected 'm/s', 'cell_centred'")
-        if array.ndim != 5 or array.shape[-1] != 3 or 0 in array.shape or self.times_s.shape != array.shape[:1]:
-            raise DataFormatError(
-                f"{path}: shape {array.shape} and {self.times_s.shape} times do not fit (T, X, Y, Z, 3)"
-            )
-        if len(self.times_s) == 0 or not np.isfinite(self.times_s).all() or not (np.diff(self.times_s) > 0).all():
+        if quantity not in (None, self.quantity):
+            raise DataFormatError(f"{path}: holds '{self.quantity[:40]}', not '{quantity}'")
+        layout = attributes.get("layout", "cell_centred" if quantity != "velocity" else None)
+        if layout != "cell_centred" or (quantity == "velocity" and self.units != "m/s"):
+            expected = "'m/s', 'cell_centred'" if quantity == "velocity" else "'cell_centred'"
+            raise DataFormatError(f"{path}: units '{self.units}', layout '{layout}'; expected {expected}")
+        self._check_shape(components)
+
+    def _check_shape(self, components: tuple[int, ...] | None) -> None:
+        shape, path = self._array.shape, self.path
+        known = [(), (3,)] if components is None else [components]
+        if len(shape) < 4 or shape[4:] not in known or 0 in shape or self.times_s.shape != shape[:1]:
+            parts = ", ".join(["T, X, Y, Z", *map(str, known[-1])])
+            raise DataFormatError(f"{path}: shape {shape} and {self.times_s.shape} times do not fit ({parts})")
+        if not np.isfinite(self.times_s).all() or not (np.diff(self.times_s) > 0).all():
             raise DataFormatError(f"{path}: time_s must be finite, strictly increasing and not empty")
         if not is_affine(self.index_to_world):
             raise DataFormatError(f"{path}: index_to_world must be a finite, invertible 4x4 matrix")
+
+    def measured_from(self, datum: Datum) -> GridSequence:
+        """The same store in a world and on a clock whose zeros are the datum's."""
+        moved = copy(self)
+        moved.times_s = self.times_s - datum.time_s
+        moved.index_to_world = self.index_to_world.copy()
+        moved.index_to_world[:3, 3] -= datum.position
+        return moved
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    @property
+    def resolution(self) -> tuple[int, int, int]:
+        return self._array.shape[1:4]
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self._array.dtype.newbyteorder("=")
+
+    def cells(self, index: int, *box: slice) -> np.ndarray:
+        """The cells of stored frame `index`, (X, Y, Z) or (X, Y, Z, 3) of `dtype`; of a box only, a slice per axis.
+
+        Raises:
+            DataFormatError: a chunk is damaged, or holds NaN or Inf.
+        """
+        values = self._array[(index, *box)]
+        if not _all_finite(values):
+            raise DataFormatError(f"{self.path}: frame {index} holds NaN or Inf; the store is damaged, make it again")
+        return values
+
+    def cells_at(self, time_s: float) -> np.ndarray:
+        """As `cells`, float32, of a time: a stored frame within 1 us, otherwise linear between the two around it.
+
+        Raises:
+            DataFormatError: the time lies outside the stored clock.
+        """
+        parts = self.bracket(time_s)
+        if len(parts) == 1:
+            return self.cells(parts[0][0]).astype(np.float32)
+        return sum(np.float32(weight) * self.cells(index).astype(np.float32) for index, weight in parts)
+
+    def bracket(self, time_s: float) -> list[tuple[int, float]]:
+        """(stored frame, weight) pairs of a time: one frame within 1 us, otherwise the two around it, linearly.
+
+        Raises:
+            DataFormatError: the time lies outside the stored clock.
+        """
+        nearest = int(np.abs(self.times_s - time_s).argmin())
+        if abs(self.times_s[nearest] - time_s) <= SAME_TIME_S:
+            return [(nearest, 1.0)]
+        if not self.times_s[0] < time_s < self.times_s[-1]:
+            raise DataFormatError(
+                f"{self.path}: time {time_s} s is outside the stored clock "
+                f"{self.times_s[0]}..{self.times_s[-1]} s; do both use the same clock and unit?"
+            )
+        after = int(np.searchsorted(self.times_s, time_s))
+        f = float((time_s - self.times_s[after - 1]) / (self.times_s[after] - self.times_s[after - 1]))
+        return [(after - 1, 1 - f), (after, f)]
+
+
+class VelocitySequence(GridSequence):
+    """A velocity field over time in a chunked zarr store."""
+
+    def __init__(self, array: ZarrArray):
+        super().__init__(array, "velocity", (3,))
+        self._cached: tuple[int, VelocityField] | None = None
 
     @classmethod
     def open(cls, path: str | Path) -> VelocitySequence:
@@ -160,10 +259,7 @@ class VelocitySequence:
 
     def measured_from(self, datum: Datum) -> VelocitySequence:
         """The same store in a world and on a clock whose zeros are the datum's."""
-        moved = copy(self)
-        moved.times_s = self.times_s - datum.time_s
-        moved.index_to_world = self.index_to_world.copy()
-        moved.index_to_world[:3, 3] -= datum.position
+        moved = super().measured_from(datum)
         moved._cached = None
         return moved
 
@@ -198,17 +294,6 @@ class VelocitySequence:
             array.write(i, f.velocity)
         return cls(array)
 
-    def __len__(self) -> int:
-        return len(self.times_s)
-
-    @property
-    def resolution(self) -> tuple[int, int, int]:
-        return self._array.shape[1:4]
-
-    @property
-    def dtype(self) -> np.dtype:
-        return self._array.dtype.newbyteorder("=")
-
     def chunk(self, index: int, number: tuple[int, int, int]) -> np.ndarray | None:
         """The part of stored field `index` that `VelocityField.chunk` names, reading nothing else; None if not stored.
 
@@ -221,37 +306,14 @@ class VelocitySequence:
         cells = self._array[(index, *box)]
         if not _all_finite(cells):
             raise DataFormatError(
-                f"{self._path}: frame {index}, chunk {number} holds NaN or Inf; the store is damaged, make it again"
+                f"{self.path}: frame {index}, chunk {number} holds NaN or Inf; the store is damaged, make it again"
             )
         return cells
-
-    def bracket(self, time_s: float) -> list[tuple[int, float]]:
-        """(stored frame, weight) pairs of a time: one frame within 1 us, otherwise the two around it, linearly.
-
-        Raises:
-            DataFormatError: the time lies outside the stored clock.
-        """
-        nearest = int(np.abs(self.times_s - time_s).argmin())
-        if abs(self.times_s[nearest] - time_s) <= 1e-6:
-            return [(nearest, 1.0)]
-        if not self.times_s[0] < time_s < self.times_s[-1]:
-            raise DataFormatError(
-                f"{self._path}: time {time_s} s is outside the stored clock "
-                f"{self.times_s[0]}..{self.times_s[-1]} s; do both use the same clock and unit?"
-            )
-        after = int(np.searchsorted(self.times_s, time_s))
-        f = float((time_s - self.times_s[after - 1]) / (self.times_s[after] - self.times_s[after - 1]))
-        return [(after - 1, 1 - f), (after, f)]
 
     def frame(self, index: int) -> VelocityField:
         """The stored field number `index`."""
         if self._cached is None or self._cached[0] != index:
-            velocity = self._array[(index,)]
-            if not _all_finite(velocity):
-                raise DataFormatError(
-                    f"{self._path}: frame {index} holds NaN or Inf; the store is damaged, make it again"
-                )
-            self._cached = index, VelocityField(velocity, self.index_to_world, float(self.times_s[index]))
+            self._cached = index, VelocityField(self.cells(index), self.index_to_world, float(self.times_s[index]))
         return self._cached[1]
 
     def at(self, time_s: float) -> VelocityField:
@@ -265,6 +327,29 @@ class VelocitySequence:
             return self.frame(parts[0][0])
         velocity = sum(np.float32(weight) * self.frame(index).velocity.astype(np.float32) for index, weight in parts)
         return VelocityField(velocity, self.index_to_world, float(time_s))
+
+    def sample(self, points: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Velocity (N, 3) float32 m/s at world points (N, 3) and times (N,), and which points lie in the domain (N,).
+
+        Linear in time between stored frames (the first or last one's outside of them), tri-linear between cell
+        centres; in the outer half cell the nearest centre's; 0 outside the domain. Reads only the cells around.
+        """
+        box = np.array(self.resolution)
+        world_to_index = np.linalg.inv(self.index_to_world)
+        index = np.asarray(points, np.float64) @ world_to_index[:3, :3].T + world_to_index[:3, 3]
+        inside = ((index >= 0) & (index <= box)).all(1)
+        frame = np.interp(time_s, self.times_s, np.arange(len(self)))
+        out = np.zeros((len(index), 3), np.float32)
+        for number in range(len(self)):
+            weight = np.clip(1 - np.abs(frame - number), 0, 1)
+            rows = np.flatnonzero(inside & (weight > 0))
+            if len(rows):
+                coordinate = np.clip(index[rows] - 0.5, 0, box - 1)
+                low = np.minimum(coordinate.astype(int), np.maximum(box - 2, 0))
+                start, stop = low.min(0), np.minimum(low.max(0) + 2, box)
+                cells = self.cells(number, *map(slice, start, stop))
+                out[rows] += weight[rows, None] * trilinear(cells, coordinate - start)
+        return out, inside
 
 
 def is_affine(matrix: np.ndarray) -> bool:

@@ -36,7 +36,6 @@ NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EROFS, errno.EACC
 
 
 # ---------------------------------------------------------------- names
-# `gof_blender.pure.io.files` decides the same without this package; tests/test_names.py holds both to one list.
 
 
 def is_name(name: str) -> bool:
@@ -288,10 +287,21 @@ def _lock(lock: IO[str], folder: Path) -> None:
         print(f"{folder}: this file system has no locks; see to it that no other run works there", file=sys.stderr)
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write JSON atomically; NaN and Inf are refused, because other readers reject them."""
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file atomically."""
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_bytes(data)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in UTF-8, atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, value: Any, indent: int = 1) -> None:
+    """Write JSON atomically; NaN and Inf are refused, because other readers reject them."""
+    write_text(path, json.dumps(value, indent=indent, allow_nan=False) + "\n")
 
 
 def read_text(path: Path, errors: str = "strict") -> str:

@@ -18,7 +18,7 @@ import numpy as np
 
 from . import results
 from .datum import Datum
-from .errors import DataFormatError, GofError, require_finite
+from .errors import DataFormatError, naming, require_finite
 from .similarity import transformed_splats
 
 LIFE_SIGMAS = 3.0  # a Gaussian lives for this many t_sigma before and after t_mu; then 99 % of its opacity is gone
@@ -146,7 +146,7 @@ class TransientGaussians:
 
     def __getitem__(self, index) -> TransientGaussians:
         """A subset by boolean mask, slice or index array (N',)."""
-        return TransientGaussians(**{name: values[index] for name, values in self.arrays().items()}, datum=self.datum)
+        return type(self)(**{name: values[index] for name, values in self.arrays().items()}, datum=self.datum)
 
     def at(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
         """State at one time: position (N, 3) m and opacity (N,) in [0, 1]; static Gaussians do not change."""
@@ -159,7 +159,7 @@ class TransientGaussians:
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays by name; without `gas_velocity` where there is none."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "datum"}
-        return {name: value for name, value in values.items() if name != "gas_velocity" or value is not None}
+        return {name: value for name, value in values.items() if value is not None}
 
     @property
     def moving_gas(self) -> np.ndarray:
@@ -233,16 +233,14 @@ class TransientGaussians:
         return results.save(self.arrays(), Path(path), source, self.datum)
 
     @classmethod
-    def load(cls, path: str | Path) -> TransientGaussians:
-        """Read what `save` wrote.
+    def load(cls, path: str | Path, step: int = 1) -> TransientGaussians:
+        """Read every step-th Gaussian of what `save` wrote.
 
         Raises:
             DataFormatError: unknown suffix, missing field, wrong version, truncated file, or values out of range.
             NonFiniteError: NaN or Inf in a field.
         """
         path = Path(path)
-        try:
-            arrays, datum = results.load(path)
+        with naming(path):
+            arrays, datum = results.load(path, step)
             return cls(**arrays, datum=datum)
-        except GofError as e:
-            raise e if str(path) in str(e) else type(e)(f"{path}: {e}") from e

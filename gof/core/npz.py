@@ -21,15 +21,14 @@ EXPANSION, ALWAYS = 100, 2**26  # an archive may unpack to this many times its s
 
 
 def read_npz(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of an npz.
+    """All arrays of an npz by name.
 
     Raises:
         DataFormatError: not an npz, cut off, arrays of objects (they would run code), a header that announces more than
             the file holds, or an archive that unpacks to more than 100 times its size.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            _check_sizes(archive, path)
+        shapes(path)
         with np.load(path, allow_pickle=False) as data:
             arrays = {name: data[name] for name in data.files}
     except DataFormatError:
@@ -76,18 +75,28 @@ def _header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], np.dtype]:
     return shape, dtype
 
 
-def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
-    members = archive.infolist()
-    total, limit = sum(m.file_size for m in members), max(EXPANSION * path.stat().st_size, ALWAYS)
-    if total > limit:
-        raise DataFormatError(
-            f"{path}: unpacks to {total} bytes from {path.stat().st_size}; nothing honest is packed so tightly"
-        )
-    for member in members:
-        with archive.open(member) as file:
-            shape, dtype = _header(file, member.file_size)
-        if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
+def shapes(path: Path) -> dict[str, tuple[int, ...]]:
+    """Shapes of an npz's arrays by name, from the headers alone.
+
+    Raises:
+        DataFormatError: an array is announced to be more than the file holds, or the archive unpacks to more than 100
+            times its size.   One of DAMAGE: it is no npz.
+    """
+    found = {}
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        total, limit = sum(m.file_size for m in members), max(EXPANSION * path.stat().st_size, ALWAYS)
+        if total > limit:
             raise DataFormatError(
-                f"{path}: '{member.filename}' announces shape {shape} of {dtype}, the file holds {member.file_size} "
-                "bytes of it"
+                f"{path}: unpacks to {total} bytes from {path.stat().st_size}; nothing honest is packed so tightly"
             )
+        for member in members:
+            with archive.open(member) as file:
+                shape, dtype = _header(file, member.file_size)
+            if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
+                raise DataFormatError(
+                    f"{path}: '{member.filename}' announces shape {shape} of {dtype}, the file holds "
+                    f"{member.file_size} bytes of it"
+                )
+            found[member.filename.removesuffix(".npy")] = shape
+    return found

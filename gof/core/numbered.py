@@ -1,8 +1,7 @@
 """Files that are a sequence: which file is which frame, by the numbers in their names.
 
 The frame is the last number of a name that is no size or rate: `fire_v2.0012_512x512.vdb` is frame 12. All else in the
-names is the same in every file of a sequence. `gof_blender.pure.io.numbered` decides the same without this package;
-tests/test_numbered.py holds both to one list.
+names is the same in every file of a sequence.
 """
 
 from __future__ import annotations

@@ -35,11 +35,9 @@ class Ply:
     comments: list[str]
 
     @classmethod
-    def read(cls, path: Path) -> Ply:
-        """Raises:
-        DataFormatError: see `read_vertices`.
-        """
-        return cls(path, *read_vertices(path))
+    def read(cls, path: Path, step: int = 1) -> Ply:
+        """Every step-th vertex. Raises DataFormatError: see `read_vertices`."""
+        return cls(path, *read_vertices(path, step))
 
     def has(self, *names: str) -> bool:
         return all(name in self.vertex.dtype.names for name in names)

@@ -72,23 +72,21 @@ class Header:
 # ---------------------------------------------------------------- reading
 
 
-def read_vertices(path: Path) -> tuple[np.ndarray, list[str]]:
+def read_vertices(path: Path, step: int = 1) -> tuple[np.ndarray, list[str]]:
     """The scalar properties of element "vertex", (N,) structured, and the header's comments.
 
+    Args:
+        step: read every step-th vertex only; of a binary file without lists the others take no memory.
     Raises:
         DataFormatError: not a PLY with vertices, cut off, or not as its header says; names the line of text or the row.
     """
     with open(path, "rb") as file:
-        header = read_header(file, path)
-        vertex = next((e for e in header.elements if e.name == "vertex"), None)
-        if vertex is None:
-            raise DataFormatError(f"{path}: not a PLY file with a 'vertex' element")
-        _check_size(header, os.fstat(file.fileno()).st_size, path)
+        header, vertex = _vertex_header(file, path)
         file.seek(header.size)
         before = header.elements[: header.elements.index(vertex)]
         if header.format == "ascii":
             skipped = sum(e.rows for e in before)
-            return _read_text(file, vertex, header, skipped, path), header.comments
+            return _read_text(file, vertex, header, skipped, path)[::step], header.comments
         order = FORMATS[header.format]
         for element in before:
             if element.has_lists:
@@ -96,11 +94,29 @@ def read_vertices(path: Path) -> tuple[np.ndarray, list[str]]:
             else:
                 file.seek(element.rows * element.row(order).itemsize, os.SEEK_CUR)
         if vertex.has_lists:
-            return _walk(file, vertex, order, path), header.comments
-        found = np.fromfile(file, vertex.row(order), vertex.rows)
-        if len(found) < vertex.rows:
-            raise DataFormatError(f"{path}: {len(found)} of {vertex.rows} vertices; truncated? Copy or export it again")
-        return found, header.comments
+            return _walk(file, vertex, order, path)[::step], header.comments
+        kind, begin = vertex.row(order), file.tell()
+        whole = max(0, os.fstat(file.fileno()).st_size - begin) // max(kind.itemsize, 1)
+        if whole < vertex.rows:
+            raise DataFormatError(f"{path}: {whole} of {vertex.rows} vertices; truncated? Copy or export it again")
+        if step == 1 or not vertex.rows:
+            return np.fromfile(file, kind, vertex.rows), header.comments
+        return np.array(np.memmap(path, kind, "r", begin, (vertex.rows,))[::step]), header.comments
+
+
+def count_vertices(path: Path) -> int:
+    """Number of vertices that a PLY announces, and has room for. Raises DataFormatError as `read_vertices`."""
+    with open(path, "rb") as file:
+        return _vertex_header(file, path)[1].rows
+
+
+def _vertex_header(file: IO[bytes], path: Path) -> tuple[Header, Element]:
+    header = read_header(file, path)
+    vertex = next((e for e in header.elements if e.name == "vertex"), None)
+    if vertex is None:
+        raise DataFormatError(f"{path}: not a PLY file with a 'vertex' element")
+    _check_size(header, os.fstat(file.fileno()).st_size, path)
+    return header, vertex
 
 
 def read_header(file: IO[bytes], path: Path) -> Header:

@@ -8,13 +8,11 @@ door, and by name.
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields, is_dataclass
-from keyword import iskeyword
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, Protocol, TypeVar
 
-import msgspec
-
+from .checked_json import from_dict
 from .errors import DataFormatError, GofError
 from .files import read_json, write_json
 
@@ -30,57 +28,42 @@ T = TypeVar("T")
 
 def to_json(record: Record) -> dict[str, Any]:
     """The JSON form of a record: its fields under its schema and version; tuples become lists."""
-    content = {name.removesuffix("_"): value for name, value in asdict(record).items()}
-    return {"schema": record.SCHEMA, "version": record.VERSION} | msgspec.to_builtins(content)
+    content = {name.removesuffix("_"): _plain(value) for name, value in asdict(record).items()}
+    return {"schema": record.SCHEMA, "version": record.VERSION} | content
 
 
-def from_json(kind: type[R], data: Any, source: str | Path) -> R:
-    """Build a record from its JSON form; fields this version does not know are left aside.
+def _plain(value: Any) -> Any:
+    """A value as JSON gives it back."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def from_json(kind: type[R], data: Any, source: str | Path, ignore_unknown: bool = True) -> R:
+    """Build a record from its JSON form.
 
     Args:
         source: what to name in errors, usually the file.
+        ignore_unknown: leave fields aside that this version does not know, as those of newer writers.
     Raises:
-        DataFormatError: another schema or version, a missing field, a field of the wrong type (names it).
+        DataFormatError: another schema or version, an unknown or a missing field, one of the wrong type (names it).
     """
     if not isinstance(data, dict) or data.get("schema") != kind.SCHEMA or data.get("version") != kind.VERSION:
         raise DataFormatError(f"{source}: not schema '{kind.SCHEMA}' version {kind.VERSION}")
-    return _converted(kind, data, source)
+    return convert_json(kind, data, source, ignore_unknown)
 
 
-def convert_json(kind: type[T], data: Any, source: str | Path) -> T:
-    """Build a dataclass from the JSON of a file that people write by hand, without schema and version.
+def convert_json(kind: type[T], data: Any, source: str | Path, ignore_unknown: bool = False) -> T:
+    """Build a dataclass from the JSON of a file that people write by hand, with or without schema and version.
 
     Raises:
-        DataFormatError: not an object, a field there is not, a missing one, or one of the wrong type (names it).
+        DataFormatError: not an object, an unknown or a missing field, one of the wrong type (names it).
     """
-    refuse_unknown(kind, data, source)
-    return _converted(kind, data, source)
-
-
-def refuse_unknown(kind: Any, data: Any, source: str | Path, at: str = "") -> None:
-    """Raises DataFormatError: JSON by hand has a field that a dataclass, or one inside it, has not (names it)."""
-    if is_dataclass(kind) and isinstance(data, dict):
-        hints = {name.removesuffix("_"): hint for name, hint in get_type_hints(kind).items()}
-        known = [field.name.removesuffix("_") for field in fields(kind)]
-        unknown = sorted(set(data) - set(known) - ({"schema", "version"} if not at else set()))
-        if unknown:
-            raise DataFormatError(
-                f"{source}: '{at}{unknown[0][:80]}' is no field that is read here; there are {', '.join(known)}"
-            )
-        for name in known:
-            refuse_unknown(hints[name], data.get(name), source, f"{at}{name}.")
-        return
-    for inner in get_args(kind):
-        for part in data if isinstance(data, list) else data.values() if isinstance(data, dict) else ():
-            refuse_unknown(inner, part, source, at)
-
-
-def _converted(kind: type[T], data: Any, source: str | Path) -> T:
     if not isinstance(data, dict):
         raise DataFormatError(f"{source}: not a JSON object")
     try:
-        return msgspec.convert({f"{key}_" if iskeyword(key) else key: value for key, value in data.items()}, kind)
-    except (msgspec.ValidationError, GofError) as e:  # of a field; of the record's own checks
+        return from_dict(kind, {k: v for k, v in data.items() if k not in ("schema", "version")}, "", ignore_unknown)
+    except GofError as e:  # of a field; of the record's own checks
         raise DataFormatError(f"{source}: {e}") from e
 
 

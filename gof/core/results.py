@@ -54,18 +54,18 @@ def save(arrays: Arrays, path: Path, source: str = "", datum: Datum | None = Non
     return path
 
 
-def load(path: Path) -> tuple[Arrays, Datum | None]:
-    """Read by suffix: the arrays, and what they are measured from, where the file says so.
+def load(path: Path, step: int = 1) -> tuple[Arrays, Datum | None]:
+    """Read by suffix: the arrays of every step-th Gaussian, and what they are measured from, where the file says so.
 
     Raises:
         DataFormatError: unknown suffix, no such file, another version, a field missing, or a damaged file.
     """
-    readers = {".ply": _load_ply, ".npz": _load_npz}
-    if path.suffix not in readers:
-        raise DataFormatError(f"{path}: unknown suffix; use one of {sorted(readers)}")
+    suffix = path.suffix.lower()
+    if suffix not in (".ply", ".npz"):
+        raise DataFormatError(f"{path}: unknown suffix; use .ply or .npz")
     if not path.is_file():
         raise DataFormatError(f"{path}: no such file")
-    return readers[path.suffix](path)
+    return of_ply(Ply.read(path, step)) if suffix == ".ply" else _load_npz(path, step)
 
 
 # ---------------------------------------------------------------- npz
@@ -93,7 +93,7 @@ def _save_npz(arrays: Arrays, path: Path, source: str, datum: Datum | None) -> N
     np.savez(path, schema=np.array(NPZ_MEASURED if datum else NPZ_SCHEMA), source=np.array(source), **stored)
 
 
-def _load_npz(path: Path) -> tuple[Arrays, Datum | None]:
+def _load_npz(path: Path, step: int) -> tuple[Arrays, Datum | None]:
     data = read_npz(path)
     schema = str(data.get("schema", "none"))
     if schema not in (NPZ_SCHEMA, NPZ_MEASURED):
@@ -101,8 +101,8 @@ def _load_npz(path: Path) -> tuple[Arrays, Datum | None]:
             f"{path}: schema is '{schema[:40]}', this version reads '{NPZ_SCHEMA}' and '{NPZ_MEASURED}'"
         )
     color = "rgb" if "rgb" in data else "sh"
-    needed = (*_NPZ_FIELDS, color, *(["datum"] if schema == NPZ_MEASURED else []))
-    missing = [key for key in needed if key not in data]
+    needed = (*_NPZ_FIELDS, *(["datum"] if schema == NPZ_MEASURED else []))
+    missing = [key for key in needed if key not in data] + ["rgb or sh"] * (color not in data)
     if missing:
         raise DataFormatError(f"{path}: fields {missing} are missing")
     unread = sorted(set(data) - {*_NPZ_FIELDS, "rgb", "sh", "datum", "v_gas", "v_sd", "schema", "source"})
@@ -111,8 +111,11 @@ def _load_npz(path: Path) -> tuple[Arrays, Datum | None]:
             f"{path}: fields {unread or ['rgb', 'sh']} are not read"
             + ("; remove them (a misspelt name?)" if unread else " together; keep one of them")
         )
+    if data[color].ndim != (2 if color == "rgb" else 3):
+        raise DataFormatError(f"{path}: '{color}' has shape {data[color].shape}")
     known = {name: data[key] for key, name in (("v_gas", "gas_velocity"), ("v_sd", "velocity_sd")) if key in data}
     arrays = {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]} | known
+    arrays = {name: values[::step] if values.ndim else values for name, values in arrays.items()}
     return arrays, Datum.from_numbers(data["datum"], path) if schema == NPZ_MEASURED else None
 
 
@@ -124,6 +127,7 @@ def _velocity_sd(arrays: Arrays) -> Arrays:
 # ---------------------------------------------------------------- PLY
 
 
+PROPERTIES = ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")  # beside those of 3DGS; all are there
 _GAS = ("gas_vx", "gas_vy", "gas_vz")
 
 
@@ -143,8 +147,9 @@ def _save_ply(arrays: Arrays, path: Path, source: str, datum: Datum | None) -> N
     write(path, splat_columns(arrays) | moving, comments + ([f"{PLY_SOURCE}{source}"] if source else []))
 
 
-def _load_ply(path: Path) -> tuple[Arrays, Datum | None]:
-    ply = Ply.read(path)
+def of_ply(ply: Ply) -> tuple[Arrays, Datum | None]:
+    """As `load`, of a PLY that has been read."""
+    path = ply.path
     version = [c for c in ply.comments if c.startswith("gof-transient")]
     if version and version[0] not in (PLY_VERSION, PLY_MEASURED):
         raise DataFormatError(
@@ -153,13 +158,13 @@ def _load_ply(path: Path) -> tuple[Arrays, Datum | None]:
     measured = [c.removeprefix(PLY_DATUM).split() for c in ply.comments if c.startswith(PLY_DATUM)]
     if (PLY_MEASURED in version) != (len(measured) == 1):
         raise DataFormatError(f"{path}: the comment '{PLY_DATUM}' belongs to '{PLY_MEASURED}', once")
-    missing = [name for name in ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic") if not ply.has(name)]
+    missing = [name for name in PROPERTIES if not ply.has(name)]
     if missing:
         raise DataFormatError(
             f"{path}: PLY properties {missing} are missing; a plain 3DGS PLY has no time or velocity and cannot be "
             "read as transient Gaussians"
         )
-    ply.refuse_unread("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic", "v_sd", *_GAS)
+    ply.refuse_unread(*PROPERTIES, "v_sd", *_GAS)
     if any(map(ply.has, _GAS)) and not ply.has(*_GAS):
         raise DataFormatError(f"{path}: of the PLY properties {list(_GAS)} some are missing; export the file again")
     splats = ply.splats()

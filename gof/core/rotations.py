@@ -26,11 +26,22 @@ def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
 
 
 def quaternions_wxyz(matrix: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) to unit quaternions (..., 4), of the two the one with w >= 0."""
-    from scipy.spatial.transform import Rotation  # here: it takes longer to load than the rest of the importers
+    """Rotation matrices (..., 3, 3) to unit quaternions (..., 4), of the two the one whose first number but 0 is > 0.
 
-    xyzw = Rotation.from_matrix(matrix).as_quat(canonical=True)
-    return np.roll(xyzw, 1, axis=-1)
+    Row i of 4 q q^T is 4 q_i q: of the four rows the one of the largest q_i loses no digits (Markley, 2008).
+    """
+    m = np.moveaxis(np.asarray(matrix, np.float64), (-2, -1), (0, 1))
+    x, y, z = m[0, 0], m[1, 1], m[2, 2]
+    wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
+    squares = np.array([1 + x + y + z, 1 + x - y - z, 1 - x + y - z, 1 - x - y + z])
+    rows = np.array(
+        [[squares[0], wx, wy, wz], [wx, squares[1], xy, xz], [wy, xy, squares[2], yz], [wz, xz, yz, squares[3]]]
+    )
+    q = np.take_along_axis(rows, squares.argmax(0)[None, None], 0)[0]
+    q /= np.linalg.norm(q, axis=0)
+    first = np.take_along_axis(q, (np.abs(q) > 0).argmax(0)[None], 0)[0]
+    return np.moveaxis(np.where(first < 0, -q, q), 0, -1)
 
 
 def quaternion_product(q: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import DataFormatError
+from .errors import DataFormatError, MissingDependencyError
 from .files import path_in, read_json, write_json
 
 TYPES = ("float16", "float32", "float64")
@@ -57,12 +57,16 @@ class ZarrArray:
     def open(cls, path: str | Path) -> ZarrArray:
         """Raises:
         DataFormatError: no array of format 3, or one of another kind than is read here.
+        MissingDependencyError: it is packed with zstd, and this Python has no zstandard (Blender's has not).
         """
         path = Path(path)
         try:
-            return cls(path, *_described(read_json(path_in(path, "zarr.json"))))
+            array = cls(path, *_described(read_json(path_in(path, "zarr.json"))))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as e:
             raise DataFormatError(f"{path}: not a readable zarr array ({type(e).__name__}: {e}); {REMEDY}") from e
+        if array.packing == "zstd":
+            _require_zstandard(path)
+        return array
 
     @classmethod
     def create(
@@ -78,21 +82,7 @@ class ZarrArray:
         path = Path(path)
         if path.exists():
             raise DataFormatError(f"{path}: exists already; remove it first or choose another name")
-        description = {
-            "zarr_format": 3,
-            "node_type": "array",
-            "shape": list(shape),
-            "data_type": dtype,
-            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(chunks)}},
-            "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-            "fill_value": 0.0,
-            "codecs": [
-                {"name": "bytes", "configuration": {"endian": "little"}},
-                {"name": "gzip", "configuration": {"level": level}},
-            ],
-            "attributes": attributes,
-        }
-        write_json(path / "zarr.json", description)
+        write_json(path / "zarr.json", describe(shape, chunks, dtype, attributes, level))
         return cls.open(path)
 
     @property
@@ -101,7 +91,7 @@ class ZarrArray:
 
     def is_stored(self, number: tuple[int, ...]) -> bool:
         """Whether there is a file of a chunk."""
-        return self._file(number).exists()
+        return self.file_of(number).exists()
 
     def __getitem__(self, where: tuple[int | slice, ...]) -> np.ndarray:
         """A box: an index or a slice per axis; axes that are not named are taken whole.
@@ -146,10 +136,14 @@ class ZarrArray:
                     "store float32"
                 )
             if part.any():
-                whole = np.zeros(self.chunks, self.dtype)  # those at the upper border are of full size too
-                whole[here] = part
-                self._file(number).parent.mkdir(parents=True, exist_ok=True)
-                self._file(number).write_bytes(gzip.compress(whole.tobytes(), self.level, mtime=0))
+                self.file_of(number).parent.mkdir(parents=True, exist_ok=True)
+                self.file_of(number).write_bytes(self.packed(here, part))
+
+    def packed(self, here: tuple[slice, ...], part: np.ndarray) -> bytes:
+        """What the file of a chunk holds that is zero but for the part `here`."""
+        whole = np.zeros(self.chunks, self.dtype)  # those at the upper border are of full size too
+        whole[here] = part
+        return gzip.compress(whole.tobytes(), self.level, mtime=0)
 
     # ---------------------------------------------------------------- chunks
 
@@ -179,11 +173,12 @@ class ZarrArray:
             there.append(slice(first - l, last - l))
         return tuple(here), tuple(there)
 
-    def _file(self, number: tuple[int, ...]) -> Path:
+    def file_of(self, number: tuple[int, ...]) -> Path:
+        """Where a chunk is stored, if it is."""
         return self.path / self.separator.join(["c", *map(str, number)])
 
     def _chunk(self, number: tuple[int, ...]) -> np.ndarray:
-        file = path_in(self.path, self._file(number).relative_to(self.path).as_posix())  # no link to somewhere else
+        file = path_in(self.path, self.file_of(number).relative_to(self.path).as_posix())  # no link to somewhere else
         try:
             data = _unpacked(file.read_bytes(), self.packing, math.prod(self.chunks) * self.dtype.itemsize)
             return np.frombuffer(data, self.dtype).reshape(self.chunks)
@@ -192,6 +187,32 @@ class ZarrArray:
                 f"{self.path}: frame {number[0]}: {file.relative_to(self.path)} cannot be decoded "
                 f"({type(e).__name__}: {e}); the chunk is truncated, make it again"
             ) from e
+
+
+def describe(
+    shape: tuple[int, ...],
+    chunks: tuple[int, ...],
+    dtype: str,
+    attributes: dict,
+    level: int = GZIP_LEVEL,
+    axes: tuple[str, ...] = (),
+) -> dict:
+    """The zarr.json of an array packed with gzip, whose chunks that are not stored are zero."""
+    return {
+        "zarr_format": 3,
+        "node_type": "array",
+        "shape": list(shape),
+        "data_type": dtype,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(chunks)}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "fill_value": 0.0,
+        "codecs": [
+            {"name": "bytes", "configuration": {"endian": "little"}},
+            {"name": "gzip", "configuration": {"level": level}},
+        ],
+        **({"dimension_names": list(axes)} if axes else {}),
+        "attributes": attributes,
+    }
 
 
 def _described(description: dict) -> tuple:
@@ -229,6 +250,15 @@ def _described(description: dict) -> tuple:
         dict(description.get("attributes", {})),
         tuple(description.get("dimension_names") or ()),
     )
+
+
+def _require_zstandard(path: Path) -> None:
+    try:
+        import zstandard  # noqa: F401
+    except ModuleNotFoundError as e:
+        raise MissingDependencyError(
+            f"{path}: its chunks are packed with zstd, which takes zstandard; install that, or {REMEDY}"
+        ) from e
 
 
 def _unpacked(data: bytes, packing: str, size: int) -> bytes:

@@ -12,15 +12,13 @@ with d_i the Mahalanobis distance.
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from gof.core.datum import Datum
 from gof.core.errors import DataFormatError
-from gof.core.fields import CHUNK, VelocitySequence, is_affine, open_array
+from gof.core.fields import CHUNK, SAME_TIME_S, GridSequence, VelocitySequence, open_array
 from gof.core.gaussians import MovingGaussians
 from gof.core.rotations import rotation_matrices
 from gof.dataset import Dataset
@@ -45,7 +43,7 @@ class EmissionScore:
     uncovered: float  # share of the places without a Gaussian, 0..1
 
 
-class FlameGrid:
+class FlameGrid(GridSequence):
     """The flame over time, `grids/flame.zarr` of a dataset (schema gof-grid version 1).
 
     Its light is the value to the power of the attribute `light_exponent`; without one the value is a reaction.
@@ -55,40 +53,13 @@ class FlameGrid:
     """
 
     def __init__(self, path: Path):
-        self._array = open_array(path)
-        attributes = self._array.attributes
-        if (attributes.get("schema"), attributes.get("version"), attributes.get("quantity")) != (
-            "gof-grid",
-            1,
-            "flame",
-        ) or self._array.ndim != 4:
-            raise DataFormatError(
-                f"{path}: not a flame grid (schema gof-grid version 1, quantity flame, shape (T, X, Y, Z))"
-            )
+        super().__init__(open_array(path), "flame", ())
         try:
-            self.path, self.times_s = path, np.asarray(attributes["time_s"], np.float64)
-            self.index_to_world = np.asarray(attributes["index_to_world"], np.float64)
-            self.light_exponent = float(attributes.get("light_exponent", EXPONENT))
-        except (KeyError, TypeError, ValueError) as e:
-            raise DataFormatError(
-                f"{path}: time_s, index_to_world or light_exponent of zarr.json are missing or not numbers ({e})"
-            ) from e
+            self.light_exponent = float(self.attributes.get("light_exponent", EXPONENT))
+        except (TypeError, ValueError) as e:
+            raise DataFormatError(f"{path}: light_exponent of zarr.json is no number ({e})") from e
         if not 0 < self.light_exponent < 10:
             raise DataFormatError(f"{path}: light_exponent {self.light_exponent:g} of zarr.json must lie in (0, 10)")
-        fits = self.times_s.shape == self._array.shape[:1] and self.index_to_world.shape == (4, 4)
-        if not fits or not is_affine(self.index_to_world) or not np.isfinite(self.times_s).all():
-            raise DataFormatError(
-                f"{path}: times {self.times_s.shape} or index_to_world do not fit shape {self._array.shape}, are not "
-                "finite, or are no invertible 4x4 matrix"
-            )
-
-    def measured_from(self, datum: Datum) -> FlameGrid:
-        """The same flame in a world and on a clock whose zeros are the datum's."""
-        moved = copy(self)
-        moved.times_s = self.times_s - datum.time_s
-        moved.index_to_world = self.index_to_world.copy()
-        moved.index_to_world[:3, 3] -= datum.position
-        return moved
 
     def places(self, time_s: float, count: int, rng: np.random.Generator) -> np.ndarray:
         """(count, 3) world m, drawn evenly from the emission of the stored frame at `time_s`; (0, 3) without flame.
@@ -97,15 +68,15 @@ class FlameGrid:
             DataFormatError: no frame is stored for that time, or it holds NaN or negative values.
         """
         frame = int(np.abs(self.times_s - time_s).argmin())
-        if abs(self.times_s[frame] - time_s) > 1e-6:
+        if abs(self.times_s[frame] - time_s) > SAME_TIME_S:
             raise DataFormatError(
                 f"{self.path}: no frame at {time_s:g} s; the grid and the velocity store must have the same times"
             )
         cells, shine = [], []
-        for x in range(0, self._array.shape[1], CHUNK):  # a layer of chunks at a time, and of it what burns
-            flame = self._array[frame, x : x + CHUNK].astype(np.float32)
-            if not ((flame >= 0) & np.isfinite(flame)).all():
-                raise DataFormatError(f"{self.path}: frame {frame} holds NaN, Inf or negative values; make it again")
+        for x in range(0, self.resolution[0], CHUNK):  # a layer of chunks at a time, and of it what burns
+            flame = self.cells(frame, slice(x, x + CHUNK)).astype(np.float32)
+            if (flame < 0).any():
+                raise DataFormatError(f"{self.path}: frame {frame} holds negative values; make it again")
             burning = np.argwhere(flame)
             cells.append(burning + np.array([x, 0, 0]))
             shine.append(flame[tuple(burning.T)].astype(np.float64) ** self.light_exponent)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gof.core.errors import DataFormatError
 from gof.core.files import read_json
-from gof.core.records import from_json, refuse_unknown
+from gof.core.records import from_json
 
 Turn = Literal["none", "clockwise", "counterclockwise", "half"]
 ROLL_DEG = {"none": 0, "clockwise": 90, "counterclockwise": -90, "half": 180}
@@ -118,8 +118,7 @@ def read_cameras(path: Path, count: int) -> list[CalibratedCamera]:
     data = read_json(path)
     if isinstance(data, dict):
         data = {"schema": CamerasFile.SCHEMA, "version": CamerasFile.VERSION} | data
-    refuse_unknown(CamerasFile, data, path)
-    cameras = list(from_json(CamerasFile, data, path).cameras)
+    cameras = list(from_json(CamerasFile, data, path, ignore_unknown=False).cameras)
     if len(cameras) not in (1, count):
         raise DataFormatError(f"{path}: 'cameras' must list one entry, or one per video ({count})")
     return cameras * count if len(cameras) == 1 else cameras

@@ -26,7 +26,7 @@ from gof.host.processes import python_command, run
 Status = Literal["ok", "missing", "broken"]
 Outcome = tuple[Status, str]
 
-PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "drjit", "pillow", "msgspec", "zstandard")
+PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "drjit", "pillow", "zstandard")
 # Settings of the environment that change what runs.
 VARIABLES = ("GOF_RENDER_BACKEND", "GOF_RENDER_KERNELS", "DRJIT_LIBLLVM_PATH", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 VARIABLES += ("OPENBLAS_CORETYPE", "CUDA_VISIBLE_DEVICES")

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.core import ftgs
 from gof.core.errors import DataFormatError, NonFiniteError
 from gof.core.gaussians import TransientGaussians
 from gof.host.options import require_number
 from gof.io import compressed, gltf, ply_frames
-from gof.io.importers import Imported, freetime, own
+from gof.io.importers import Imported, own
 
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
 
@@ -91,8 +92,8 @@ def _save_ftgs(
     if frame_time_s and start_s is not None and end_s is not None:
         frames = round((end_s - start_s) / frame_time_s) + 1
     start_s, end_s = _clip(gaussians, out, start_s, end_s)
-    freetime.save(gaussians, out, start_s, end_s, frames)
-    return [*_measured(gaussians), *freetime.losses(gaussians, start_s, end_s)]
+    ftgs.save(gaussians, out, start_s, end_s, frames)
+    return [*_measured(gaussians), *ftgs.losses(gaussians, start_s, end_s)]
 
 
 def _measured(gaussians: TransientGaussians) -> list[str]:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from gof.core.cameras import Camera
-from gof.core.direction_colors import direction_colors
+from gof.core.colour import direction_colors
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.expectation import expected_velocity

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gof.core.direction_colors import direction_colors
+from gof.core.colour import direction_colors
 from gof.core.files import atomic_path
 from gof.reconstruct.captions import Caption, Captions
 from gof.reconstruct.flow_field import FlowField, FrameField

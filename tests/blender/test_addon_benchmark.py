@@ -126,7 +126,7 @@ def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
     assert "press Add Fire, or choose another background" in found["no fire"]
     assert "is not empty and holds no spec.json; choose a new output folder" in found["full"]
     assert "choose a spec file" in found["no file"]
-    assert "broken.json: not readable as JSON" in found["broken"]
+    assert "broken.json: not valid JSON" in found["broken"]
     assert (
         "GB of memory, this machine has 8 GB, of which 90 % are counted on; lower domain.resolution from 640 to"
         in found["huge"]

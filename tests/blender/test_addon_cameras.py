@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from gof_blender.pure.io import FileFormatError, camera_files
+from gof_blender.core.errors import DataFormatError
+from gof_blender.pure.io import camera_files
 from tests.blender.runs import in_blender
 
 RIG = """
@@ -207,7 +208,7 @@ def frame(**changes) -> dict:
 def test_what_is_no_camera_is_refused_by_name(tmp_path, content, words):
     path = tmp_path / "transforms.json"
     path.write_text(json.dumps(content))
-    with pytest.raises(FileFormatError, match=words) as error:
+    with pytest.raises(DataFormatError, match=words) as error:
         camera_files.read(path)
     assert "transforms.json" in str(error.value)
 
@@ -228,5 +229,5 @@ def test_pictures_of_one_camera_are_one_and_global_lenses_count(tmp_path):
 def test_colmap_with_distortion_is_refused(tmp_path):
     (tmp_path / "cameras.txt").write_text("# comment\n1 OPENCV 640 480 500 500 320 240 0.1 0 0 0\n")
     (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.png\n\n")
-    with pytest.raises(FileFormatError, match="image_undistorter"):
+    with pytest.raises(DataFormatError, match="image_undistorter"):
         camera_files.read(tmp_path / "images.txt")

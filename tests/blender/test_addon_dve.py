@@ -1,5 +1,6 @@
 """The add-on's own DVE against closed forms, and against gof's on Gaussians in and outside of a grid."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,13 +8,14 @@ import pytest
 
 from gof.core.datum import Datum
 from gof.core.gaussians import TransientGaussians
+from gof.core.grid_writer import GridWriter
 from gof.core.rotations import rotation_matrices
 from gof.dataset import CameraEntry, Dataset, DatasetDescription, Splits
 from gof.evaluate.sequence import dve_sequence
+from gof_blender.core.errors import DataFormatError
+from gof_blender.core.fields import VelocitySequence
 from gof_blender.pure import dve
-from gof_blender.pure.io import FileFormatError, gaussians_file
-from gof_blender.pure.io.velocity_reader import TrueVelocity
-from gof_blender.pure.io.velocity_store import VelocityWriter
+from gof_blender.pure.io import cloud as clouds
 from tests.conftest import arc, random_gaussians, write_dataset
 
 TIMES = 0.01 * np.arange(6)
@@ -30,7 +32,7 @@ def write_truth(path: Path, field, times=TIMES, origin=ORIGIN) -> None:
     """``field(points, time_s)`` at the centres of the cells, float32."""
     matrix = np.diag([CELL, CELL, CELL, 1.0])
     matrix[:3, 3] = origin
-    writer = VelocityWriter(path, CELLS, matrix, times, CELL, "float32")
+    writer = GridWriter(path, CELLS, matrix, times, CELL, "float32")
     for frame, time_s in enumerate(times):
         writer.write_frame(frame, field(centres() - ORIGIN + origin, time_s).__getitem__)
     writer.finish()
@@ -77,9 +79,9 @@ def folder(tmp_path_factory) -> Path:
     return dataset
 
 
-def cloud_of(gaussians: TransientGaussians, path: Path) -> gaussians_file.GaussianCloud:
+def cloud_of(gaussians: TransientGaussians, path: Path) -> clouds.GaussianCloud:
     gaussians.save(path)
-    return gaussians_file.load(path)
+    return clouds.load(path)
 
 
 def scored(cloud, dataset):
@@ -141,7 +143,7 @@ def test_a_linear_flow_is_its_value_at_the_centre(tmp_path):
     position = rng.uniform([-0.4, -0.3, 0.8], [0.4, 0.3, 1.6], (50, 3))
     scale, rotation = rng.uniform(0.01, 0.1, (50, 3)), rng.normal(size=(50, 4))
     rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
-    mean, inside = dve.expected_velocity(TrueVelocity(tmp_path / "v.zarr"), 1, position, scale, rotation)
+    mean, inside = dve.expected_velocity(VelocitySequence.open(tmp_path / "v.zarr"), 1, position, scale, rotation)
     np.testing.assert_allclose(mean, linear(position, TIMES[1]), atol=1e-5)
     assert (inside == 1).all()
     wrong = dve.Sums.of(dve.Frame(rng.uniform(1, 2, 50), 1.01 * mean, mean, inside))
@@ -155,7 +157,7 @@ def test_a_plane_wave_is_damped_by_the_width_along_it(tmp_path):
     turn = np.array([[np.cos(0.4), 0, -np.sin(0.4), 0]])
     scale = np.array([[0.1, 0.02, 0.03]])
     position = np.array([[0.05, 0.0, 1.2]])
-    mean, _ = dve.expected_velocity(TrueVelocity(tmp_path / "v.zarr"), 0, position, scale, turn)
+    mean, _ = dve.expected_velocity(VelocitySequence.open(tmp_path / "v.zarr"), 0, position, scale, turn)
     width2 = ((k @ rotation_matrices(turn)[0] * scale[0]) ** 2).sum()
     expected = np.exp(-width2 / 2) * np.sin(position[0] @ k)
     np.testing.assert_allclose(mean[0], [expected, 0, 2 * expected], rtol=0.03)
@@ -167,7 +169,7 @@ def test_outside_the_box_the_truth_is_zero(tmp_path):
     write_truth(tmp_path / "v.zarr", lambda x, t: np.broadcast_to([0.0, 0.0, 3.0], x.shape), TIMES[:1])
     position = np.array([ORIGIN + [0, 0.8, 1.2], ORIGIN + [-5.0, 0.8, 1.2]])
     turn = np.array([[1.0, 0, 0, 0]] * 2)
-    truth = TrueVelocity(tmp_path / "v.zarr")
+    truth = VelocitySequence.open(tmp_path / "v.zarr")
     mean, inside = dve.expected_velocity(truth, 0, position, np.full((2, 3), 0.1), turn)
     np.testing.assert_allclose(inside, [5 / 6, 0], atol=1e-12)
     np.testing.assert_allclose(mean, [[0, 0, 2.5], [0, 0, 0]], atol=1e-6)
@@ -176,7 +178,7 @@ def test_outside_the_box_the_truth_is_zero(tmp_path):
 def test_what_cannot_be_scored_is_said(folder, tmp_path):
     gaussians = random_gaussians(5)
     gaussians.dynamic[:] = False
-    with pytest.raises(FileFormatError, match="no moving Gaussian"):
+    with pytest.raises(DataFormatError, match="no moving Gaussian"):
         scored(cloud_of(gaussians, tmp_path / "still.npz"), folder)
     gaussians.dynamic[:] = True
     gaussians.t_mu[:], gaussians.t_sigma[:] = 500.0, 0.01
@@ -195,3 +197,12 @@ def test_a_true_velocity_of_zero_has_no_score(folder, tmp_path):
     found = scored(cloud_of(gaussians, tmp_path / "result.npz"), still)
     assert found.dve.l2 is None and found.dve.frames_scored == 0 and "zero" in found.warnings[0]
     assert ("DVE L2", "undefined") in found.rows()
+
+
+def test_a_dataset_without_true_velocity_is_named(folder, tmp_path):
+    with pytest.raises(DataFormatError, match="gof generate"):
+        dve.true_velocity(tmp_path)
+    content = json.loads((folder / "dataset.json").read_text()) | {"velocity": None}
+    (tmp_path / "dataset.json").write_text(json.dumps(content))
+    with pytest.raises(DataFormatError, match="no true velocity"):
+        dve.true_velocity(tmp_path)

@@ -16,7 +16,7 @@ def fail(*what):  # the wheel hangs in its normal exit after a fire
 sys.excepthook = fail
 import numpy as np
 import gof_blender
-from gof_blender.pure.checked_json import SpecError
+from gof_blender.core.checked_json import SpecError
 from gof_blender.scene import place
 from gof_blender.ui import scene_spec
 gof_blender.register()

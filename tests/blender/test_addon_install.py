@@ -116,13 +116,16 @@ def test_only_numpy_and_blender_are_imported(built):
         "pxr",
         "_cycles",
     }
+    late = {"psutil", "zstandard"}  # in gof/core, for what the add-on does without
     for path in build_addon.files():
         if path.suffix != ".py":
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             modules += [node.module] if isinstance(node, ast.ImportFrom) and not node.level else []
-            assert {module.split(".")[0] for module in modules} <= known, path
+            assert {module.split(".")[0] for module in modules} <= known | (
+                late if build_addon.CORE in path.parents else set()
+            ), path
 
 
 @pytest.mark.blender

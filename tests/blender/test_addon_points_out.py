@@ -5,8 +5,7 @@ import pytest
 
 from gof.core.gaussians import TransientGaussians
 from gof_blender.pure import points
-from gof_blender.pure.io.cloud import GaussianCloud
-from gof_blender.pure.io.gaussians_file import load
+from gof_blender.pure.io.cloud import GaussianCloud, load
 from tests.blender.runs import in_blender
 
 N, RATE, FIRST, LAST, TIME_SCALE, START = 60, 50, 3, 7, 0.5, 2

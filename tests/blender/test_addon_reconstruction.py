@@ -87,7 +87,7 @@ def everything():
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """One result in every form that the panel imports."""
-    from gof.io.importers.freetime import save
+    from gof.core.ftgs import save
     from tests.blender.test_gaussians_file import plain_ply
 
     folder = tmp_path_factory.mktemp("results")
@@ -300,7 +300,7 @@ for name in ("unsure", "silent"):
         ("truncated.ply", "", "truncated"),
         ("cut.npz", "", "not a readable npz"),
         ("none.npz", "", "0 points"),
-        ("nan.npz", "", "must be finite"),
+        ("nan.npz", "", "NaN or Inf"),
         ("clip.ftgs.ply", "", "set Clip Length"),
         ("huge.ply", "", "Set Every n-th to 5 or more"),
         ("huge.ply", "step=3", "tick However Many"),

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gof.core.gaussians import TransientGaussians
+from gof.core.grid_writer import GridWriter
 from gof.dataset import Dataset
 from gof.evaluate import scores as gof_scores
 from gof.evaluate.sequence import dve_sequence
-from gof_blender.pure.io.velocity_store import VelocityWriter
 from gof_blender.pure.score_process import Evaluation, EvaluationError
 from gof_blender.pure.scores import Scores
 from tests.blender.runs import in_blender
@@ -50,7 +50,7 @@ def folder(tmp_path_factory) -> Path:
     dataset = write_dataset(folder / "dataset", cameras, images, images[0] * 0.5, TIMES, test_frames=[2])
     matrix = np.diag([0.25, 0.25, 0.25, 1.0])
     matrix[:3, 3] = [-1, -1, 0]
-    writer = VelocityWriter(dataset / "velocity.zarr", (8, 8, 8), matrix, TIMES, 0.25, "float32")
+    writer = GridWriter(dataset / "velocity.zarr", (8, 8, 8), matrix, TIMES, 0.25, "float32")
     for frame, time_s in enumerate(TIMES):
         velocity = np.zeros((8, 8, 8, 3))
         velocity[..., 1] = (-1 + 0.25 * (np.arange(8) + 0.5))[None, :, None]

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import bodies, look_process, sense
-from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.effects.obstacles import Obstacle, Settings
 from gof_blender.pure.fires import Domain, GridFire
 from gof_blender.pure.layout import Layout

@@ -7,9 +7,9 @@ import pytest
 
 from gof.core.datum import Datum
 from gof.core.gaussians import TransientGaussians
-from gof_blender.pure.io import FileFormatError
-from gof_blender.pure.io.cloud import SH_C0
-from gof_blender.pure.io.gaussians_file import Clock, count, load
+from gof.core.harmonics import C0
+from gof_blender.core.errors import DataFormatError, GofError
+from gof_blender.pure.io.cloud import Clock, count, load
 from tests.plys import read_ply, write_ply
 
 N = 40
@@ -42,18 +42,18 @@ def test_reads_what_the_library_writes(tmp_path, suffix, color_shape):
         assert np.array_equal(getattr(cloud, name), getattr(wanted, name)), name
     for name in ("scale", "rotation", "opacity"):
         assert np.allclose(getattr(cloud, name), getattr(wanted, name), rtol=2e-6, atol=1e-7), name
-    color = wanted.color if wanted.color.ndim == 2 else 0.5 + SH_C0 * wanted.color[:, 0]
+    color = wanted.color if wanted.color.ndim == 2 else 0.5 + C0 * wanted.color[:, 0]
     assert np.allclose(cloud.color, color, atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".ply"])
 def test_reads_how_sure_the_velocity_is(tmp_path, suffix):
     silent = gaussians()
-    assert load(silent.save(tmp_path / f"silent{suffix}")).velocity_sd is None
+    assert not load(silent.save(tmp_path / f"silent{suffix}")).says_doubt
     doubt = np.linspace(0, 2, N).astype(np.float32)
     doubt[5] = np.inf
     cloud = load(replace(silent, velocity_sd=doubt).save(tmp_path / f"unsure{suffix}"))
-    assert np.array_equal(cloud.velocity_sd, doubt)
+    assert cloud.says_doubt and np.array_equal(cloud.velocity_sd, doubt)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".ply"])
@@ -72,9 +72,9 @@ def test_reads_the_velocity_of_the_gas(tmp_path, suffix):
 def test_reads_the_datum_that_places_and_times_count_from(tmp_path, suffix):
     datum = Datum((498_000.0, 5_213_000.5, 431.0), 1_732_300_000.25)
     cloud = load(replace(gaussians(), datum=datum).save(tmp_path / f"far{suffix}"))
-    assert cloud.datum == tuple(datum.numbers())
+    assert cloud.datum.numbers().tolist() == datum.numbers().tolist()
     np.testing.assert_allclose(cloud.position, gaussians().position, atol=1e-6)
-    assert load(gaussians().save(tmp_path / f"near{suffix}")).datum == (0, 0, 0, 0)
+    assert load(gaussians().save(tmp_path / f"near{suffix}")).datum is None
 
 
 def test_a_broken_datum_is_named(tmp_path):
@@ -82,22 +82,22 @@ def test_a_broken_datum_is_named(tmp_path):
     content = dict(np.load(path))
     for wrong in ([1.0, 2.0], [1.0, 2.0, np.nan, 0.0], ["a", "b", "c", "d"]):
         np.savez(tmp_path / "b.npz", **content | {"datum": np.array(wrong)})
-        with pytest.raises(FileFormatError, match=r"b\.npz.*datum"):
+        with pytest.raises(DataFormatError, match=r"b\.npz.*datum"):
             load(tmp_path / "b.npz")
 
 
 def test_a_capture_far_from_zero_is_measured_from_the_datum(tmp_path):
     """Blender knows float32 alone: its cameras stand where the library's do."""
+    from gof.core.description import DatasetDescription
     from gof.dataset import Dataset
     from gof_benchmark.evidence.far_from_zero import moved_copy
-    from gof_blender.pure.description import DatasetDescription
     from tests.reconstruct.rising_flame import write_flame
 
     folder = moved_copy(
         write_flame(tmp_path / "near", frames=6, late={1: 0.01}), tmp_path / "far", Datum((5e5, 5e6, 100), 1.7e9)
     )
     dataset = Dataset.open(folder)
-    there = DatasetDescription.read(folder).measured_from(tuple(dataset.datum.numbers()))
+    there = DatasetDescription.read(folder).measured_from(dataset.datum)
     np.testing.assert_allclose(there.time_s, dataset.times_s, atol=1e-9)
     np.testing.assert_allclose(there.cameras[1].time_s, dataset.camera_times_s(1), atol=1e-9)
     for entry, camera in zip(there.cameras, dataset.cameras, strict=True):
@@ -131,31 +131,31 @@ def with_value(shape, value, fill=0.5):
     [
         ({"schema": None}, "schema is 'none'"),
         ({"schema": "gof-trajectory/1"}, "gof-trajectory/1"),
-        ({"v_sd": with_value(N, -0.1)}, r"'velocity_sd' must be >= 0; rows \[2\]"),
+        ({"v_sd": with_value(N, -0.1)}, r"'velocity_sd' must be >= 0 .*rows \[2\]"),
         ({"v": None}, r"\['v'\] are missing"),
         ({"rgb": None}, "rgb or sh"),
-        ({"x0": with_value((N, 3), np.nan)}, r"'position' must be finite .*rows \[2\]"),
-        ({"v": with_value((N, 3), np.inf)}, "'velocity' must be finite"),
-        ({"t_sigma_s": with_value(N, np.nan)}, "'t_sigma' must be finite"),
+        ({"x0": with_value((N, 3), np.nan)}, r"'position' .*NaN or Inf .*rows: \[2\]"),
+        ({"v": with_value((N, 3), np.inf)}, "'velocity' .*NaN or Inf"),
+        ({"t_sigma_s": with_value(N, np.nan)}, "'t_sigma' .*NaN or Inf"),
         ({"t_sigma_s": with_value(N, 0)}, "'t_sigma' must be > 0"),
         ({"scale": with_value((N, 3), -1)}, "'scale' must be > 0"),
         ({"alpha": with_value(N, 1.5)}, "'opacity' must be in"),
         ({"rotation": with_value((N, 4), 0)}, "quaternion"),
         ({"t_mu_s": np.zeros(3)}, r"'t_mu' has shape \(3,\)"),
-        ({"x0": np.zeros((0, 3))}, "0 points"),
-        ({"x0": np.array(1.0)}, "0 points"),
-        ({"scale": np.full((N, 3), "big")}, "expected numbers"),
-        ({"x0": np.full((N, 3), 1e300)}, "'position' must be finite"),
+        ({"x0": np.zeros((0, 3))}, "for 0 Gaussians"),
+        ({"x0": np.array(1.0)}, "'position' has shape"),
+        ({"scale": np.full((N, 3), "big")}, "'scale' does not hold numbers"),
+        ({"x0": np.full((N, 3), 1e300)}, "'position' .*NaN or Inf"),
         ({"rgb": None, "sh": np.zeros((N, 3))}, "'sh' has shape"),
     ],
 )
 def test_broken_npz(tmp_path, changes, message):
-    with pytest.raises(FileFormatError, match=f"result.npz: .*{message}"):
+    with pytest.raises(GofError, match=f"result.npz: .*{message}"):
         load(npz(tmp_path, **changes))
 
 
 def test_pickles_are_refused(tmp_path):
-    with pytest.raises(FileFormatError, match="not a readable npz"):
+    with pytest.raises(DataFormatError, match="not a readable npz"):
         load(npz(tmp_path, x0=np.array([{}], object)))
 
 
@@ -164,7 +164,7 @@ def test_pickles_are_refused(tmp_path):
 def test_truncated(tmp_path, suffix, keep):
     file = gaussians().save(tmp_path / f"result{suffix}")
     file.write_bytes(file.read_bytes()[:keep])
-    with pytest.raises(FileFormatError, match=f"result{suffix}"):
+    with pytest.raises(DataFormatError, match=f"result{suffix}"):
         load(file)
 
 
@@ -173,14 +173,14 @@ def test_truncated(tmp_path, suffix, keep):
     [
         (b"ply\n", b"plx\n", "not a PLY"),
         (b"binary_little_endian", b"ascii", "truncated|line"),
-        (b"binary_little_endian", b"binary_middle_endian", "no line 'format'"),
-        (b"element vertex", b"element face", "element 'vertex'"),
+        (b"binary_little_endian", b"binary_middle_endian", "line 2: 'format binary_middle_endian 1.0' is no line"),
+        (b"element vertex", b"element face", "'vertex' element"),
         (b"element vertex 40", b"element vertex 99999999", "truncated"),
         (b"element vertex 40", b"element vertex 0", "0 points"),
-        (b"element vertex 40", b"element vertex -3", "no element with a count"),
+        (b"element vertex 40", b"element vertex -3", "line 7: 'element vertex -3' is no line"),
         (b"property float vx", b"property float ux", r"\['vx'\] are missing"),
-        (b"property float vx", b"property float vy", "broken"),
-        (b"property float vx", b"property list uchar int vx", "not a plain number"),
+        (b"property float vx", b"property float vy", "a second property 'vy'"),
+        (b"property float vx", b"property list uchar int vx", "goes on behind the end of the file"),
     ],
 )
 def test_broken_ply(tmp_path, old, new, message):
@@ -188,7 +188,7 @@ def test_broken_ply(tmp_path, old, new, message):
     data = file.read_bytes()
     assert old in data
     file.write_bytes(data.replace(old, new, 1))
-    with pytest.raises(FileFormatError, match=message):
+    with pytest.raises(DataFormatError, match=message):
         load(file)
 
 
@@ -197,17 +197,17 @@ def test_absurd_raw_values_in_ply(tmp_path):
     vertex, comments = read_ply(file)
     vertex["opacity"][:2] = [-1e30, 1e30]
     write_ply(file, vertex, comments=comments)
-    assert load(file).opacity[:2].tolist() == [0.0, 1.0]
+    assert load(file).opacity[:2].tolist() == pytest.approx([0.0, 1.0], abs=1e-30)
     vertex["scale_1"][5] = 1e4
     write_ply(file, vertex, comments=comments)
-    with pytest.raises(FileFormatError, match=r"'scale' must be a natural logarithm.*rows \[5\]"):
+    with pytest.raises(DataFormatError, match=r"'scale' must be a natural logarithm.*rows \[5\]"):
         load(file)
 
 
 def test_wrong_name(tmp_path):
-    with pytest.raises(FileFormatError, match="unknown suffix"):
+    with pytest.raises(DataFormatError, match="unknown suffix"):
         load(tmp_path / "result.pth")
-    with pytest.raises(FileFormatError, match="no such file"):
+    with pytest.raises(DataFormatError, match="no such file"):
         load(tmp_path / "result.npz")
 
 
@@ -219,8 +219,8 @@ def plain_ply(path, cloud):
 
 
 def test_ftgs_ply_against_the_library(tmp_path):
+    from gof.core.ftgs import save
     from gof.io.importers import ImportOptions, read_result
-    from gof.io.importers.freetime import save
 
     file = save(gaussians(), tmp_path / "a.ftgs.ply", start_s=0.0, end_s=1.5, frames=37)
     wanted = read_result(file, ImportOptions(time_unit_s=1.5)).gaussians
@@ -232,15 +232,15 @@ def test_ftgs_ply_against_the_library(tmp_path):
 
 
 def test_ftgs_ply_without_seconds(tmp_path):
-    from gof.io.importers.freetime import save
+    from gof.core.ftgs import save
 
     file = save(gaussians(), tmp_path / "a.ftgs.ply", start_s=0.0, end_s=1.5)
     lines = file.read_bytes().split(b"\n")
     file.write_bytes(b"\n".join(line for line in lines if not line.startswith(b"comment gof_clip_s")))
-    with pytest.raises(FileFormatError, match="set Clip Length"):
+    with pytest.raises(DataFormatError, match="set Clip Length"):
         load(file)
     file.write_bytes(file.read_bytes().replace(b"time_units normalized", b"time_units fortnights", 1))
-    with pytest.raises(FileFormatError, match="fortnights; expected 1, normalized"):
+    with pytest.raises(DataFormatError, match="fortnights; expected 1, normalized"):
         load(file, Clock(clip_s=1.0))
 
 
@@ -278,18 +278,18 @@ def test_sequence_whose_gaussians_change(tmp_path):
 
 
 def test_broken_sequences(tmp_path):
-    with pytest.raises(FileFormatError, match="no numbered"):
+    with pytest.raises(DataFormatError, match="no numbered"):
         load(tmp_path)
     plain_ply(tmp_path / "1.ply", gaussians())
     plain_ply(tmp_path / "01.ply", gaussians())
-    with pytest.raises(FileFormatError, match=r"has the number 1, and so has"):
+    with pytest.raises(DataFormatError, match=r"has the number 1, and so has"):
         load(tmp_path)
     (tmp_path / "01.ply").rename(tmp_path / "cloud.ply")
-    with pytest.raises(FileFormatError, match=r"cloud\.ply: its name has no number"):
+    with pytest.raises(DataFormatError, match=r"cloud\.ply: its name has no number"):
         load(tmp_path)
     plain_ply(tmp_path / "cloud.ply", gaussians()).rename(tmp_path / "2.ply")
     (tmp_path / "2.ply").write_bytes((tmp_path / "2.ply").read_bytes()[:-5])
-    with pytest.raises(FileFormatError, match=r"2\.ply: truncated"):
+    with pytest.raises(DataFormatError, match=r"2\.ply: .*truncated"):
         load(tmp_path)
 
 
@@ -311,5 +311,5 @@ def test_count_of_a_file_that_is_no_result(tmp_path):
 
 def test_a_mesh_is_no_reconstruction(tmp_path):
     mesh = write_ply(tmp_path / "mesh.ply", np.zeros(4, [(n, "f4") for n in "xyz"]))
-    with pytest.raises(FileFormatError, match="not a Gaussian splat PLY"):
+    with pytest.raises(DataFormatError, match="points or a mesh, without Gaussians' sizes"):
         load(mesh)

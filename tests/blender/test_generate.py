@@ -244,7 +244,7 @@ def test_killed_render_redoes_no_finished_frame(toy, tmp_path):
     progress, cost = (json.loads(line) for line in run.stdout.splitlines()[-2:])
     assert progress == {"progress": {"stage": "render", "done": PLATES + IMAGES, "total": PLATES + IMAGES}}
     assert cost["cost"]["cpu_s"] > 0
-    assert not list(layout.root.rglob(".tmp-*")), "no draft is left"
+    assert not list(layout.root.rglob(".*.partial*")), "no draft is left"
 
 
 def test_killed_bake_starts_over(tmp_path):

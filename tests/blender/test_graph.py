@@ -64,7 +64,7 @@ def check_complete(layout: Layout, before: dict[Path, int]) -> None:
     assert all(dataset.image(camera, frame).any() for camera in range(3) for frame in (0, 15))
     assert len(dataset.velocity) == 16
     assert {path: when for path, when in pictures(layout).items() if path in before} == before, "made twice"
-    assert not [path for path in layout.root.rglob(".tmp-*") if "passes" not in path.name]
+    assert not [path for path in layout.root.rglob(".*.partial*") if "passes" not in path.name]
 
 
 def test_pictures_follow_the_bake_and_survive_kill_9_of_the_renderer(tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof_blender.pure.checked_json import SpecError
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.fires import Fire
 from gof_blender.pure.spec import SceneSpec
 from tests.blender.runs import in_blender

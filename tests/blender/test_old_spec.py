@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from gof.core.fields import VelocitySequence
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.io.velocity_reader import TrueVelocity
 from gof_blender.pure.layout import Layout
 
 # Lift, burning, confinement and wind, which version 2 takes otherwise.
@@ -50,17 +50,17 @@ def test_a_spec_of_version_1_bakes_the_velocity_that_it_did(tmp_path):
     claim(layout, scene_spec.load(tmp_path / "old.json"))
     for stage in ("bake", "ground-truth"):
         run_stage(stage, layout.root)
-    velocity = TrueVelocity(layout.velocity)
-    frames = [at_cells(velocity, np.moveaxis(np.indices(GRID), 0, -1).reshape(-1, 3), t) for t in velocity.time_s]
+    velocity = VelocitySequence.open(layout.velocity)
+    frames = [at_cells(velocity, np.moveaxis(np.indices(GRID), 0, -1).reshape(-1, 3), t) for t in velocity.times_s]
     speed = np.linalg.norm(frames, axis=-1)
     assert speed.mean(1) == pytest.approx(MEAN_M_S, rel=0.003)
     assert np.sqrt(np.square(speed).mean(1)) == pytest.approx(RMS_M_S, rel=0.003)
     expected = np.array(list(VECTORS_M_S.values()))
-    sampled = at_cells(velocity, np.array(list(VECTORS_M_S)), velocity.time_s[-1])
+    sampled = at_cells(velocity, np.array(list(VECTORS_M_S)), velocity.times_s[-1])
     assert np.linalg.norm(sampled - expected) < 0.01 * np.linalg.norm(expected)
 
 
-def at_cells(velocity: TrueVelocity, cells: np.ndarray, time_s: float) -> np.ndarray:
+def at_cells(velocity: VelocitySequence, cells: np.ndarray, time_s: float) -> np.ndarray:
     """Velocity (N, 3), m/s, in the middle of cells (N, 3)."""
     low, size = np.array(SPEC["domain"]["min"]), np.array(SPEC["domain"]["size"])
     found, inside = velocity.sample(low + (cells + 0.5) * size / GRID, np.full(len(cells), time_s))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gof.core.gaussians import TransientGaussians
-from gof_blender.pure.io import gaussians_file
+from gof_blender.pure.io import cloud as clouds
 from gof_blender.pure.io.cloud import GaussianCloud
 
 pytestmark = pytest.mark.blender
@@ -23,7 +23,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from mathutils import Euler, Matrix
-from gof_blender.pure.io import gaussians_file
+from gof_blender.pure.io import cloud as clouds
 from gof_blender.scene.mantaflow import leave
 from gof_blender.scene import display, point_cloud
 
@@ -72,7 +72,7 @@ def look(thing, mode, key):
 def at(frame):
     scene.frame_set(int(frame), subframe=frame - int(frame))
 
-cloud = gaussians_file.load(folder / "result.npz")
+cloud = clouds.load(folder / "result.npz")
 for mode in ("ellipsoids", "ellipsoids in points", "points"):
     thing = point_cloud.add_point_cloud(cloud, 81, mode.split()[0])
     show_as_in(thing, "render" if mode == "ellipsoids" else "viewport")
@@ -110,7 +110,7 @@ camera.data.type, camera.data.ortho_scale = "ORTHO", 1.0
 scene.render.image_settings.file_format = "OPEN_EXR"
 scene.render.image_settings.color_depth = "32"
 for mode in ("ellipsoids", "ellipsoids in points", "points"):
-    cloud = gaussians_file.load(folder / f"{mode.split()[0]}.npz")
+    cloud = clouds.load(folder / f"{mode.split()[0]}.npz")
     thing = point_cloud.add_point_cloud(cloud, 1, mode.split()[0])
     show_as_in(thing, "render" if mode == "ellipsoids" else "viewport")
     thing.location.x = -0.05
@@ -129,7 +129,7 @@ for transform in ("Standard", "Filmic", "AgX"):
     shown[transform] = [linear.tolist(), display.display_values(linear, scene).tolist()]
 
 scene.view_settings.view_transform, scene.cycles.samples = "Filmic", 32
-thing = point_cloud.add_point_cloud(gaussians_file.load(folder / "column.npz"), 1, "points")
+thing = point_cloud.add_point_cloud(clouds.load(folder / "column.npz"), 1, "points")
 camera.rotation_euler, camera.location = (np.pi / 2, 0, 0), (0, -5, 0)
 bpy.ops.render.render(write_still=True)
 image = bpy.data.images.load(scene.render.filepath)
@@ -177,7 +177,7 @@ def cloud(tmp_path_factory) -> tuple[GaussianCloud, Path]:
         dynamic=np.arange(n) % 10 > 0,
     ).save(folder / "result.npz")
     run(EVALUATE, folder, json.dumps(FRAMES))
-    return gaussians_file.load(folder / "result.npz"), folder / "seen.npz"
+    return clouds.load(folder / "result.npz"), folder / "seen.npz"
 
 
 def closed_form(cloud: GaussianCloud, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -289,7 +289,7 @@ def rendered(tmp_path_factory) -> Path:
 @pytest.mark.parametrize("mode", ["ellipsoids", "ellipsoids in points", "points"])
 def test_cycles_shows_the_splat(rendered, mode):
     """A white Gaussian over black, seen orthographically: a pixel is opacity exp(-d^2 / 2) of its projection."""
-    g = gaussians_file.load(rendered / f"{mode.split()[0]}.npz")
+    g = clouds.load(rendered / f"{mode.split()[0]}.npz")
     axes = rotation_matrix(g.rotation[0].astype(float)) * g.scale[0]
     covariance = (axes @ axes.T)[:2, :2]
     pixel = (np.arange(48) + 0.5) / 48 - 0.5
@@ -315,7 +315,7 @@ scene.collection.objects.link(camera)
 scene.camera, camera.location.z = camera, 9.0
 camera.data.type, camera.data.ortho_scale = "ORTHO", 2.5
 scene.render.image_settings.file_format = "OPEN_EXR"
-thing = point_cloud.add_point_cloud(gaussians_file.load(folder / "result.npz"), 1, "arrows")
+thing = point_cloud.add_point_cloud(clouds.load(folder / "result.npz"), 1, "arrows")
 point_cloud.color_by(thing, "speed")
 settings = point_cloud.inputs(thing)
 settings["Line Time"] = 0.2
@@ -371,7 +371,7 @@ ANY_MOMENT = (
     + """
 scene.render.use_motion_blur = True
 cases, seen = json.loads(sys.argv[2]), {}
-cloud = gaussians_file.load(folder / "result.npz")
+cloud = clouds.load(folder / "result.npz")
 thing = point_cloud.add_point_cloud(cloud, 1, "points")
 settings = point_cloud.inputs(thing)
 for k, case in enumerate(cases):
@@ -449,7 +449,7 @@ scene.render.image_settings.file_format = "OPEN_EXR"
 scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 0.5
 answer = {}
 for mode in ("points", "ellipsoids"):
-    thing = point_cloud.add_point_cloud(gaussians_file.load(folder / "moving.npz"), 1, mode)
+    thing = point_cloud.add_point_cloud(clouds.load(folder / "moving.npz"), 1, mode)
     for speed in (1.0, 0.5):
         point_cloud.inputs(thing)["Time Scale"] = speed
         scene.frame_set(1 + round(10 / speed))

@@ -9,14 +9,15 @@ import pytest
 
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
+from gof.core.fire import FireDescription, Hearth
 from gof_benchmark.commands import generate
 from gof_benchmark.fires import __file__ as FIRES
 from gof_benchmark.generator import looks
 from gof_benchmark.scenes import FOLDER as SCENES
-from gof_benchmark.solvers.grids import FireDescription, FireFrame, Hearth, write_fire
+from gof_benchmark.solvers.grids import FireFrame, write_fire
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import camera_poses, cost_model, rooms, sense
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.effects import moving_emitter, obstacles
 from gof_blender.pure.fires import Domain, Fire, GridFire
 from gof_blender.pure.layout import Layout

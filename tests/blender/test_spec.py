@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from gof_benchmark.scenes import FOLDER as SCENES
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.checked_json import SpecError
 from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import motion_blur, rolling_shutter, smoke, vorticity, wind
 from gof_blender.pure.rig import Rig

@@ -63,9 +63,9 @@ def test_the_whole_light_of_a_turned_ellipsoid_and_of_one_thinner_than_a_voxel()
 def test_places_and_opacities_are_those_of_the_library(tmp_path):
     result = random_gaussians(200)
     path = result.save(tmp_path / "r.npz")
-    from gof_blender.pure.io import gaussians_file
+    from gof_blender.pure.io import cloud as clouds
 
-    place, opacity = voxels.state_at(gaussians_file.load(path), 0.37)
+    place, opacity = voxels.state_at(clouds.load(path), 0.37)
     theirs = TransientGaussians.load(path).at(0.37)
     np.testing.assert_allclose(place, theirs[0], atol=1e-5)
     np.testing.assert_allclose(opacity, theirs[1], atol=1e-6)

@@ -8,11 +8,11 @@ import pytest
 from gof.commands.evaluate import velocity_table
 from gof.core.errors import DataFormatError
 from gof.core.fields import VelocityField, VelocitySequence
+from gof.core.grid_writer import GridWriter, scalar
 from gof.core.zarr_array import ZarrArray
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
 from gof.evaluate.emission import EXPONENT, FlameGrid, score_on_emission, velocity_at
-from gof_blender.pure.io.velocity_store import VelocityWriter, scalar
 from tests.evaluate.analytic import make_gaussians
 from tests.evaluate.synthetic_flame import flame_dataset, plume
 
@@ -24,7 +24,7 @@ TO_WORLD[:3, 3] = [-1.75, -1.75, 0]
 
 def write_grid(path, flame, quantity="flame"):
     """flame (T, X, Y, Z) as the generator stores it."""
-    writer = VelocityWriter(path, flame.shape[1:], TO_WORLD, TIMES[: len(flame)], SIDE, "float16", scalar(quantity))
+    writer = GridWriter(path, flame.shape[1:], TO_WORLD, TIMES[: len(flame)], SIDE, "float16", scalar(quantity))
     for k, frame in enumerate(flame):
         writer.write_frame(k, frame.__getitem__)
     writer.finish()
@@ -137,7 +137,7 @@ def test_without_flame_and_with_bad_grids(tmp_path, column):
     none = FlameGrid(write_grid(tmp_path / "none.zarr", np.zeros((2, CELLS, CELLS, CELLS))))
     got = score_on_emission(cloud(), truth, none, TIMES)
     assert got.score.l2 is None and got.uncovered == 0 and got.score.undefined
-    with pytest.raises(DataFormatError, match="not a flame grid"):
+    with pytest.raises(DataFormatError, match="holds 'heat', not 'flame'"):
         FlameGrid(write_grid(tmp_path / "heat.zarr", np.zeros((2, 4, 4, 4)), "heat"))
     with pytest.raises(DataFormatError, match="zarr"):
         FlameGrid(tmp_path / "nothing.zarr")

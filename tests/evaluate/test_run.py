@@ -101,8 +101,8 @@ def test_without_velocity_truth_or_masks(tmp_path):
 
 def test_other_methods_through_the_whole_path(flame, tmp_path):
     """FTGS-PLY, a trajectory at half steps, a result in another world with its cameras: all score as the original."""
+    from gof.core.ftgs import save
     from gof.io.importers import ImportOptions
-    from gof.io.importers.freetime import save
 
     _, dataset, truth = flame
     original = evaluate(truth, dataset)

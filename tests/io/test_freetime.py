@@ -8,8 +8,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gof.core.errors import DataFormatError  # noqa: E402
+from gof.core.ftgs import save as save_ftgs  # noqa: E402
 from gof.io.importers import ImportOptions, read_result  # noqa: E402
-from gof.io.importers.freetime import save as save_ftgs  # noqa: E402
 from tests.conftest import random_gaussians  # noqa: E402
 from tests.io import lookalikes  # noqa: E402
 from tests.io.lookalikes import logistic  # noqa: E402

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch")
 
+from gof.core.colmap import read_colmap  # noqa: E402
 from gof.core.errors import DataFormatError, GofError  # noqa: E402
-from gof.io.colmap import read_colmap  # noqa: E402
+from gof.core.ftgs import save as save_ftgs  # noqa: E402
 from gof.io.importers import ImportOptions, read_result  # noqa: E402
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world  # noqa: E402
-from gof.io.importers.freetime import save as save_ftgs  # noqa: E402
 from gof.io.importers.normalisation import freetime_normalisation, gsplat_normalisation  # noqa: E402
 from tests.conftest import arc, random_gaussians  # noqa: E402
 from tests.io import lookalikes  # noqa: E402

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.core.direction_colors import direction_colors
+from gof.core.colour import direction_colors
 from gof.look.velocity import MIN_ALPHA, ScreenVelocity, draw, legend, living, screen_velocity
 from tests.conftest import arc
 from tests.evaluate.analytic import make_gaussians

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gof.core.errors import MissingDependencyError
-from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireGrids, FireHistory, Hearth, write_fire
+from gof.core.fire import FireDescription, Hearth
+from gof_benchmark.solvers.grids import FireFrame, FireGrids, FireHistory, write_fire
 from gof_benchmark.solvers.openfoam.case import Burner, FoamFire
 from gof_benchmark.solvers.openfoam.installation import Installation, find_installation
 

@@ -8,8 +8,9 @@ import pytest
 
 from gof.core.errors import DataFormatError, NonFiniteError
 from gof.core.fields import VelocitySequence
+from gof.core.fire import FireDescription
 from gof.core.records import from_json, to_json
-from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireGrids, FireHistory, write_fire
+from gof_benchmark.solvers.grids import FireFrame, FireGrids, FireHistory, write_fire
 from tests.solvers.conftest import write_small_fire
 
 
@@ -20,7 +21,7 @@ def test_a_fire_comes_back_as_it_was(tmp_path):
     assert fire.description == written.description and fire.history == written.history
     assert fire.voxel_m == pytest.approx(0.05) and fire.centers(2)[0] == pytest.approx(0.025)
     assert set(fire.grids) == {"emission", "temperature", "heat_release", "fuel"}
-    np.testing.assert_allclose(fire.grids["emission"].frame(1)[2, 2, 0], [1, 0.5, 0.1], rtol=1e-6)
+    np.testing.assert_allclose(fire.grids["emission"].cells(1)[2, 2, 0], [1, 0.5, 0.1], rtol=1e-6)
     assert fire.grids["temperature"].units == "K"
     # The house's own reader of velocities opens it: rendering and scores do not know which solver it was.
     assert VelocitySequence.open(tmp_path / "fire" / "velocity.zarr").at(0.005).resolution == (6, 6, 8)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from gof.core.errors import DataFormatError
+from gof.core.fire import FireDescription
 from gof_benchmark.solvers import radiance
-from gof_benchmark.solvers.grids import FireDescription, FireFrame, write_fire
+from gof_benchmark.solvers.grids import FireFrame, write_fire
 
 
 def write_box(path, lengths, red=3.0):

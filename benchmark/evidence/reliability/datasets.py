@@ -14,10 +14,9 @@ from gof_benchmark.evidence.reliability.malice import impossible
 
 def formats() -> dict[str, Format]:
     """By name."""
-    from gof_blender.pure.checked_json import SpecError
-    from gof_blender.pure.io import FileFormatError
+    from gof_blender.core.checked_json import SpecError
 
-    grid, add_on = "velocity.zarr/**/*", (FileFormatError,)
+    grid = "velocity.zarr/**/*"
     return {
         "a rig, doubted": Format(rig, _doubt, "**/*.[jp][sn]*"),
         "a rig that cannot be": Format(rig, _believe, "dataset.json", injury=impossible, believed=False),
@@ -26,7 +25,7 @@ def formats() -> dict[str, Format]:
         "pictures .exr": Format(_exr, _read_exr, refusals=(OSError,), share=2),
         "depth .npy": Format(_depth, _read_depth, "**/*.npy"),
         "velocity.zarr": Format(_velocity, _read_velocity, grid),
-        "velocity.zarr, add-on": Format(_velocity, _read_velocity_in_blender, grid, refusals=add_on),
+        "velocity.zarr, at points": Format(_velocity, _read_velocity_at_points, grid),
         "flame.zarr": Format(_flame, _read_flame, "flame.zarr/**/*"),
         "fire of another solver": Format(_fire, _read_fire, "**/*"),
         "cameras, COLMAP": Format(colmap, _read_colmap, named=False, share=2),
@@ -85,19 +84,19 @@ def dataset(folder: Path) -> None:
 
 
 def _velocity(folder: Path) -> None:
-    from gof_blender.pure.io.velocity_store import VelocityWriter
+    from gof.core.grid_writer import GridWriter
 
     _store(
-        VelocityWriter(folder / "velocity.zarr", (5, 6, 7), np.diag([0.1, 0.1, 0.1, 1]), np.array([0.0, 0.01]), 0.1),
+        GridWriter(folder / "velocity.zarr", (5, 6, 7), np.diag([0.1, 0.1, 0.1, 1]), np.array([0.0, 0.01]), 0.1),
         (5, 6, 7, 3),
     )
 
 
 def _flame(folder: Path) -> None:
-    from gof_blender.pure.io.velocity_store import VelocityWriter, scalar
+    from gof.core.grid_writer import GridWriter, scalar
 
     _store(
-        VelocityWriter(
+        GridWriter(
             folder / "flame.zarr",
             (5, 6, 7),
             np.diag([0.1, 0.1, 0.1, 1]),
@@ -135,7 +134,8 @@ def _depth(folder: Path) -> None:
 
 def _fire(folder: Path) -> None:
     """As the solvers write it: a description, velocities and light on one grid."""
-    from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireHistory, Hearth, write_fire
+    from gof.core.fire import FireDescription, Hearth
+    from gof_benchmark.solvers.grids import FireFrame, FireHistory, write_fire
 
     hearth = Hearth(30.0, 0.3, (0.0, 0.0, 0.0), 0.1)
     about = FireDescription("sample", "a solver 1", (0.0, 0.01), "grey", hearths=(hearth,))
@@ -235,10 +235,11 @@ def _read_velocity(folder: Path):
     return v.times_s, v.frame(0), v.chunk(len(v) - 1, (0, 0, 0)), v.at(middle), v.frame(0).sample(np.full((2, 3), 0.3))
 
 
-def _read_velocity_in_blender(folder: Path):
-    from gof_blender.pure.io.velocity_reader import TrueVelocity
+def _read_velocity_at_points(folder: Path):
+    from gof.core.fields import VelocitySequence
 
-    return TrueVelocity(folder / "velocity.zarr").sample(np.full((3, 3), 0.3), np.array([0.0, 0.004, 0.01]))
+    v = VelocitySequence.open(folder / "velocity.zarr")
+    return v.sample(np.full((3, 3), 0.3), np.array([0.0, 0.004, 0.01]))
 
 
 def _read_flame(folder: Path):

@@ -82,8 +82,8 @@ def _use_names(folder: Path):
     from gof.dataset.plates import background, save_plates
     from gof_benchmark.views import dnerf, dynerf, nerfstudio
     from gof_benchmark.views.source import ViewSource
-    from gof_blender.pure.description import DatasetDescription
-    from gof_blender.pure.io import FileFormatError, velocity_reader
+    from gof_blender.core.errors import GofError as ErrorOfTheAddOn
+    from gof_blender.pure.dve import true_velocity
     from gof_blender.worker.import_result import read_spec
 
     dataset = folder / "dataset"
@@ -104,9 +104,9 @@ def _use_names(folder: Path):
         for what in ("transforms.json", "transforms_train.json"):
             for frame in json.loads((dataset / what).read_text())["frames"]:
                 path_in(dataset, frame["file_path"].removeprefix("./"))
-        files = [read_spec(dataset).blend_file.path, velocity_reader.of_dataset(dataset).time_s]
-        files += [camera.name for camera in DatasetDescription.read(dataset).cameras]
-    except FileFormatError as e:
+        files = [read_spec(dataset).blend_file.path, true_velocity(dataset).times_s]
+        files += [camera.name for camera in d.description.cameras]
+    except ErrorOfTheAddOn as e:
         raise GofError(str(e)) from e
     finally:
         _require_apart(folder)

@@ -14,17 +14,17 @@ from gof_benchmark.evidence.reliability.format import Format
 
 def formats() -> dict[str, Format]:
     """By name."""
-    from gof.io.importers import freetime
-    from gof_blender.pure.io import FileFormatError
+    from gof.core import ftgs
+    from gof_blender.core.errors import GofError
 
-    ply, npz, add_on = "result.ply", "result.npz", {"refusals": (FileFormatError,), "share": 2}
+    ply, npz, add_on = "result.ply", "result.npz", {"refusals": (GofError,), "share": 2}
     return {
         "result .ply": Format(lambda f: gaussians(harmonics=4).save(f / ply), _read_transient(ply), share=2),
         "result .npz": Format(lambda f: gaussians().save(f / npz), _read_transient(npz), share=2),
         "result .ply, add-on": Format(lambda f: gaussians().save(f / ply), _read_in_blender(ply), **add_on),
         "result .npz, add-on": Format(lambda f: gaussians().save(f / npz), _read_in_blender(npz), **add_on),
         "FTGS .ply": Format(
-            lambda f: freetime.save(gaussians(), f / "r.ftgs.ply", 0, 1), _read_foreign("r.ftgs.ply"), share=2
+            lambda f: ftgs.save(gaussians(), f / "r.ftgs.ply", 0, 1), _read_foreign("r.ftgs.ply"), share=2
         ),
         "FreeTimeGS .npz": Format(_free_time_npz, _read_foreign("canonical_4d.npz"), share=2),
         "FreeTimeGS in a COLMAP world": Format(_free_time_world, _read_in_colmap_world, "**/*.[nt][px]*", named=False),
@@ -154,10 +154,10 @@ def _read_transient(name: str) -> Callable[[Path], Any]:
 
 def _read_in_blender(name: str) -> Callable[[Path], Any]:
     def read(folder: Path):
-        from gof_blender.pure.io import gaussians_file
+        from gof_blender.pure.io import cloud as clouds
 
-        gaussians_file.count(folder / name)
-        return gaussians_file.load(folder / name)
+        clouds.count(folder / name)
+        return clouds.load(folder / name)
 
     return read
 

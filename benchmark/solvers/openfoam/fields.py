@@ -10,8 +10,9 @@ from scipy.interpolate import RegularGridInterpolator
 
 from gof.core.errors import DataFormatError
 from gof.core.files import atomic_path
+from gof.core.fire import FireDescription, Hearth
 from gof.core.records import to_json
-from gof_benchmark.solvers.grids import FireDescription, FireFrame, FireHistory, Hearth, write_fire
+from gof_benchmark.solvers.grids import FireFrame, FireHistory, write_fire
 from gof_benchmark.solvers.openfoam.case import FoamFire, edges, probe_points
 from gof_benchmark.solvers.openfoam.emission import LAWS, luminous_emission
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..checked_json import require
+from ...core.checked_json import require
 from ..timing import Picture, Timing
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..checked_json import require
+from ...core.checked_json import require
 
 CHANGES_BAKE = True
 

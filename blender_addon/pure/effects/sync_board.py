@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.checked_json import require
 from .. import led_board
-from ..checked_json import require
 from ..timing import Picture, Timing
 
 SHOWS_BOARD = True

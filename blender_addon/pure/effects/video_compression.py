@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from ..checked_json import require
+from ...core.checked_json import require
 
 ENCODES = True
 

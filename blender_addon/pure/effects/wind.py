@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from ..checked_json import require
+from ...core.checked_json import require
 
 CHANGES_BAKE = True
 

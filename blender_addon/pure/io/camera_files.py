@@ -1,4 +1,4 @@
-"""Cameras in files that other programs read: Nerfstudio's ``transforms.json`` and COLMAP's text model; and a dataset's.
+"""Cameras in files that other programs read: Nerfstudio's ``transforms.json`` and COLMAP's models; and a dataset's.
 
 Pictures' distortion is nothing that a Blender camera has, so files that speak of it are refused.
 """
@@ -6,50 +6,45 @@ Pictures' distortion is nothing that a Blender camera has, so files that speak o
 from __future__ import annotations
 
 import math
-import re
 import unicodedata
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..camera_poses import rotation_matrix
-from ..description import FILE, CameraEntry, DatasetDescription
-from . import FileFormatError
-from .files import is_name, read_json, read_text, write_json, write_text
+from ...core import colmap
+from ...core.cameras import FLIP, names_by_pictures
+from ...core.description import FILE, CameraEntry, DatasetDescription
+from ...core.errors import DataFormatError
+from ...core.files import is_name, read_json, write_json, write_text
+from ...core.rotations import quaternions_wxyz
 
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's, and back
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye", "distortion_params", "rolling_shutter")
 STRAIGHT = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "FULL_OPENCV", "RADIAL", "SIMPLE_RADIAL")  # without distortion
-PICTURES = frozenset("avif bmp dng exr gif hdr heic heif jp2 jpeg jpg jxl pgm png ppm raw tga tif tiff webp".split())
-COLMAP = ("cameras.txt", "images.txt")
-BINARY = ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
-LENSES = {"SIMPLE_PINHOLE": (0, 0, 1, 2), "PINHOLE": (0, 1, 2, 3)}  # where fx, fy, cx and cy are in the parameters
+COLMAP = tuple(f"{name}.{kind}" for name in ("cameras", "images", "points3D") for kind in ("txt", "bin"))
 MOST = 10_000  # cameras
 
 
 def read(path: Path) -> tuple[CameraEntry, ...]:
-    """The cameras of dataset.json, transforms.json, or cameras.txt with images.txt; pictures of one camera are one.
+    """The cameras of dataset.json, transforms.json, or the COLMAP model of a file; pictures of one camera are one.
 
     Raises:
-        FileFormatError: no such file, another format, distortion, or values that are no camera.
+        DataFormatError: no such file, another format, distortion, or values that are no camera.
     """
     if path.name == FILE:
         return DatasetDescription.read(path.parent).cameras
     if path.suffix.lower() == ".json":
         found = list(_of_transforms(path))
-    elif path.name in BINARY or (path.name in COLMAP and _is_binary(path.parent)):
-        raise FileFormatError(
-            f"{path}: a binary COLMAP model; make text of it: colmap model_converter --output_type TXT"
-        )
     elif path.name in COLMAP:
         found = list(_of_colmap(path.parent))
     else:
-        raise FileFormatError(f"{path}: not {FILE}, transforms.json, cameras.txt or images.txt")
+        raise DataFormatError(
+            f"{path}: not {FILE}, transforms.json, or a file of a COLMAP model (cameras.txt, images.bin, ...)"
+        )
     if not found:
-        raise FileFormatError(f"{path}: holds no cameras")
+        raise DataFormatError(f"{path}: holds no cameras")
     return tuple(_named_apart(_different(found)))
 
 
@@ -64,7 +59,7 @@ def write(path: Path, cameras: tuple[CameraEntry, ...]) -> None:
         lens = _words(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
         pose = np.array(entry.world_to_camera)
         lenses.append(f"{number} PINHOLE {entry.width} {entry.height} {lens}\n")
-        poses.append(f"{number} {_words(*_quaternion(pose[:3, :3]), *pose[:3, 3])} {number} {entry.name}.png\n\n")
+        poses.append(f"{number} {_words(*quaternions_wxyz(pose[:3, :3]), *pose[:3, 3])} {number} {entry.name}.png\n\n")
     write_text(path.with_name("points3D.txt"), "")
     write_text(path.with_name("cameras.txt"), "".join(lenses))
     write_text(path.with_name("images.txt"), "".join(poses))
@@ -89,8 +84,8 @@ def _of_transforms(path: Path) -> Iterator[CameraEntry]:
     whole = read_json(path)
     frames = whole.get("frames") if isinstance(whole, dict) else None
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise FileFormatError(f"{path}: has no list 'frames', so it is not a transforms.json")
-    names = _camera_names([str(frame.get("file_path", "cam")) for frame in frames])
+        raise DataFormatError(f"{path}: has no list 'frames', so it is not a transforms.json")
+    names = names_by_pictures([str(frame.get("file_path", "cam")) for frame in frames])
     for number, (own, name) in enumerate(zip(frames, names, strict=True)):
         frame, what = whole | own, f"{path}: frame {number}"
         bent = [name for name in DISTORTION if _says(frame.get(name))]
@@ -98,7 +93,7 @@ def _of_transforms(path: Path) -> Iterator[CameraEntry]:
         if frame.get("camera_model", "OPENCV") not in STRAIGHT:
             bent.append(f"camera_model {str(frame['camera_model'])[:40]}")
         if bent:
-            raise FileFormatError(
+            raise DataFormatError(
                 f"{what} has {', '.join(bent)}: distortion, which Blender's cameras have not: undistort the pictures"
             )
         try:
@@ -114,132 +109,22 @@ def _of_transforms(path: Path) -> Iterator[CameraEntry]:
             to_camera = np.linalg.inv(pose @ FLIP)
             entry = _entry(name, width, height, lens, to_camera)
         except KeyError as error:
-            raise FileFormatError(f"{what} has no {error}") from None
+            raise DataFormatError(f"{what} has no {error}") from None
         except (TypeError, ValueError, ZeroDivisionError, OverflowError, np.linalg.LinAlgError) as error:
-            raise FileFormatError(f"{what}: {error}") from None
+            raise DataFormatError(f"{what}: {error}") from None
         yield _with_role(entry, frame.get("role"))
 
 
-def _is_binary(folder: Path) -> bool:
-    return not (folder / COLMAP[1]).is_file() and (folder / BINARY[1]).is_file()
-
-
 def _of_colmap(folder: Path) -> Iterator[CameraEntry]:
-    lenses = _lenses(folder / COLMAP[0])
-    path = folder / COLMAP[1]
-    pictures = _pictures(path)
-    names = _camera_names([name for _, _, _, name in pictures])
-    for (number, values, lens_number, _), name in zip(pictures, names, strict=True):
-        try:
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = _matrix(values[:4]), values[4:]
-            if lens_number not in lenses:
-                raise ValueError(f"no camera {lens_number} in cameras.txt")
-            yield _entry(name, *lenses[lens_number], pose)
-        except ValueError as error:
-            raise FileFormatError(f"{path}: line {number}: {error}") from None
-
-
-def _lenses(path: Path) -> dict[int, tuple[int, int, list[float]]]:
-    """Width, height and fx, fy, cx, cy by COLMAP's camera number."""
-    lenses = {}
-    for number, line in _lines(path):
-        words = line.split()
-        if not words:
-            continue
-        what = f"{path}: line {number}"
-        if len(words) < 5 or words[1] not in LENSES:
-            raise FileFormatError(f"{what} is no PINHOLE or SIMPLE_PINHOLE: run COLMAP's image_undistorter")
-        try:
-            if not words[0].isdecimal() or int(words[0]) in lenses:
-                raise ValueError(f"{words[0][:40]} is no camera number of its own")
-            if len(words) != 4 + len(set(LENSES[words[1]])):
-                raise ValueError(f"{words[1]} has {len(set(LENSES[words[1]]))} parameters, here are {len(words) - 4}")
-            lens = [float(words[4 + place]) for place in LENSES[words[1]]]
-            lenses[int(words[0])] = (_whole(words[2]), _whole(words[3]), lens)
-        except ValueError as error:
-            raise FileFormatError(f"{what}: {error}") from None
-    return lenses
-
-
-def _pictures(path: Path) -> list[tuple[int, list[float], int, str]]:
-    """Of every picture: its line's number, quaternion and translation, its camera's number, its name.
-
-    Pictures' lines and those of their observations, which may be empty or stripped, are told apart by their form.
-    """
-    found, names, observed = [], set(), True  # whether the picture before has had its line of observations
-    for number, line in _lines(path):
-        picture, observations = _is_picture(line), _is_observations(line)
-        if not line:
-            observed = True
-        elif picture and observations and not observed and _turns(line):
-            raise FileFormatError(
-                f"{path}: line {number} may be a picture or observations; write an empty line after every picture"
-            )
-        elif picture and (observed or not observations):
-            words = line.split(maxsplit=9)
-            if any("\udc80" <= c <= "\udcff" for c in words[9]):
-                raise FileFormatError(f"{path}: line {number}: the picture's name is not UTF-8")
-            if words[9] in names:
-                raise FileFormatError(f"{path}: line {number}: a second picture is called '{words[9][:80]}'")
-            found.append((number, [float(word) for word in words[1:8]], int(words[8]), words[9]))
-            names.add(words[9])
-            observed = False
-        elif observations and not observed:
-            observed = True
-        else:
-            raise FileFormatError(
-                f"{path}: line {number} is no 'IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME': {line[:60]!r}"
-            )
-    return found
-
-
-def _is_picture(line: str) -> bool:
-    """Whether a line says "number pose camera name"; the name is all that is left, blanks too."""
-    words = line.split(maxsplit=9)
-    return len(words) == 10 and words[0].isdecimal() and words[8].isdecimal() and _are_numbers(words[1:8])
-
-
-def _turns(line: str) -> bool:
-    """Whether the second to fifth word are a quaternion of length 1, which no observations in pixels are."""
-    return abs(math.hypot(*map(float, line.split()[1:5])) - 1) < 1e-2
-
-
-def _is_observations(line: str) -> bool:
-    """Whether a line says "x y point", any number of times."""
-    words = line.split()
-    whole = all(re.fullmatch("[+-]?[0-9]+", word, re.ASCII) for word in words[2::3])
-    return len(words) % 3 == 0 and whole and _are_numbers(words)
-
-
-def _are_numbers(words: list[str]) -> bool:
-    try:
-        return "_" not in "".join(words) and all(math.isfinite(float(word)) for word in words)
-    except ValueError:
-        return False
-
-
-def _lines(path: Path) -> list[tuple[int, str]]:
-    """Numbers and texts of the lines that are no comments. What is not UTF-8 may stand in comments only."""
-    lines = enumerate(read_text(path, "surrogateescape").split("\n"), 1)
-    return [(number, line.strip()) for number, line in lines if not line.lstrip().startswith("#")]
+    found = colmap.read_cameras(folder)
+    names = names_by_pictures([image.name for image, _ in found])
+    for (image, lens), name in zip(found, names, strict=True):
+        yield _entry(name, lens.width, lens.height, lens[2:], image.pose)
 
 
 def _says(value: Any) -> bool:
     """Whether a field of distortion says that there is some."""
     return any(map(_says, value)) if isinstance(value, list) else bool(value)
-
-
-def _camera_names(pictures: list[str]) -> list[str]:
-    """What cameras are called by the names of their pictures.
-
-    `cam_0.png` and `cam_0/000001.png` are of camera `cam_0`, and so is `static/cam_0.png` where all pictures lie in one
-    folder. Folders may be written with backslashes. `gof` decides the same.
-    """
-    paths = [PureWindowsPath(picture) for picture in pictures]  # which knows both separators
-    one_folder = len({path.parent for path in paths}) == 1
-    files = [path.stem if path.suffix[1:].lower() in PICTURES else path.name for path in paths]
-    return [file if one_folder else path.parent.name or file for path, file in zip(paths, files, strict=True)]
 
 
 def _entry(name: str, width: int, height: int, lens, to_camera: np.ndarray) -> CameraEntry:
@@ -278,7 +163,7 @@ def _different(found: list[CameraEntry]) -> list[CameraEntry]:
         )
         kept.setdefault(key, entry)
     if len(kept) > MOST:
-        raise FileFormatError(f"{len(kept)} cameras; does this file hold a moving camera's path? {MOST} are the most")
+        raise DataFormatError(f"{len(kept)} cameras; does this file hold a moving camera's path? {MOST} are the most")
     return list(kept.values())
 
 
@@ -304,26 +189,3 @@ def _whole(value: Any) -> int:
 
 def _words(*numbers: float) -> str:
     return " ".join(format(float(number), ".17g") for number in numbers)
-
-
-def _matrix(wxyz: list[float]) -> np.ndarray:
-    """(3, 3) the turn of a quaternion of any length. Raises ValueError for zero."""
-    length = math.sqrt(sum(value * value for value in wxyz))
-    if not length > 1e-9:
-        raise ValueError("its quaternion is zero")
-    return rotation_matrix([value / length for value in wxyz])
-
-
-def _quaternion(turn: np.ndarray) -> np.ndarray:
-    """(4,) wxyz of a rotation: the eigenvector of the largest eigenvalue of Bar-Itzhack's matrix."""
-    m = turn
-    k = np.array(
-        [
-            [m[0, 0] + m[1, 1] + m[2, 2], 0, 0, 0],
-            [m[2, 1] - m[1, 2], m[0, 0] - m[1, 1] - m[2, 2], 0, 0],
-            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], m[1, 1] - m[0, 0] - m[2, 2], 0],
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], m[2, 2] - m[0, 0] - m[1, 1]],
-        ]
-    )
-    found = np.linalg.eigh(k)[1][:, -1]
-    return found if found[0] >= 0 else -found

@@ -1,177 +1,177 @@
-"""What a reconstruction is once read: transient Gaussians in activated values, checked."""
+"""Reconstructions as Blender shows them: results of ours, FTGS-PLYs, a 3DGS PLY as a still, or numbered ones.
+
+Where two numbered PLYs hold the same number of Gaussians, row n is taken for the same Gaussian in both and moves
+straight from one to the other. Otherwise it rests until the next file replaces it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from . import FileFormatError
-from .ply_file import PlyVertices, columns
+from ...core import ftgs, npz, results
+from ...core.errors import DataFormatError, GofError, naming
+from ...core.gaussians import TransientGaussians
+from ...core.harmonics import plain_color
+from ...core.numbered import frame_of, is_hidden, number_files
+from ...core.ply import Ply
+from ...core.ply_file import count_vertices
 
-SH_C0 = 0.5 / np.sqrt(np.pi)  # the constant spherical harmonic; display colour = 0.5 + SH_C0 * coefficient
-
-LARGEST_LN, SMALLEST_LN = 29, -80  # of a standard deviation in metres; flatter ones count as that
-PLAIN = frozenset(
-    "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 red green blue".split()
-)
-OURS = "units: metres"  # how a comment of the PLYs that gof writes begins
+SPLATS = {
+    ".splat": "a file of antimatter15's web viewer",
+    ".spz": "a file of Niantic's SPZ",
+    ".ksplat": "a file of mkkellogg's web viewer",
+    ".sog": "a file of PlayCanvas' SOG",
+    ".glb": "a GLB",
+    ".gltf": "a glTF",
+    ".usdz": "a USDZ",
+}
 
 
 @dataclass(frozen=True)
-class GaussianCloud:
-    """N transient Gaussians, activated, float32; world frame of the dataset (Z up, metres, seconds), from the datum.
+class Clock:
+    """What the files of other methods do not say about time.
 
-    x(t) = position + (t - t_mu) velocity and alpha(t) = opacity exp(-0.5 ((t - t_mu) / t_sigma)^2); rows that are not
-    dynamic ignore time. Where begin and end are given, a row is seen while begin <= t < end only.
+    Attributes:
+        fps: numbers per second of a PLY sequence, frames per second of an FTGS-PLY's clip.
+        clip_s: seconds from the first to the last frame of an FTGS-PLY; None = from its number of frames and fps.
     """
 
-    position: np.ndarray  # (N, 3) m, at t_mu
-    velocity: np.ndarray  # (N, 3) m/s, of the light: how the row moves
-    t_mu: np.ndarray  # (N,) s on the dataset clock
-    t_sigma: np.ndarray  # (N,) s, > 0, inf = always on
-    scale: np.ndarray  # (N, 3) m, standard deviations, > 0
-    rotation: np.ndarray  # (N, 4) unit quaternion wxyz
-    opacity: np.ndarray  # (N,) in [0, 1]
-    color: np.ndarray  # (N, 3) display values, as seen from all sides (the constant term of spherical harmonics)
-    dynamic: np.ndarray  # (N,) bool
-    gas_velocity: np.ndarray | None = None  # (N, 3) m/s, of the gas that shines there; None: `velocity`
-    velocity_sd: np.ndarray | None = None  # (N,) m/s of each component, inf = nobody says; None: nobody says of any
-    begin: np.ndarray | None = None  # (N,) s
-    end: np.ndarray | None = None  # (N,) s
-    datum: tuple[float, float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    )  # x, y, z (m), t (s): what places and t_mu count from
-
-    def __len__(self) -> int:
-        return len(self.position)
-
-    @property
-    def moving_gas(self) -> np.ndarray:
-        """(N, 3) m/s of the gas, 0 where a row is static."""
-        velocity = self.velocity if self.gas_velocity is None else self.gas_velocity
-        return velocity * self.dynamic[:, None]
+    fps: float = 24.0
+    clip_s: float | None = None
 
 
-def splats(rows: np.ndarray, ply: PlyVertices, step: int = 1) -> dict[str, np.ndarray]:
-    """The 3DGS properties, activated: position, scale, rotation, opacity, color.
+@dataclass
+class GaussianCloud(TransientGaussians):
+    """Transient Gaussians in display colours (N, 3), as seen from all sides; of harmonics the constant one counts.
 
     Args:
-        rows: every step-th of the file's.
+        begin, end: (N,) s; where they are given, a row is seen while begin <= t < end only.
+    """
+
+    begin: np.ndarray | None = None
+    end: np.ndarray | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.color = plain_color(self.color)
+
+    @property
+    def says_doubt(self) -> bool:
+        """Whether the standard deviation of any velocity is known."""
+        return bool(np.isfinite(self.velocity_sd).any())
+
+
+def load(source: str | Path | Sequence[Path], clock: Clock | None = None, step: int = 1) -> GaussianCloud:
+    """Read a result; what it is follows from its content.
+
+    Args:
+        source: a file, a folder of numbered PLYs, or a list of numbered PLYs.
+        clock: see Clock.
+        step: read every step-th Gaussian only.
+
     Raises:
-        FileFormatError: properties are missing, not finite, of absurd size, or activated already (names the rows).
-            `gof.core.ply` decides the same.
+        DataFormatError, NonFiniteError: no such file, wrong suffix, schema or layout, missing field, truncated, no
+            points, NaN or Inf, a value outside its range, or a time without a unit. Rows are those of the file.
     """
-    path = ply.path
+    clock = clock or Clock()
+    paths = files_of(source)
     try:
-        raw = {
-            "position": columns(rows, "x", "y", "z"),
-            "scale": columns(rows, "scale_0", "scale_1", "scale_2"),
-            "rotation": columns(rows, "rot_0", "rot_1", "rot_2", "rot_3"),
-            "opacity": columns(rows, "opacity")[:, 0],
-            "color": columns(rows, "f_dc_0", "f_dc_1", "f_dc_2"),
-        }
-    except KeyError as error:
-        kind = name_kind(ply.names) or "export it again"
-        raise FileFormatError(
-            f"{path}: properties {error.args[0]} are missing, so not a Gaussian splat PLY: {kind}"
-        ) from None
-    rest = [name for name in ply.names if name.startswith("f_rest_")]
-    for name, values in (("position", raw["position"]), ("color", raw["color"]), ("color", columns(rows, *rest))):
-        _require(np.isfinite(values), name, "finite (NaN or Inf found)", path, step)
-    _require(np.isfinite(raw["rotation"]), "rotation", "finite (NaN or Inf found)", path, step)
-    _require((raw["rotation"] != 0).any(1), "rotation", "a quaternion that is not zero", path, step)
-    _require(~np.isnan(raw["opacity"]), "opacity", "a number", path, step)
-    _require(raw["scale"] <= LARGEST_LN, "scale", f"a natural logarithm of at most {LARGEST_LN}", path, step)
-    if not any(comment.startswith(OURS) for comment in ply.comments):
-        _refuse_activated(raw["scale"], raw["opacity"], path)
-    with np.errstate(over="ignore"):  # an absurd logit is opacity 0 or 1
-        return raw | {
-            "scale": np.exp(np.maximum(raw["scale"].astype(np.float64), SMALLEST_LN)),
-            "opacity": 1 / (1 + np.exp(-raw["opacity"].astype(np.float64))),
-            "color": 0.5 + SH_C0 * raw["color"],
-        }
+        cloud = _of_sequence(paths, clock.fps, step) if len(paths) > 1 else _of_file(paths[0], clock, step)
+    except GofError:
+        if step > 1:
+            load(source, clock)  # which names the rows as the file counts them
+        raise
+    if not len(cloud):
+        raise DataFormatError(f"{paths[0]}: holds 0 points; did the reconstruction end well?")
+    return cloud
 
 
-def name_kind(names: Collection[str]) -> str | None:
-    """What a PLY with these properties is where it is none of 3D Gaussians in full, and the way out; else None."""
-    has = set(names).issuperset
-    if has(("packed_position", "packed_scale")):
-        return "SuperSplat's compressed PLY, packed values of one instant: open it there and export PLY uncompressed"
-    gaussians = has(("opacity", "scale_0", "rot_0"))
-    if gaussians and has(("scale_1",)) and not has(("scale_2",)):
-        return "2D Gaussians (surfels, no scale_2): export it from its own code as 3D ones with a third size"
-    if gaussians and has(("red", "green", "blue")) and not has(("f_dc_0",)):
-        return "Gaussians with plain colours (red, green, blue, no f_dc_0): export it with spherical harmonics"
-    if has(("x", "y", "z")) and not gaussians:
-        return "points or a mesh, without Gaussians' sizes: give the PLY that a training of Gaussians saved"
-    return None
+def count(source: str | Path | Sequence[Path]) -> int:
+    """Number of Gaussians that `load` would make, from the files' headers alone. Raises: as `load`."""
+    return sum(_count_npz(path) if path.suffix.lower() == ".npz" else count_vertices(path) for path in files_of(source))
 
 
-def refuse_unread(ply: PlyVertices, *known: str) -> None:
-    """Raises FileFormatError: there are properties beside those of 3DGS and `known` ones, which nobody reads.
-
-    Some change what the others mean; one may be a misspelt name.
-    """
-    read = PLAIN.union(known)
-    unread = [name for name in ply.names if name not in read and not name.startswith("f_rest_")]
-    if unread:
-        raise FileFormatError(
-            f"{ply.path}: properties {unread[:6]} are not read, and may change what the others mean (as "
-            "Mip-Splatting's filter_3D does sizes); export the PLY without them"
+def files_of(source: str | Path | Sequence[Path]) -> list[Path]:
+    """The files that a source stands for, numbered ones in order. Raises: DataFormatError."""
+    if not isinstance(source, (str, Path)):
+        return _numbered([Path(path) for path in source]) if len(source) > 1 else files_of(source[0])
+    path = Path(source)
+    if path.is_dir():
+        found = _numbered([file for file in path.iterdir() if file.suffix.lower() == ".ply"])
+        if not found:
+            raise DataFormatError(f"{path}: no numbered .ply files in this folder; choose result.npz or result.ply")
+        return found
+    if path.suffix.lower() not in (".npz", ".ply"):
+        if kind := SPLATS.get(path.suffix.lower()):
+            raise DataFormatError(f"{path}: {kind}: open it in SuperSplat and export an uncompressed PLY")
+        raise DataFormatError(
+            f"{path}: unknown suffix '{path.suffix}'; a result is .npz or .ply. Checkpoints of other "
+            "methods: `gof convert` makes a result of them"
         )
+    if not path.is_file():
+        raise DataFormatError(f"{path}: no such file")
+    return [path]
 
 
-def _refuse_activated(scale: np.ndarray, opacity: np.ndarray, path: Path) -> None:
-    """Raises FileFormatError: raw sizes and opacities look like values, where PLYs hold logarithms and logits."""
-    if not len(opacity) or not ((opacity >= 0) & (opacity <= 1)).all():
-        return
-    fill = len(opacity) >= 100 and opacity.min() < 0.1 and opacity.max() > 0.9
-    if (scale > 0).all() or fill:
-        sizes = " and all 'scale' are above 0" if (scale > 0).all() else ""
-        raise FileFormatError(
-            f"{path}: all 'opacity' lie in 0..1{sizes}: are they activated? A PLY of Gaussians holds logits and "
-            "natural logarithms; export those"
-        )
+def _numbered(paths: list[Path]) -> list[Path]:
+    for path in paths:
+        if path.suffix.lower() != ".ply" and not is_hidden(path):
+            raise DataFormatError(f"{path}: not a numbered .ply (such as frame_012.ply); remove it from the sequence")
+    return [path for _, path in number_files(paths)]
 
 
-def checked(values: dict[str, np.ndarray], path: Path) -> GaussianCloud:
-    """A cloud of arrays that are complete, finite and in range. Raises: FileFormatError naming path, field and rows."""
-    n = len(values["position"]) if values["position"].ndim else 0
-    if not n:
-        raise FileFormatError(f"{path}: holds 0 points; did the reconstruction end well?")
-    vectors = dict.fromkeys(("position", "velocity", "gas_velocity"), (3,))
-    widths = vectors | {"scale": (3,), "rotation": (4,), "color": (3,)}
-    for field in fields(GaussianCloud):
-        if field.name not in values or field.name == "datum":
-            continue
-        array = values[field.name]
-        if array.shape != (n, *widths.get(field.name, ())):
-            raise FileFormatError(f"{path}: '{field.name}' has shape {array.shape} for {n} points")
-        if array.dtype.kind not in "fiub":
-            raise FileFormatError(f"{path}: '{field.name}' holds {array.dtype}, expected numbers")
-        with np.errstate(over="ignore"):
-            values[field.name] = array = array.astype(bool if field.name == "dynamic" else np.float32)
-        unbounded = field.name in ("t_sigma", "velocity_sd")
-        _require(np.isfinite(array) | (unbounded & np.isposinf(array)), field.name, "finite (NaN or Inf found)", path)
-    _require(values["t_sigma"] > 0, "t_sigma", "> 0", path)
-    _require(values.get("velocity_sd", np.zeros(n)) >= 0, "velocity_sd", ">= 0", path)
-    _require(values["scale"] > 0, "scale", "> 0", path)
-    _require((values["opacity"] >= 0) & (values["opacity"] <= 1), "opacity", "in [0, 1]", path)
-    length = np.sqrt((values["rotation"].astype(np.float64) ** 2).sum(1, keepdims=True))
-    _require(length > 1e-12, "rotation", "a quaternion that is not zero", path)
-    values["rotation"] = (values["rotation"] / length).astype(np.float32)
-    return GaussianCloud(**values)
+def _count_npz(path: Path) -> int:
+    try:
+        return next(iter(npz.shapes(path)["x0"]), 0)
+    except (GofError, *npz.DAMAGE):
+        return 0  # `load` says what is wrong
 
 
-def _require(good: np.ndarray, name: str, rule: str, path: Path, step: int = 1) -> None:
-    """Raises FileFormatError naming the Gaussians' rows in the file, from 0; `good` is of every step-th."""
-    if good.all():
-        return
-    rows = step * np.unique(np.argwhere(~good)[:, 0])
-    raise FileFormatError(f"{path}: '{name}' must be {rule}; rows {rows[:5].tolist()} (from 0) are not")
+def _of_file(path: Path, clock: Clock, step: int) -> GaussianCloud:
+    with naming(path):
+        if path.suffix.lower() == ".npz":
+            arrays, datum = results.load(path, step)
+            return GaussianCloud(**arrays, datum=datum)
+        ply = Ply.read(path, step)
+        if ftgs.matches(ply):
+            values, facts = ftgs.read(ply)
+            remedy = "set Clip Length (first to last frame)"
+            start, unit = ftgs.place_in_time(path, facts, 0.0, clock.clip_s, 1 / clock.fps, remedy)
+            return GaussianCloud(**ftgs.moving(values, facts, start, unit).arrays())
+        if any(map(ply.has, results.PROPERTIES)):
+            arrays, datum = results.of_ply(ply)
+            return GaussianCloud(**arrays, datum=datum)
+        n, values = len(ply.vertex), ply.splats()
+        ply.refuse_unread()
+        still = {"velocity": np.zeros((n, 3)), "t_mu": np.zeros(n), "t_sigma": np.full(n, np.inf)}
+        return GaussianCloud(**values, **still, dynamic=np.zeros(n, bool))
+
+
+def _of_sequence(paths: list[Path], fps: float, step: int) -> GaussianCloud:
+    """File number k is at k / fps seconds; `paths` in the order of their numbers, two at least."""
+    time_s = np.array([frame_of(path)[1] for path in paths], float) / fps
+    states = [_state(path, step) for path in paths]
+    ends = np.append(time_s[1:], 2 * time_s[-1] - time_s[-2])
+    parts = []
+    for k, (state, path) in enumerate(zip(states, paths, strict=True)):
+        n = len(state["position"])
+        after = states[min(k + 1, len(states) - 1)]["position"]
+        velocity = (after - state["position"]) / (ends[k] - time_s[k]) if len(after) == n else np.zeros((n, 3))
+        moves = {"velocity": velocity, "t_mu": np.full(n, time_s[k]), "t_sigma": np.full(n, np.inf)}
+        seen = {"dynamic": np.ones(n, bool), "begin": np.full(n, time_s[k]), "end": np.full(n, ends[k])}
+        with naming(path):
+            parts.append(GaussianCloud(**state, **moves, **seen))
+    return GaussianCloud.concatenate(parts)
+
+
+def _state(path: Path, step: int) -> dict[str, np.ndarray]:
+    ply = Ply.read(path, step)
+    if not len(ply.vertex):
+        raise DataFormatError(f"{path}: holds 0 points; remove it from the sequence")
+    values = ply.splats()
+    ply.refuse_unread()
+    return values

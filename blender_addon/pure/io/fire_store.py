@@ -10,47 +10,15 @@ All on one clock and one box of upright cubes, world axes (Z up, metres). Other 
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
-from . import FileFormatError
-from .grid_reader import SAME_TIME_S, StoredGrid
-from .numbered import is_hidden
-from .records import read_record
-
-FILE = "fire.json"
-
-
-@dataclass(frozen=True)
-class Hearth:
-    """One burner: centre of its opening (m, on the store's axes), and the diameter of the circle of equal area (m)."""
-
-    diameter_m: float
-    position_m: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class FireDescription:
-    """What this add-on reads of `fire.json`; `gof_benchmark.solvers.grids` has all of it.
-
-    Attributes:
-        solver: name and version of what solved it.
-        time_s: (T,) clock of all grids.
-        emission_law: how light follows from the gas, with its source.
-    """
-
-    SCHEMA: ClassVar[str] = "gof-fire"
-    VERSION: ClassVar[int] = 1
-
-    name: str
-    solver: str
-    time_s: tuple[float, ...]
-    emission_law: str
-    hearths: tuple[Hearth, ...] = ()
-    seed: int = 0
+from ...core.errors import DataFormatError
+from ...core.fields import SAME_TIME_S, GridSequence, VelocitySequence, open_array
+from ...core.fire import FILE, FireDescription
+from ...core.numbered import is_hidden
+from ...core.records import read_record
 
 
 class FireStore:
@@ -61,30 +29,30 @@ class FireStore:
         velocity, emission: grids on the same clock and box.
 
     Raises:
-        FileFormatError: the folder is unfinished, or its grids differ in box or clock (names the file).
+        DataFormatError: the folder is unfinished, or its grids differ in box or clock (names the file).
     """
 
     def __init__(self, path: Path):
         self.path = path
         if not (path / FILE).is_file():
-            raise FileFormatError(f"{path / FILE}: no such file, so the folder holds no fire{_remedy(path)}")
+            raise DataFormatError(f"{path / FILE}: no such file, so the folder holds no fire{_remedy(path)}")
         self.description = read_record(FireDescription, path / FILE)
-        self.velocity = StoredGrid(path / "velocity.zarr", "velocity", "m/s")
-        self.emission = StoredGrid(path / "emission.zarr", "emission")
+        self.velocity = VelocitySequence.open(path / "velocity.zarr")
+        self.emission = GridSequence(open_array(path / "emission.zarr"), "emission", (3,))
         for stored in (self.velocity, self.emission):
-            if not np.array_equal(stored.time_s, self.description.time_s) or (np.diff(stored.time_s) <= 0).any():
-                raise FileFormatError(f"{stored.path}: its clock is not that of {FILE}, or does not increase")
+            if not np.array_equal(stored.times_s, self.description.time_s):
+                raise DataFormatError(f"{stored.path}: its clock is not that of {FILE}")
         same_box = np.allclose(self.emission.index_to_world, self.index_to_world, rtol=0, atol=1e-9)
-        if self.emission.grid != self.grid or not same_box:
-            raise FileFormatError(f"{self.emission.path}: its box is not that of velocity.zarr")
+        if self.emission.resolution != self.grid or not same_box:
+            raise DataFormatError(f"{self.emission.path}: its box is not that of velocity.zarr")
         cell = self.index_to_world[:3, :3]
         if not np.allclose(cell, np.eye(3) * cell[0, 0]) or cell[0, 0] <= 0:
-            raise FileFormatError(f"{self.velocity.path}: a fire's cells are upright cubes; resample it")
+            raise DataFormatError(f"{self.velocity.path}: a fire's cells are upright cubes; resample it")
 
     @property
     def grid(self) -> tuple[int, int, int]:
         """(X, Y, Z) cells."""
-        return self.velocity.grid
+        return self.velocity.resolution
 
     @property
     def index_to_world(self) -> np.ndarray:
@@ -98,7 +66,7 @@ class FireStore:
 
     def covers(self, first_s: float, last_s: float) -> bool:
         """Whether all times from first to last lie on its clock."""
-        time_s = self.velocity.time_s
+        time_s = self.velocity.times_s
         return bool(time_s[0] - SAME_TIME_S <= first_s and last_s <= time_s[-1] + SAME_TIME_S)
 
 

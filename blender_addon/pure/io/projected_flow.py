@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .trilinear import trilinear
+from ...core.fields import trilinear
 
 
 def flow(

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...core.errors import DataFormatError
+from ...core.files import atomic_path
 from ..points import Points
-from . import FileFormatError
-from .files import atomic_path
 
 SUFFIXES = (".usd", ".usdc", ".usda")
 PATH = "/reconstruction"
@@ -44,12 +44,12 @@ def write(
         frames: number and points of every frame, in order.
         to_world: (4, 4) from the points' metres to the scene's units.
     Raises:
-        FileFormatError: this Python has no ``pxr``.
+        DataFormatError: this Python has no ``pxr``.
     """
     try:
         from pxr import Gf, Sdf, Usd, UsdGeom, Vt
     except ImportError:
-        raise FileFormatError(
+        raise DataFormatError(
             "this Blender comes without the pxr modules for Python: use 4.2 or later, of blender.org"
         ) from None
     arrays = {

@@ -13,7 +13,7 @@ from types import ModuleType
 
 import numpy as np
 
-from .files import atomic_path
+from ...core.files import atomic_path
 
 
 def library() -> ModuleType:

@@ -14,8 +14,8 @@ from pathlib import Path
 import bpy
 from mathutils import Matrix
 
-from ...pure.checked_json import SpecError
-from ...pure.io.files import atomic_path
+from ...core.checked_json import SpecError
+from ...core.files import atomic_path
 from ...pure.spec import SceneSpec
 from .. import paths, place
 from . import foreign

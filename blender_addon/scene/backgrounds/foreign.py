@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 
-from ...pure.checked_json import SpecError
+from ...core.checked_json import SpecError
 from .. import paths
 
 PICTURES = {".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".tga", ".bmp", ".webp", ".jp2", ".dds", ".psd"}

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 
 import numpy as np
 
+from gof.core.cameras import FLIP, names_by_pictures
+from gof.core.colmap import Poses, check_poses, name_model, read_colmap
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import read_json
-from gof.io.colmap import Poses, check_poses, name_model, read_colmap
 
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's
-PICTURES = frozenset("avif bmp dng exr gif hdr heic heif jp2 jpeg jpg jxl pgm png ppm raw tga tif tiff webp".split())
 SAME_WORLD = 0.02  # of the cameras' distances from each other; 100 times as many degrees
 ANOTHER_RIG = 0.2  # as SAME_WORLD: what no similarity brings nearer is not the same rig
 
@@ -140,14 +139,11 @@ def _of_pictures(poses: Poses, path: Path) -> Poses:
     Raises:
         DataFormatError: they stand apart, so that they are of two cameras, or of one that moved.
     """
-    paths = {name: PureWindowsPath(name) for name in sorted(poses)}  # which knows both separators
-    one_folder = len({p.parent for p in paths.values()}) == 1  # which says nothing of which camera
+    names = sorted(poses)
     centres = {name: np.linalg.inv(pose)[:3, 3] for name, pose in poses.items()}
     reach = max(np.linalg.norm(c - centres[min(centres)]) for c in centres.values()) if centres else 0.0
     found, first = {}, {}
-    for name, p in paths.items():
-        file = p.stem if p.suffix[1:].lower() in PICTURES else p.name
-        camera = file if one_folder else p.parent.name or file
+    for name, camera in zip(names, names_by_pictures(names), strict=True):
         seen = first.setdefault(camera, name)
         turned = _degrees(poses[seen][:3, :3] @ poses[name][:3, :3].T)
         if np.linalg.norm(centres[seen] - centres[name]) > SAME_WORLD * reach or turned > SAME_WORLD * 100:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from gof.core.colmap import Poses, name_model, read_colmap
 from gof.core.errors import DataFormatError
 from gof.core.files import read_json
-from gof.io.colmap import Poses, name_model, read_colmap
 from gof.io.importers.source import WorldBy
 
 NEAR, CLEARLY = 0.1, 2.0  # of the points' spread: what lies on them; how much nearer than any other reading

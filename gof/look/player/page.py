@@ -224,19 +224,8 @@ def front_camera(middle: np.ndarray, reach: float) -> Camera:
 
 
 def true_velocity(gaussians: TransientGaussians, truth: VelocitySequence) -> np.ndarray:
-    """(N, 3) m/s of the gas at each Gaussian's centre at its own time t_mu; 0 outside the field.
-
-    Linear between the stored frames, the first or last one beyond them: as `VelocitySequence.at`, a frame read once.
-    """
-    clock = np.asarray(truth.times_s, np.float64)
-    out = np.zeros((len(gaussians), 3))
-    place = np.interp(gaussians.t_mu.astype(np.float64), clock, np.arange(len(clock)))
-    for k in range(len(clock)):
-        weight = np.clip(1 - np.abs(place - k), 0, 1)
-        near = np.flatnonzero(weight > 0)
-        if len(near):
-            out[near] += weight[near, None] * truth.frame(k).sample(gaussians.position[near])
-    return out
+    """Return (N, 3) m/s of the gas at each Gaussian's centre at its own time t_mu; 0 outside the field."""
+    return truth.sample(gaussians.position, gaussians.t_mu.astype(np.float64))[0]
 
 
 # ---------------------------------------------------------------- parts

@@ -1,8 +1,4 @@
-"""Writer of ground-truth grids over time: one chunked zarr v3 array, with numpy, json and gzip only.
-
-Layout (zarr core specification v3): array at the root, shape (T, X, Y, Z, 3) for velocity and (T, X, Y, Z) for scalars,
-chunks of one frame and 64 cells a side, codecs bytes (little endian) + gzip, fill value 0; a chunk that is zero
-everywhere has no file. Attributes follow the dataset contract (`gof-velocity` or `gof-grid`, version 1).
+"""Writer of grids over time that goes on where it was cut off: stores as `gof.core.fields` reads them.
 
 The array grows in `<path>.partial`. A frame is finished when its marker exists, so a killed export goes on with the
 next frame; `finish` writes the final attributes and renames the folder, so `<path>` itself is always complete.
@@ -10,7 +6,6 @@ next frame; `finish` writes the final attributes and renames the folder, so `<pa
 
 from __future__ import annotations
 
-import gzip
 import json
 import os
 import shutil
@@ -20,24 +15,23 @@ from pathlib import Path
 
 import numpy as np
 
-from . import FileFormatError
+from .errors import DataFormatError, GofError
+from .fields import AXES, CHUNK, GRID, SCHEMA, VERSION
 from .files import read_json, write_bytes, write_json
-
-CHUNK = 64  # cells per chunk side: 1.5 MB of float16, small enough to read a flame out of a large domain
-GZIP_LEVEL = 5
+from .zarr_array import ZarrArray, describe
 
 Block = tuple[slice, slice, slice]
 
-VELOCITY = {"schema": "gof-velocity", "version": 1, "units": "m/s", "frame": "world", "layout": "cell_centred"}
+VELOCITY = {"schema": SCHEMA, "version": VERSION, "units": "m/s", "frame": "world", "layout": "cell_centred"}
 """Attributes that say what a velocity store holds."""
 
 
 def scalar(quantity: str, units: str = "1") -> dict:
     """Attributes that say what a scalar store holds."""
-    return {"schema": "gof-grid", "version": 1, "quantity": quantity, "units": units, "layout": "cell_centred"}
+    return {"schema": GRID, "version": VERSION, "quantity": quantity, "units": units, "layout": "cell_centred"}
 
 
-class VelocityWriter:
+class GridWriter:
     """Resumable writer of one array of velocity, or of a scalar.
 
     Args:
@@ -50,7 +44,7 @@ class VelocityWriter:
         content: attributes of what is stored, VELOCITY or scalar(...).
 
     Raises:
-        FileFormatError: the path, or an interrupted export beside it, holds something else than this very array.
+        DataFormatError: the path, or an interrupted export beside it, holds something else than this very array.
         ValueError: bad dtype, grid, times, or a non-finite transform.
     """
 
@@ -69,7 +63,13 @@ class VelocityWriter:
         self.dtype = np.dtype(dtype).newbyteorder("<")
         self._components = (3,) if content is VELOCITY else ()
         self._check_arguments(index_to_world, time_s, voxel_size)
-        self._description = array_description(self.grid, index_to_world, time_s, voxel_size, self.dtype.name, content)
+        attributes = content | {
+            "index_to_world": np.asarray(index_to_world, float).tolist(),
+            "voxel_size": float(voxel_size),
+            "time_s": np.asarray(time_s, float).tolist(),
+        }
+        shape, chunks = (len(time_s), *self.grid, *self._components), (1, CHUNK, CHUNK, CHUNK, *self._components)
+        self._description = describe(shape, chunks, self.dtype.name, attributes, axes=AXES[: len(shape)])
         self._partial = self.path.with_name(self.path.name + ".partial")
         self._markers = self._partial / "finished_frames"
         self.finished = self._same_array(self.path)
@@ -94,18 +94,16 @@ class VelocityWriter:
         """
         if self.has_frame(frame):
             return
-        largest_error = 0.0
+        array, largest_error = ZarrArray.open(self._partial), 0.0
         for index, where in self._chunks():
             exact = np.asarray(block(where))
             stored = self._encode(exact, frame)
             if exact.size:
                 largest_error = max(largest_error, float(np.abs(stored.astype(np.float64) - exact).max()))
             if stored.any():
-                # Chunks at the upper border are full size too (zarr), padded with the fill value.
-                full = np.zeros((CHUNK, CHUNK, CHUNK, *self._components), self.dtype)
-                full[tuple(slice(0, n) for n in stored.shape[:3])] = stored
-                name = self._partial.joinpath("c", str(frame), *map(str, index), *("0" for _ in self._components))
-                write_bytes(name, gzip.compress(full.tobytes(), GZIP_LEVEL, mtime=0))
+                number = (frame, *index, *(0 for _ in self._components))
+                here = (slice(0, 1), *(slice(0, n) for n in stored.shape[:3]))
+                write_bytes(array.file_of(number), array.packed(here, stored[None]))
         write_json(self._marker(frame), {"max_abs_error": largest_error})
 
     def finish(self) -> dict:
@@ -154,7 +152,7 @@ class VelocityWriter:
             keys = {**wanted, **wanted["attributes"]}
             other = {**found, **found.get("attributes", {})}
             differ = sorted(k for k in keys if k != "attributes" and keys[k] != other.get(k))
-            raise FileFormatError(
+            raise DataFormatError(
                 f"{folder}: holds another array (different: {', '.join(differ) or 'extra fields'}); "
                 "delete or rename the folder, then export again"
             )
@@ -180,46 +178,14 @@ class VelocityWriter:
         return self._markers / f"{frame:06d}.json"
 
 
-def array_description(
-    grid: tuple[int, int, int],
-    index_to_world: np.ndarray,
-    time_s: np.ndarray,
-    voxel_size: float,
-    dtype: str,
-    content: dict = VELOCITY,
-) -> dict:
-    """The zarr.json of the array without `storage_max_abs_error`, which is known at the end."""
-    components = [3] if content is VELOCITY else []
-    return {
-        "zarr_format": 3,
-        "node_type": "array",
-        "shape": [len(time_s), *grid, *components],
-        "data_type": dtype,
-        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1, CHUNK, CHUNK, CHUNK, *components]}},
-        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-        "fill_value": 0.0,
-        "codecs": [
-            {"name": "bytes", "configuration": {"endian": "little"}},
-            {"name": "gzip", "configuration": {"level": GZIP_LEVEL}},
-        ],
-        "dimension_names": ["time", "x", "y", "z", *("component" for _ in components)],
-        "attributes": {
-            **content,
-            "index_to_world": np.asarray(index_to_world, float).tolist(),
-            "voxel_size": float(voxel_size),
-            "time_s": np.asarray(time_s, float).tolist(),
-        },
-    }
-
-
 def _read_description(folder: Path) -> dict:
     file = folder / "zarr.json"
     if not file.is_file():
-        raise FileFormatError(f"{folder}: no zarr.json inside, so not a velocity store; choose another path")
+        raise DataFormatError(f"{folder}: no zarr.json inside, so not a velocity store; choose another path")
     try:
         description = read_json(file)
-    except FileFormatError as error:
-        raise FileFormatError(f"{error}; delete {folder} and export again") from None
+    except GofError as error:
+        raise DataFormatError(f"{error}; delete {folder} and export again") from None
     if not isinstance(description, dict):
-        raise FileFormatError(f"{file}: not a zarr v3 description; delete {folder} and export again")
+        raise DataFormatError(f"{file}: not a zarr v3 description; delete {folder} and export again")
     return description

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import types
 import typing
 from typing import Any, Literal
 
+from .errors import GofError
 
-class SpecError(ValueError):
-    """A scene spec that cannot be built; the message names the field and what it should be."""
+KINDS = {bool: "true or false", str: "a text", dict: "an object"}  # of JSON, in errors
+
+
+class SpecError(GofError, ValueError):
+    """A scene spec or another object that cannot be built; the message names the field and what it should be."""
 
 
 def require(condition: bool, name: str, rule: str, value: Any) -> None:
@@ -31,6 +36,8 @@ def _shown(value: Any) -> str:
 def from_dict(cls: type, data: Any, prefix: str, ignore_unknown: bool = False) -> Any:
     """Build dataclass ``cls`` from a JSON object.
 
+    A field named like a Python keyword has a trailing underscore that its key has not (`import_`, "import").
+
     Args:
         prefix: what names its fields in errors, such as "fire.".
         ignore_unknown: leave fields aside that the class does not have, as newer writers may add some.
@@ -39,24 +46,43 @@ def from_dict(cls: type, data: Any, prefix: str, ignore_unknown: bool = False) -
         SpecError: a field is unknown, missing, of the wrong type, or refused by the class.
     """
     require(isinstance(data, dict), prefix.rstrip(".") or "it", "an object", data)
-    hints, fields = typing.get_type_hints(cls), {item.name: item for item in dataclasses.fields(cls)}
-    unknown = sorted(set(data) - set(fields))
+    fields, required = _fields(cls)
+    unknown = sorted(data.keys() - fields.keys())
     if unknown and not ignore_unknown:
-        raise SpecError(f"{prefix}{unknown[0]} is not a field; known: {', '.join(sorted(fields))}")
-    for name, item in fields.items():
-        optional = item.default is not dataclasses.MISSING or item.default_factory is not dataclasses.MISSING
-        if name not in data and not optional:
-            raise SpecError(f"{prefix}{name} is missing")
-    known = {name: value for name, value in data.items() if name in fields}
-    return cls(**{name: _value(hints[name], value, prefix + name, ignore_unknown) for name, value in known.items()})
+        raise SpecError(f"{prefix}{unknown[0][:80]} is not a field; known: {', '.join(sorted(fields))}")
+    for key in required:
+        if key not in data:
+            raise SpecError(f"{prefix}{key} is missing")
+    values = {}
+    for key, value in data.items():
+        if key in fields:
+            name, hint = fields[key]
+            values[name] = _value(hint, value, prefix + key, ignore_unknown)
+    return cls(**values)
+
+
+@functools.cache
+def _fields(cls: type) -> tuple[dict[str, tuple[str, Any]], list[str]]:
+    """Of a dataclass: key in JSON -> name and type of its field; the keys that must be there."""
+    hints, all_fields = typing.get_type_hints(cls), dataclasses.fields(cls)
+    known = {item.name.removesuffix("_"): (item.name, hints[item.name]) for item in all_fields if item.init}
+    return known, [item.name.removesuffix("_") for item in all_fields if item.init and not _is_optional(item)]
+
+
+def _is_optional(item: dataclasses.Field) -> bool:
+    return item.default is not dataclasses.MISSING or item.default_factory is not dataclasses.MISSING
 
 
 def _value(hint: Any, value: Any, name: str, ignore_unknown: bool) -> Any:
     """A field's value of the annotated type; ``name`` is what errors call it."""
-    if hint is Any or (value is None and type(None) in typing.get_args(hint)):
-        return value  # effects, which are built already; optional fields
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        hint = _chosen([item for item in typing.get_args(hint) if item is not type(None)], value)
+    optional, hints = _options(hint)
+    if value is None and optional:
+        return value
+    hint = hints[0] if len(hints) == 1 else _chosen(hints, value)
+    if hint is Any or (hint is float and type(value) is float and math.isfinite(value)):
+        return value  # effects, which are built already; most of what files hold
+    if hint in (int, float):
+        return _number(hint, value, name)
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value, name + ".", ignore_unknown)
     origin, args = typing.get_origin(hint), typing.get_args(hint)
@@ -65,22 +91,25 @@ def _value(hint: Any, value: Any, name: str, ignore_unknown: bool) -> Any:
         return value
     if origin is tuple:
         return _tuple(args, value, name, ignore_unknown)
-    if hint in (int, float):
-        return _number(hint, value, name)
-    kind = origin or hint  # dict[str, Any] is checked as a dict
-    require(isinstance(value, kind), name, f"a {kind.__name__}", value)
+    kind = origin or hint
+    require(isinstance(value, kind), name, KINDS[kind], value)
+    if origin is dict:
+        return {key: _value(args[1], item, f"{name}.{key[:80]}", ignore_unknown) for key, item in value.items()}
     return value
 
 
-def _chosen(hints: list[Any], value: Any) -> Any:
+@functools.cache
+def _options(hint: Any) -> tuple[bool, tuple[Any, ...]]:
+    """Whether a type allows None, and what else it allows."""
+    several = typing.get_origin(hint) in (typing.Union, types.UnionType)
+    options = typing.get_args(hint) if several else (hint,)
+    return type(None) in options, tuple(item for item in options if item is not type(None))
+
+
+def _chosen(hints: tuple[Any, ...], value: Any) -> Any:
     """Of several dataclasses the first whose required fields are all there, otherwise the last."""
     for hint in hints[:-1]:
-        required = {
-            item.name
-            for item in dataclasses.fields(hint)
-            if item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
-        }
-        if isinstance(value, dict) and required <= set(value):
+        if isinstance(value, dict) and set(_fields(hint)[1]) <= set(value):
             return hint
     return hints[-1]
 
@@ -89,7 +118,8 @@ def _tuple(args: tuple, value: Any, name: str, ignore_unknown: bool) -> tuple:
     if args[-1] is Ellipsis:
         require(isinstance(value, (list, tuple)), name, "a list", value)
         args = args[:1] * len(value)
-    require(isinstance(value, (list, tuple)) and len(value) == len(args), name, f"{len(args)} numbers", value)
+    rule = f"{len(args)} numbers" if set(args) <= {int, float} else f"a list of {len(args)}"
+    require(isinstance(value, (list, tuple)) and len(value) == len(args), name, rule, value)
     return tuple(
         _value(arg, item, f"{name}[{index}]", ignore_unknown)
         for index, (arg, item) in enumerate(zip(args, value, strict=True))

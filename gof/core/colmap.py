@@ -1,4 +1,4 @@
-"""COLMAP models, binary or text: camera poses and points. Read here, because pycolmap is an optional extra."""
+"""COLMAP models, binary or text: camera poses, lenses and points. Read here, because pycolmap is an optional extra."""
 
 from __future__ import annotations
 
@@ -6,15 +6,37 @@ import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from gof.core.errors import DataFormatError
-from gof.core.files import read_text
-from gof.core.rotations import rotation_matrices
+from .errors import DataFormatError
+from .files import read_text
+from .rotations import rotation_matrices
 
 Poses = dict[str, np.ndarray]  # world_to_camera (4, 4) by image name
+LARGEST = 65_536  # pixels a side
+MODELS = ("SIMPLE_PINHOLE", "PINHOLE")  # of lenses, by COLMAP's number; others have distortion
 Line = tuple[int, str]  # of text: its number, from 1, and what it says
+
+
+class Lens(NamedTuple):
+    """A camera of COLMAP without distortion; lengths in pixels."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+class Image(NamedTuple):
+    """An image of a model: its name, the number of its `Lens`, and world_to_camera (4, 4)."""
+
+    name: str
+    lens: int
+    pose: np.ndarray
 
 
 def read_colmap(folder: Path) -> tuple[Poses, np.ndarray]:
@@ -33,6 +55,23 @@ def read_colmap(folder: Path) -> tuple[Poses, np.ndarray]:
     if not np.isfinite(cloud).all():
         raise DataFormatError(f"{folder}: points of the COLMAP model are NaN or Inf")
     return poses, cloud
+
+
+def read_cameras(folder: Path) -> list[tuple[Image, Lens]]:
+    """The images of a model, in its order, each with its lens.
+
+    Raises:
+        DataFormatError: as `read_colmap`, a lens with distortion, or an image whose lens is not there.
+    """
+    images, found = _images_of(folder), _read(folder, "cameras", _binary_lenses, _text_lenses)
+    check_poses({image.name: image.pose for image in images}, folder)
+    lenses = dict(found)
+    if len(lenses) < len(found):
+        raise DataFormatError(f"{folder}: two cameras of the COLMAP model have the same number")
+    for image in images:
+        if image.lens not in lenses:
+            raise DataFormatError(f"{folder}: there is no camera {image.lens}, which took '{image.name[:80]}'")
+    return [(image, lenses[image.lens]) for image in images]
 
 
 def name_model(path: Path) -> str:
@@ -63,17 +102,21 @@ def _largest(models: list[Path]) -> Path:
 
 
 def _poses_of(folder: Path) -> Poses:
-    """Poses by image name. Raises DataFormatError: the file is damaged, or two images have the same name."""
-    poses: Poses = {}
-    for name, pose in _read(folder, "images", _binary_images, _text_images):
-        if name in poses:
-            raise DataFormatError(f"{folder}: two images of the COLMAP model are called '{name[:80]}'")
-        poses[name] = pose
-    return poses
+    return {image.name: image.pose for image in _images_of(folder)}
+
+
+def _images_of(folder: Path) -> list[Image]:
+    """Raises DataFormatError: the file is damaged, or two images have the same name."""
+    images, names = _read(folder, "images", _binary_images, _text_images), set()
+    for image in images:
+        if image.name in names:
+            raise DataFormatError(f"{folder}: two images of the COLMAP model are called '{image.name[:80]}'")
+        names.add(image.name)
+    return images
 
 
 def _read(folder: Path, what: str, of_bytes: Callable[[bytes], list], of_lines: Callable[[list[Line]], list]) -> list:
-    """What the model's images or points are."""
+    """What the model's images, cameras or points are."""
     binary = (folder / "images.bin").is_file()
     path = folder / f"{what}.{'bin' if binary else 'txt'}"
     try:
@@ -83,8 +126,6 @@ def _read(folder: Path, what: str, of_bytes: Callable[[bytes], list], of_lines: 
 
 
 # ---------------------------------------------------------------- text
-# `gof_blender.pure.io.camera_files` decides the same without this package; tests/io/test_dialects.py holds both to one
-# list.
 
 
 def _lines(path: Path) -> list[Line]:
@@ -93,7 +134,7 @@ def _lines(path: Path) -> list[Line]:
     return [(number, line.strip()) for number, line in lines if not line.lstrip().startswith("#")]
 
 
-def _text_images(lines: list[Line]) -> list[tuple[str, np.ndarray]]:
+def _text_images(lines: list[Line]) -> list[Image]:
     """Per image a line "number pose camera name", and one of observations, which may be empty or stripped.
 
     Lines are told apart by their form. Raises ValueError: a line is neither, or could be both.
@@ -109,7 +150,7 @@ def _text_images(lines: list[Line]) -> list[tuple[str, np.ndarray]]:
             words = line.split(maxsplit=9)
             if any("\udc80" <= c <= "\udcff" for c in words[9]):
                 raise ValueError(f"line {number}: the image's name is not UTF-8")
-            found.append((words[9], _pose(tuple(map(float, words[1:8])))))
+            found.append(Image(words[9], int(words[8]), _pose(tuple(map(float, words[1:8])))))
             observed = False
         elif observations and not observed:
             observed = True
@@ -146,6 +187,24 @@ def _are_numbers(words: list[str]) -> bool:
         return False
 
 
+def _text_lenses(lines: list[Line]) -> list[tuple[int, Lens]]:
+    """Per camera a line "number model width height parameters". Raises ValueError: a line is none."""
+    lenses = []
+    for number, line in lines:
+        words = line.split()
+        if words and not (len(words) > 4 and _are_whole([words[0], *words[2:4]]) and _are_numbers(words[4:])):
+            raise ValueError(f"line {number} is no 'CAMERA_ID MODEL WIDTH HEIGHT PARAMS': {line[:60]!r}")
+        if words:
+            if int(words[0]) in dict(lenses):
+                raise ValueError(f"line {number}: a second camera {words[0]}")
+            try:
+                lens = _lens(words[1], *map(int, words[2:4]), list(map(float, words[4:])))
+            except ValueError as e:
+                raise ValueError(f"line {number}: {e}") from e
+            lenses.append((int(words[0]), lens))
+    return lenses
+
+
 def _text_points(lines: list[Line]) -> list[tuple[float, ...]]:
     """Per point a line "number position colour error track". Raises ValueError: a line is none."""
     points = []
@@ -163,19 +222,33 @@ def _text_points(lines: list[Line]) -> list[tuple[float, ...]]:
 # ---------------------------------------------------------------- binary
 
 
-def _binary_images(data: bytes) -> list[tuple[str, np.ndarray]]:
+def _binary_images(data: bytes) -> list[Image]:
     """Per image: u32 number, 7 f64 pose, u32 camera, name with a zero at its end, u64 count of 24-byte observations."""
     found = []
     (count,) = struct.unpack_from("<Q", data)
     at = 8
     for _ in range(count):
-        pose = struct.unpack_from("<7d", data, at + 4)
+        *pose, lens = struct.unpack_from("<7dI", data, at + 4)
         name_at = at + 64
         end = data.index(b"\0", name_at)
         (observations,) = struct.unpack_from("<Q", data, end + 1)
-        found.append((data[name_at:end].decode(), _pose(pose)))
+        found.append(Image(data[name_at:end].decode(), lens, _pose(tuple(pose))))
         at = end + 9 + 24 * observations
     return found
+
+
+def _binary_lenses(data: bytes) -> list[tuple[int, Lens]]:
+    """Per camera: u32 number, i32 model, u64 width, u64 height, f64 parameters, as many as the model has."""
+    lenses = []
+    (count,) = struct.unpack_from("<Q", data)
+    at = 8
+    for _ in range(count):
+        number, model, width, height = struct.unpack_from("<IiQQ", data, at)
+        name = MODELS[model] if 0 <= model < len(MODELS) else f"model {model}"
+        values = struct.unpack_from(f"<{3 + MODELS.index(name)}d" if name in MODELS else "<", data, at + 24)
+        lenses.append((number, _lens(name, width, height, list(values))))
+        at += 24 + 8 * len(values)
+    return lenses
 
 
 def _binary_points(data: bytes) -> list[tuple[float, ...]]:
@@ -188,6 +261,20 @@ def _binary_points(data: bytes) -> list[tuple[float, ...]]:
         (track,) = struct.unpack_from("<Q", data, at + 43)
         at += 51 + 8 * track
     return points
+
+
+def _lens(model: str, width: int, height: int, values: list[float]) -> Lens:
+    """Raises ValueError: it has distortion, or is no lens."""
+    if model not in MODELS:
+        raise ValueError(f"{model[:40]} is no PINHOLE or SIMPLE_PINHOLE: run COLMAP's image_undistorter")
+    if len(values) != 3 + MODELS.index(model):
+        raise ValueError(f"{model} has {3 + MODELS.index(model)} parameters, here are {len(values)}")
+    lens = Lens(width, height, values[0], *values[-3:])
+    if not np.isfinite(lens).all() or not (
+        min(lens.fx, lens.fy) > 0 and 1 <= min(width, height) <= max(width, height) <= LARGEST
+    ):
+        raise ValueError("focal length and size must be positive and of a picture")
+    return lens
 
 
 def _pose(values: tuple[float, ...]) -> np.ndarray:

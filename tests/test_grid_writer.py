@@ -1,4 +1,4 @@
-"""The add-on's zarr writer against the zarr package, and its behaviour when interrupted or misused."""
+"""The writer of grids against the zarr package, and its behaviour when interrupted or misused."""
 
 import json
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import zarr
 
+from gof.core.errors import DataFormatError
 from gof.core.fields import VelocitySequence
-from gof_blender.pure.io import FileFormatError
-from gof_blender.pure.io.velocity_store import VelocityWriter
+from gof.core.grid_writer import GridWriter
 
 GRID = (70, 33, 130)  # two, one and three chunks
 MATRIX = np.array([[0, -0.1, 0, 1], [0.1, 0, 0, 2], [0, 0, 0.1, 3], [0, 0, 0, 1]])
@@ -22,9 +22,9 @@ def velocity(frame: int) -> np.ndarray:
     return v
 
 
-def writer(path, **changes) -> VelocityWriter:
+def writer(path, **changes) -> GridWriter:
     arguments = dict(grid=GRID, index_to_world=MATRIX, time_s=TIMES, voxel_size=0.1) | changes
-    return VelocityWriter(path, **arguments)
+    return GridWriter(path, **arguments)
 
 
 def write_all(path, **changes) -> dict:
@@ -49,7 +49,7 @@ def test_zarr_reads_it_bit_for_bit(tmp_path, dtype):
     assert (max(errors) == 0) == (dtype == "float32")
 
 
-def test_library_reads_it(tmp_path):
+def test_what_it_writes_is_read(tmp_path):
     write_all(tmp_path / "velocity.zarr", dtype="float32")
     sequence = VelocitySequence.open(tmp_path / "velocity.zarr")
     assert np.array_equal(sequence.times_s, TIMES)
@@ -116,7 +116,7 @@ def test_finished_array_is_left_alone(tmp_path):
 def test_other_array_is_an_error(tmp_path, changes, word, finished):
     path = tmp_path / "velocity.zarr"
     write_all(path) if finished else writer(path)
-    with pytest.raises(FileFormatError, match=word):
+    with pytest.raises(DataFormatError, match=word):
         writer(path, **changes)
 
 
@@ -124,7 +124,7 @@ def test_foreign_and_truncated_folders_are_errors(tmp_path):
     foreign = tmp_path / "foreign.zarr"
     foreign.mkdir()
     (foreign / "notes.txt").write_text("mine")
-    with pytest.raises(FileFormatError, match=r"foreign.zarr.*no zarr.json"):
+    with pytest.raises(DataFormatError, match=r"foreign.zarr.*no zarr.json"):
         writer(foreign)
     assert (foreign / "notes.txt").read_text() == "mine"
 
@@ -132,10 +132,10 @@ def test_foreign_and_truncated_folders_are_errors(tmp_path):
     write_all(path)
     text = (path / "zarr.json").read_text()
     (path / "zarr.json").write_text(text[: len(text) // 2])
-    with pytest.raises(FileFormatError, match=r"zarr.json.*not readable"):
+    with pytest.raises(DataFormatError, match=r"zarr.json.*not valid JSON"):
         writer(path)
     (path / "zarr.json").write_text(json.dumps([1, 2]))
-    with pytest.raises(FileFormatError, match="not a zarr v3 description"):
+    with pytest.raises(DataFormatError, match="not a zarr v3 description"):
         writer(path)
 
 
