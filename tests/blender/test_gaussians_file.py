@@ -89,8 +89,8 @@ def test_a_broken_datum_is_named(tmp_path):
 def test_a_capture_far_from_zero_is_measured_from_the_datum(tmp_path):
     """Blender knows float32 alone: its cameras stand where the library's do."""
     from gof.dataset import Dataset
-    from gof_benchmark.evidence.far_from_zero import moved_copy
     from gof_blender.pure.description import DatasetDescription
+    from tests.moved_dataset import moved_copy
     from tests.reconstruct.rising_flame import write_flame
 
     folder = moved_copy(

@@ -1,5 +1,5 @@
 """Reliability campaign: damaged inputs, killed runs; results in docs/reliability.md.
 
-python -m gof_benchmark.evidence.reliability fuzz --help
-python -m gof_benchmark.evidence.reliability kill --help
+python -m tests.reliability fuzz --help
+python -m tests.reliability kill --help
 """

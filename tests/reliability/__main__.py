@@ -1,4 +1,4 @@
-"""The command line: `python -m gof_benchmark.evidence.reliability fuzz|kill`."""
+"""The command line: `python -m tests.reliability fuzz|kill`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Fuzz:
     another one after a change of the code."""
 
     def run(self) -> int:
-        from gof_benchmark.evidence.reliability import fuzz
+        from tests.reliability import fuzz
 
         begin = time.perf_counter()
         tallies = fuzz.campaign(self.count, self.seed, self.jobs, self.only, self.out / "progress")
@@ -53,7 +53,7 @@ class Kill:
     """New folder for all runs."""
 
     def run(self) -> int:
-        from gof_benchmark.evidence.reliability import kill
+        from tests.reliability import kill
 
         status = False
         print(
@@ -72,7 +72,7 @@ class Kill:
 
 def main(argv: list[str] | None = None) -> int:
     """Run a campaign. Returns 1 if something failed."""
-    return tyro.cli(Fuzz | Kill, prog="python -m gof_benchmark.evidence.reliability", args=argv).run()
+    return tyro.cli(Fuzz | Kill, prog="python -m tests.reliability", args=argv).run()
 
 
 if __name__ == "__main__":

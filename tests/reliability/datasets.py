@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from gof.core.errors import GofError
-from gof_benchmark.evidence.reliability.format import Format
-from gof_benchmark.evidence.reliability.malice import impossible
+from tests.reliability.format import Format
+from tests.reliability.malice import impossible
 
 
 def formats() -> dict[str, Format]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gof.core.errors import GofError
-from gof_benchmark.evidence.reliability.damage import Injury
+from tests.reliability.damage import Injury
 
 
 @dataclasses.dataclass(frozen=True)

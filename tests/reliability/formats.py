@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from gof_benchmark.evidence.reliability import datasets, names, results, runs
-from gof_benchmark.evidence.reliability.format import Format
+from tests.reliability import datasets, names, results, runs
+from tests.reliability.format import Format
 
 
 def formats() -> dict[str, Format]:

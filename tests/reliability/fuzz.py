@@ -17,9 +17,9 @@ from zlib import crc32
 import numpy as np
 
 from gof.core.files import read_json, write_json
-from gof_benchmark.evidence.reliability.damage import Instead, damaged, put
-from gof_benchmark.evidence.reliability.format import finite
-from gof_benchmark.evidence.reliability.formats import formats
+from tests.reliability.damage import Instead, damaged, put
+from tests.reliability.format import finite
+from tests.reliability.formats import formats
 
 MEMORY = 2**30  # bytes beyond what the reader's libraries take
 LIMIT_S = 10.0

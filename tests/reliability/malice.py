@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gof_benchmark.evidence.reliability.damage import Instead, raw
+from tests.reliability.damage import Instead, raw
 
 # Parts of names that lead somewhere, or act somewhere: on disks, in shells, terminals, tables and pages.
 NAME_PARTS = (

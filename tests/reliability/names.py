@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from gof.core.errors import GofError
-from gof_benchmark.evidence.reliability.datasets import dataset as write_dataset
-from gof_benchmark.evidence.reliability.datasets import read_dataset
-from gof_benchmark.evidence.reliability.format import Format
-from gof_benchmark.evidence.reliability.malice import instead, packed, renamed
+from tests.reliability.datasets import dataset as write_dataset
+from tests.reliability.datasets import read_dataset
+from tests.reliability.format import Format
+from tests.reliability.malice import instead, packed, renamed
 
 ESCAPED = Path("/tmp/gof-escaped")
 SECRET = 123  # the grey of a picture that no reader may show
@@ -166,7 +166,7 @@ def _unpack(folder: Path):
 def _submission(folder: Path) -> None:
     from gof.dataset.leaks import MadeFrom
     from gof.evaluate.scores import Origin, Scores
-    from gof_benchmark.evidence.reliability.results import gaussians
+    from tests.reliability.results import gaussians
 
     run = _beside_secrets(folder) / "scene"
     run.mkdir()

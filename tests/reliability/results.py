@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from gof_benchmark.evidence.reliability.datasets import colmap
-from gof_benchmark.evidence.reliability.format import Format
+from tests.reliability.datasets import colmap
+from tests.reliability.format import Format
 
 
 def formats() -> dict[str, Format]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gof_benchmark.evidence.reliability.format import Format
+from tests.reliability.format import Format
 
 
 def formats() -> dict[str, Format]:

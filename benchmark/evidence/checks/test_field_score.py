@@ -7,7 +7,14 @@ import pytest
 
 from gof.core.fields import VelocityField
 from gof_benchmark.evidence.doubt import reliability
-from gof_benchmark.field_score import best_constant, buoyant_law, fluctuation_cos_sim, mean_per_height, score, within
+from gof_benchmark.training.field_score import (
+    best_constant,
+    buoyant_law,
+    fluctuation_cos_sim,
+    mean_per_height,
+    score,
+    within,
+)
 from tests.reconstruct.plumes import box_of_voxels, field_of
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof_benchmark.space_time import climb
+from gof_benchmark.training.space_time import climb
 
 HEIGHT, FRAME_S = 160, 0.01
 
