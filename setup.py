@@ -16,5 +16,4 @@ packages = [
     for package in find_namespace_packages(include=[folder, f"{folder}.*"])
     if "__pycache__" not in package and package.split(".")[1:2] not in [[part] for part in NOT_INSTALLED]
 ]
-files_not_installed = {"gof_benchmark": [f"{part}/{files}" for part in NOT_INSTALLED for files in ("*", "**/*")]}
-setup(packages=packages, package_dir=FOLDERS, exclude_package_data=files_not_installed)
+setup(packages=packages, package_dir=FOLDERS)

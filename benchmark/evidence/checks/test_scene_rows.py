@@ -9,7 +9,7 @@ from gof_benchmark.evidence.scene_rows import table
 from tests.suite.test_entering import SCENES, work  # noqa: F401
 
 
-def test_a_scenes_rows_in_full(work):
+def test_a_scenes_rows_in_full(work):  # noqa: F811
     """Means over the runs of what `gof evaluate` gave, and the controls on the Gaussians of a flame alone."""
     for method in ("good", "bad"):
         lines = [line.split(" | ") for line in table([work / method], SCENES[0]).splitlines()]
