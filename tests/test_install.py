@@ -73,12 +73,6 @@ def _lpips(folder):
     lpips(np.zeros((40, 40, 3)), np.zeros((40, 40, 3)), folder)
 
 
-def _cgvqm(folder):
-    from gof.evaluate.video import available
-
-    available(folder)
-
-
 def _disparity(folder):
     from gof.ingest.depth import monocular
 
@@ -136,7 +130,6 @@ def _workers(folder):
     [
         (_checkpoint, "torch", "torch"),
         (_lpips, "torch", "torch"),
-        (_cgvqm, "torch", "torch"),
         (_disparity, "torch", "torch"),
         (_flip, "flip_evaluator", "scores"),
         (_board, "serial", "capture"),
@@ -233,12 +226,13 @@ ON_CPU = ROOT / "gof" / "on_cpu"  # a process of its own, which only who trains 
 ASKED = {
     "torch": (
         "gof/evaluate/perceptual.py",
-        "gof/evaluate/video.py",
         "gof/ingest/depth.py",
         "gof/io/importers/source.py",
     )
     + ("gof/reconstruct/optical_flow.py", "gof/render/torch_api.py", "gof/render/gsplat.py")
     + tuple(f"gof/on_cpu/{p.name}" for p in ON_CPU.glob("*.py")),
+    "torchvision": ("gof/evaluate/perceptual.py",),
+    "torchmetrics": ("gof/evaluate/perceptual.py",),
     "gsplat": ("gof/on_cpu/methods.py",),
     "transformers": ("gof/ingest/depth.py",),
     "memfof": ("gof/reconstruct/optical_flow.py",),

@@ -245,7 +245,6 @@ class Scores(PictureFigures):
         warnings: hints that something is in other units or another world, or missing.
         dve: None when the dataset has no true velocity.
         controls: by name (`gof.evaluate.controls.CONTROLS`); empty without `dve`.
-        cgvqm_2, cgvqm_5: quality of the whole videos, mean over cameras; None without weights.
         published: means over the held-out pictures; None when not asked for.
         images: None when pictures were not asked for.
         costs: seconds by part.
@@ -261,8 +260,6 @@ class Scores(PictureFigures):
     warnings: tuple[str, ...] = ()
     dve: VelocityScore | None = None
     controls: dict[str, ControlScore] = field(default_factory=dict)
-    cgvqm_2: float | None = None
-    cgvqm_5: float | None = None
     published: PublishedFigures | None = None
     images: ImageScores | None = None
     costs: dict[str, float] = field(default_factory=dict)

@@ -66,7 +66,7 @@ def evaluate(
         foreign: what a foreign result does not say; its frame time is the dataset's unless given.
         align: cameras of the method's own world (see `read_cameras`); the result is moved by the similarity that maps
             them onto the dataset's.
-        extras: material for LPIPS, CGVQM and RMSE_depth; without it they are named as absent.
+        extras: material for LPIPS and RMSE_depth; without it they are named as absent.
         flame_only: the result of another method is a flame without its surroundings: draw it over plates too.
     Raises:
         GofError: see `dve_sequence`.   DataFormatError: a file is damaged.
@@ -109,7 +109,7 @@ def evaluate(
         if not dataset.test_frames:
             scores = replace(scores, warnings=(*scores.warnings, NO_PICTURES))
         found = image_scores(gaussians, dataset, plates, costs, extras or Extras(), progress)
-        scores = replace(scores, **asdict(found.means), **found.videos, published=found.published, images=found.images)
+        scores = replace(scores, **asdict(found.means), published=found.published, images=found.images)
     return replace(scores, costs={name: round(seconds, 3) for name, seconds in costs.items()})
 
 
