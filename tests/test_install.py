@@ -24,8 +24,8 @@ from gof.host import extras
 ROOT = Path(__file__).parents[1]
 NAME = "gaussians-on-fire"
 # Where a package's import name is not its own.
-IMPORTS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "serial": "pyserial", "dask": "distributed"}
-IMPORTS |= {"tornado": "distributed", "websockets": "viser", "flip_evaluator": "flip-evaluator"}
+IMPORTS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "serial": "pyserial"}
+IMPORTS |= {"websockets": "viser", "flip_evaluator": "flip-evaluator"}
 
 
 # ---------------------------------------------------------------- cheap
@@ -119,9 +119,9 @@ def _figure(folder):
 
 
 def _workers(folder):
-    from gof_benchmark.generator.graph import cluster
+    from gof_benchmark.generator.workers import workers_for
 
-    with cluster("tcp://127.0.0.1:9", 1):
+    with workers_for("tcp://127.0.0.1:9", 1):
         pass
 
 
@@ -138,7 +138,7 @@ def _workers(folder):
         (_witness, "mitsuba", "mitsuba"),
         (_chart, "plotly.graph_objects", "leaderboard"),
         (_figure, "matplotlib.figure", "figures"),
-        (_workers, "distributed", "generate"),
+        (_workers, "distributed", "cluster"),
     ],
 )
 def test_whoever_lacks_an_extra_is_told_its_command(use, module, extra, tmp_path, monkeypatch):
