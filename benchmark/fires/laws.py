@@ -33,12 +33,6 @@ def mccaffrey_speed(height_m: np.ndarray, heat_release_kw: float) -> np.ndarray:
     return heat_release_kw**0.2 * k * scaled**eta
 
 
-def mccaffrey_excess(height_m: np.ndarray, heat_release_kw: float) -> np.ndarray:
-    """Mean temperature above ambient on the axis (K), with McCaffrey's constant 0.9."""
-    scaled, k, eta = _zone(height_m, heat_release_kw)
-    return (k / (0.9 * math.sqrt(2 * GRAVITY))) ** 2 * scaled ** (2 * eta - 1) * AMBIENT_K
-
-
 def heskestad_height(heat_release_kw: float, diameter_m: float) -> float:
     """Mean height of the visible flame (m): 0.235 Q^(2/5) - 1.02 D, at least 0."""
     return max(0.0, 0.235 * heat_release_kw**0.4 - 1.02 * diameter_m)

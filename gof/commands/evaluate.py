@@ -90,14 +90,14 @@ def main(argv: list[str]) -> int:
         scores = evaluate(
             config.result,
             dataset,
-            config.order,
-            config.opacity,
-            config.images,
-            progress,
-            foreign,
-            config.align,
-            Extras(config.weights, config.depth, dis if config.published else None, config.disparity),
-            config.flame_only,
+            order=config.order,
+            opacity=config.opacity,
+            images=config.images,
+            progress=progress,
+            foreign=foreign,
+            align=config.align,
+            extras=Extras(config.weights, config.depth, dis if config.published else None, config.disparity),
+            flame_only=config.flame_only,
         )
     out = console()
     for table in (velocity_table(scores), picture_table(scores), published_table(scores)):

@@ -93,6 +93,8 @@ def timed(costs: dict[str, float], name: str) -> Iterator[None]:
 def image_scores(
     gaussians: MovingGaussians,
     dataset: Dataset,
+    known: np.ndarray,
+    plates: list[np.ndarray],
     backgrounds: list[Background],
     costs: dict[str, float],
     extras: Extras,
@@ -104,17 +106,18 @@ def image_scores(
     both pictures are faded to black there.
 
     Args:
+        known: (T,) bool, the frames that the result says something about.
+        plates: per camera, the dataset's fire-free picture.
         backgrounds: per camera, what the result is drawn over.
         costs: seconds by part; "render" and "images" are added.
     """
     metrics = _metrics(extras)
-    known = known_frames(gaussians, dataset)
     frames = [k for k in _frames_to_draw(dataset) if known[k]]
     rows: list[PictureScore] = []
     published: list[PublishedFigures] = []
     boards = [dataset.board_weight(number) for number in range(len(dataset.cameras))]
     for number, board in enumerate(boards):
-        view = View(number, backgrounds[number], dataset.static(number), board)
+        view = View(number, backgrounds[number], plates[number], board)
         for i, (frame, after) in enumerate(_with_next(_draw(gaussians, dataset, view, frames, extras, costs))):
             if frame.number in dataset.test_frames:
                 with timed(costs, "images"):
@@ -136,13 +139,6 @@ def image_scores(
             **{f"{name}_std": spread for name, (_, spread) in statistics.items()},
         ),
     )
-
-
-def known_frames(gaussians: MovingGaussians, dataset: Dataset) -> np.ndarray:
-    """(T,) bool: the frames whose pictures all lie in the time for which a result has a state."""
-    first, last = gaussians.covered_s
-    clocks = np.array([dataset.times_s, *(dataset.camera_times_s(c) for c in range(len(dataset.cameras)))])
-    return ((clocks >= first - 1e-6) & (clocks <= last + 1e-6)).all(0)
 
 
 def _metrics(extras: Extras) -> Metrics:

@@ -15,7 +15,7 @@ from gof.core.errors import DataFormatError
 from gof.core.files import without_place
 from gof.core.records import read_record, write_record
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
-from gof.evaluate.gradients import GradientErrors
+from gof.evaluate.emission import GradientErrors
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
 from gof.io.importers.source import WorldBy

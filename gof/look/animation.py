@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.expectation import expected_velocity
-from gof.evaluate.weighted import weighted_quantile
+from gof.evaluate.intervals import weighted_quantile
 from gof.footage.pictures import read_picture
 from gof.look import velocity as velocity_module
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gof.core.gaussians import TransientGaussians
-from gof.evaluate.weighted import weighted_quantile
+from gof.evaluate.intervals import weighted_quantile
 
 TOP = 0.98  # the last colour is this quantile, by opacity
 NOBODY_SAYS = 0.32  # grey, display value, of a doubt that no result states

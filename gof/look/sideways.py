@@ -10,7 +10,7 @@ from gof.core.cameras import Camera
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.expectation import expected_velocity
-from gof.evaluate.weighted import weighted_quantile
+from gof.evaluate.intervals import weighted_quantile
 from gof.look.velocity import ScreenVelocity, living, sideways_velocity
 
 

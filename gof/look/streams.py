@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from gof.core.gaussians import TransientGaussians
 from gof.evaluate.draws import own_generator
-from gof.evaluate.weighted import weighted_quantile
+from gof.evaluate.intervals import weighted_quantile
 
 CELLS = 72  # along the longest side of the box
 FAINT = 0.02  # of the largest density: below, nothing is drawn

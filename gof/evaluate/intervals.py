@@ -28,7 +28,7 @@ class Estimate:
     """A mean and how sure it is.
 
     Attributes:
-        standard_error: None for fewer than two values, of which nobody can say.
+        standard_error: None for fewer than two values, which do not tell.
         degrees: of freedom, for Student's t; 0 where there is no standard error.
     """
 
@@ -47,7 +47,7 @@ class Estimate:
 
     @property
     def doubt(self) -> float:
-        """The chance of a mean this far from zero, or farther, where the true one is zero; 1 where nobody can say."""
+        """The chance of a mean this far from zero, or farther, where the true one is zero; 1 where it is unknown."""
         from scipy.stats import t
 
         if self.standard_error is None:
@@ -101,11 +101,6 @@ def missing_share(count: int, block: int, eddy_frames: float) -> float:
     blocks = (np.arange(count)[:, None] + np.arange(block)) % count
     part = np.mean([covariance[np.ix_(frames, frames)].mean() for frames in blocks])
     return float(whole / ((block / count) * (part - whole)))
-
-
-def mean_variance(count: int, eddy_frames: float) -> float:
-    """Variance of the mean of `count` values of variance 1 with correlation exp(-|lag| / eddy_frames)."""
-    return float(_covariance(count, eddy_frames).mean())
 
 
 def _covariance(count: int, eddy_frames: float) -> np.ndarray:
@@ -177,3 +172,14 @@ def apart(doubts: np.ndarray) -> np.ndarray:
             break
         told[i, j] = told[j, i] = True
     return told
+
+
+# ---------------------------------------------------------------- weighted values
+
+
+def weighted_quantile(values: np.ndarray, weight: np.ndarray, q: float) -> float:
+    """The smallest of values (N,) up to which at least the share q of weight (N,) >= 0 lies; 0 <= q <= 1, N >= 1."""
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    reached = np.searchsorted(total, q * total[-1])
+    return float(values[order][min(reached, len(values) - 1)])
