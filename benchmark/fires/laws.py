@@ -14,7 +14,6 @@ import math
 
 import numpy as np
 
-GRAVITY, AMBIENT_K = 9.81, 293.15
 # McCaffrey's zones: up to z / Q^(2/5) in m/kW^(2/5), k, and exponent eta of u / Q^(1/5) = k (z / Q^(2/5))^eta.
 ZONES = ((0.08, 6.8, 0.5), (0.20, 1.9, 0.0), (math.inf, 1.1, -1 / 3))
 
