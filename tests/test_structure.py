@@ -2,6 +2,7 @@
 
 import re
 import sys
+from functools import partial
 from graphlib import CycleError, TopologicalSorter
 
 import pytest
@@ -22,7 +23,9 @@ BLENDERS_OWN = {"bpy", "mathutils", "bl_ui", "addon_utils", "bpy_extras", "manta
 BLENDERS_OWN |= {"OpenImageIO", "openvdb", "pxr", "pyopenvdb"}
 
 
-@pytest.mark.parametrize("graph", [file_graph, room_graph], ids=["files", "rooms"])
+@pytest.mark.parametrize(
+    "graph", [file_graph, partial(file_graph, for_types=True), room_graph], ids=["files", "types", "rooms"]
+)
 def test_no_circle_of_imports(graph):
     try:
         TopologicalSorter(graph()).prepare()
@@ -44,6 +47,7 @@ def test_a_circle_is_found(tmp_path, monkeypatch):
     assert graph["gof.a"] == {"gof.room.b"} and graph["gof.room.b"] == {"gof.a"} and graph["gof.c"] == {"gof.a"}
     with pytest.raises(CycleError):
         TopologicalSorter(graph).prepare()
+    assert file_graph(for_types=True)["gof.room.b"] == {"gof.a", "gof.c"}
 
 
 @pytest.mark.parametrize("part", FORBIDDEN)
