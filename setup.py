@@ -18,6 +18,4 @@ packages = [
     for package in find_namespace_packages(include=[folder, f"{folder}.*"])
     if "__pycache__" not in package and package.split(".")[1:2] not in [[part] for part in NOT_INSTALLED]
 ]
-files_not_installed = {"gof_benchmark": [f"{part}/{files}" for part in NOT_INSTALLED for files in ("*", "**/*")]}
-files_not_installed |= {"gof_blender": ["core/*"]}  # what stands for the files of CORE in a checkout
-setup(packages=packages, package_dir=FOLDERS | CORE, exclude_package_data=files_not_installed)
+setup(packages=packages, package_dir=FOLDERS | CORE)

@@ -110,7 +110,7 @@ def test_a_damaged_datum_of_a_ply_is_named(tmp_path, old, new):
 
 
 def test_a_dataset_is_opened_from_its_datum(tmp_path):
-    from gof_benchmark.evidence.far_from_zero import moved_copy
+    from tests.moved_dataset import moved_copy
     from tests.reconstruct.rising_flame import RISE, write_flame
 
     near = write_flame(tmp_path / "near", frames=6)

@@ -19,7 +19,9 @@ PAGES = [
     ROOT / "firmware/README.md",
 ]
 TESTS = {name for path in (ROOT / "tests").rglob("*.py") for name in re.findall(r"def (test_\w+)", path.read_text())}
-TESTS |= {path.stem for folder in ("tests", "firmware") for path in (ROOT / folder).rglob("test_*.*")}
+TESTS |= {
+    path.stem for folder in ("tests", "firmware", EVIDENCE / "checks") for path in (ROOT / folder).rglob("test_*.*")
+}
 TESTS |= {
     name for path in (ROOT / "firmware/host").glob("*.c") for name in re.findall(r"void (test_\w+)", path.read_text())
 }
@@ -41,6 +43,8 @@ def test_what_a_page_names_exists(page):
     for module in modules_run_by(text) - {"evidence.NAME"}:
         path = ROOT / "benchmark" / module.replace(".", "/")
         assert path.with_suffix(".py").exists() or (path / "__main__.py").exists(), module
+    for module in re.findall(r"python -m tests\.(\w+)", text):
+        assert (ROOT / "tests" / module / "__main__.py").exists(), module
     for command in re.findall(r"(?:^|`)gof ([a-z]\w*)", text, re.MULTILINE):
         assert command in commands() or command in ALIASES, f"gof {command}"
 
@@ -102,8 +106,7 @@ def evidence_rows() -> list[list[str]]:
 
 def evidence_scripts() -> set[str]:
     """Names of the scripts: what can be run with `python -m`."""
-    runnable = {path.stem for path in EVIDENCE.glob("*.py") if 'if __name__ == "__main__":' in path.read_text()}
-    return runnable | {path.parent.name for path in EVIDENCE.glob("*/__main__.py")}
+    return {path.stem for path in EVIDENCE.glob("*.py") if 'if __name__ == "__main__":' in path.read_text()}
 
 
 def test_every_evidence_script_is_in_the_table_and_every_row_has_its_script():
@@ -124,7 +127,7 @@ def test_every_evidence_row_says_where_its_claim_stands_and_how_long_it_takes():
         assert re.search(rf"\b{name}\b", text), f"{name} is not named on {page}"
 
 
-@pytest.mark.parametrize("name", sorted(evidence_scripts() - {"reliability"}))
+@pytest.mark.parametrize("name", sorted(evidence_scripts()))
 def test_evidence_scripts_look_the_same(name):
     """A dataclass of options with a docstring, and `main(argv)`, by tyro."""
     text = (EVIDENCE / f"{name}.py").read_text()

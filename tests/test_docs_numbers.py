@@ -19,7 +19,9 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 # Figures with a unit of measurements, scores, and charts that a script draws.
 MEASURED = re.compile(r"\d ?(?:dB|ms|us|fps|frames/s|GB|MB|%|m/s|CPU s)(?![\w-])|\d s\b|\d\.\d\d|\bfigures/\w+\.svg")
-COMMAND = re.compile(r"\bpython -m gof_benchmark[\w.]+|(?:`|^)gof [a-z]\w*|(?:`|^)make \w+|\btest_\w+", re.MULTILINE)
+COMMAND = re.compile(
+    r"\bpython -m (?:gof_benchmark|tests)[\w.]+|(?:`|^)gof [a-z]\w*|(?:`|^)make \w+|\btest_\w+", re.MULTILINE
+)
 
 NOT_MEASURED = {  # (page, heading): what its figures are
     ("docs/capture.md", "How it tells the time"): "the board's protocol",
@@ -146,18 +148,16 @@ NOT_AT_TOY_SIZE = {
     "ingest_table": "needs datasets that gof ingest made of the paper's clips",
     "picture_costs": "renders two dozen pictures by Blender; their size is the claim",
     "looks_sheet": "bakes and renders every scene three times by Blender",
-    "noise_truth": "needs two fires baked by Blender; tests/fires/test_noise_truth.py tests its measures",
+    "noise_truth": "needs two fires baked by Blender; checks/test_noise_truth.py tests its measures",
     "open_sockets": "runs every command, Blender's too",
     "ordinary_footage": "needs ffmpeg and the paper's clips",
-    "real_depth": "stereo has nothing to match in toy pictures; tests/ingest/test_real_depth.py tests its measures",
-    "reliability": "tests/test_reliability.py runs its parts",
+    "real_depth": "stereo has nothing to match in toy pictures; checks/test_real_depth.py tests its measures",
     "plate_kinds": "needs the true masks of a generated dataset",
     "render_agreement": "has one size; Mitsuba draws it in minutes",
     "render_opensplat": "compiles a library that users bring",
     "rise_speed": "so few pixels and frames have no bright structures that climb",
     "share_player": "needs Chromium",
     "static_depth": "needs Blender's depth",
-    "velocity_truth": "bakes smoke by Blender",
 }
 
 
@@ -188,7 +188,7 @@ def test_the_script_prints_its_figures_at_toy_size(name, toys, tmp_path):
         text=True,
         timeout=500,
         cwd=tmp_path,
-        env=os.environ | {"MPLBACKEND": "Agg"},
+        env=os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)},
     )
     assert run.returncode == 0, run.stderr[-3000:]
     assert re.search(r"\d\.\d|\| \d+ \|", run.stdout), "it prints figures"

@@ -24,8 +24,8 @@ from gof.host import extras
 ROOT = Path(__file__).parents[1]
 NAME = "gaussians-on-fire"
 # Where a package's import name is not its own.
-IMPORTS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "serial": "pyserial", "dask": "distributed"}
-IMPORTS |= {"tornado": "distributed", "flip_evaluator": "flip-evaluator"}
+IMPORTS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "serial": "pyserial"}
+IMPORTS |= {"flip_evaluator": "flip-evaluator"}
 
 
 # ---------------------------------------------------------------- cheap
@@ -73,12 +73,6 @@ def _lpips(folder):
     lpips(np.zeros((40, 40, 3)), np.zeros((40, 40, 3)), folder)
 
 
-def _cgvqm(folder):
-    from gof.evaluate.video import available
-
-    available(folder)
-
-
 def _disparity(folder):
     from gof.ingest.depth import monocular
 
@@ -106,9 +100,9 @@ def _witness(folder):
 
 
 def _workers(folder):
-    from gof_benchmark.generator.graph import cluster
+    from gof_benchmark.generator.workers import workers_for
 
-    with cluster("tcp://127.0.0.1:9", 1):
+    with workers_for("tcp://127.0.0.1:9", 1):
         pass
 
 
@@ -117,13 +111,12 @@ def _workers(folder):
     [
         (_checkpoint, "torch", "torch"),
         (_lpips, "torch", "torch"),
-        (_cgvqm, "torch", "torch"),
         (_disparity, "torch", "torch"),
         (_flip, "flip_evaluator", "scores"),
         (_board, "serial", "capture"),
         (_poses, "pycolmap", "views"),
         (_witness, "mitsuba", "mitsuba"),
-        (_workers, "distributed", "generate"),
+        (_workers, "distributed", "cluster"),
     ],
 )
 def test_whoever_lacks_an_extra_is_told_its_command(use, module, extra, tmp_path, monkeypatch):
@@ -211,12 +204,13 @@ ON_CPU = ROOT / "gof" / "on_cpu"  # a process of its own, which only who trains 
 ASKED = {
     "torch": (
         "gof/evaluate/perceptual.py",
-        "gof/evaluate/video.py",
         "gof/ingest/depth.py",
         "gof/io/importers/source.py",
     )
     + ("gof/reconstruct/optical_flow.py", "gof/render/torch_api.py", "gof/render/gsplat.py")
     + tuple(f"gof/on_cpu/{p.name}" for p in ON_CPU.glob("*.py")),
+    "torchvision": ("gof/evaluate/perceptual.py",),
+    "torchmetrics": ("gof/evaluate/perceptual.py",),
     "gsplat": ("gof/on_cpu/methods.py",),
     "transformers": ("gof/ingest/depth.py",),
     "memfof": ("gof/reconstruct/optical_flow.py",),

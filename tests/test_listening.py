@@ -29,13 +29,12 @@ def test_an_open_socket_is_seen():
         assert listening() - before == {server.getsockname()}
 
 
-def test_the_generators_own_cluster_opens_no_socket():
-    from gof_benchmark.generator import graph
+def test_the_generators_own_workers_open_no_socket():
+    from gof_benchmark.generator.workers import workers_for
 
     before = listening()
-    with graph.cluster(None, workers=2) as client:
-        assert client.submit(sum, [1, 2]).result(timeout=30) == 3, "and it works"
-        assert len(client.scheduler_info()["workers"]) == 2
+    with workers_for(None, workers=2) as there:
+        assert there.submit(sum, [1, 2]).result(timeout=30) == 3, "and it works"
         assert listening() == before
 
 
@@ -133,12 +132,12 @@ def connected(monkeypatch):
     seen = []
 
     class Sum:
-        def __init__(self, spec, layout, client, log):
-            self.client = client
+        def __init__(self, spec, layout, workers, log):
+            self.workers = workers
 
         def run(self):
-            assert self.client.submit(sum, [1, 2]).result(timeout=30) == 3
-            seen.append((self.client.scheduler.address, self.client.security))
+            assert self.workers.submit(sum, [1, 2], priority=1).result(timeout=30) == 3
+            seen.append((self.workers.client.scheduler.address, self.workers.client.security))
 
     monkeypatch.setattr(graph, "Generation", Sum)
     return seen

@@ -17,14 +17,14 @@ from gof.dataset import Dataset
 from gof.io.importers import read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
 from gof.io.importers.normalisation import world_from_training
-from gof_benchmark.evidence.reliability import damage, fuzz, kill
-from gof_benchmark.evidence.reliability.format import finite
-from gof_benchmark.evidence.reliability.formats import formats
 from gof_blender.core.checked_json import SpecError
 from gof_blender.core.errors import GofError as ErrorOfTheAddOn
 from gof_blender.pure.io import cloud as clouds
 from gof_blender.pure.spec import SceneSpec
 from tests.conftest import arc, random_gaussians
+from tests.reliability import damage, fuzz, kill
+from tests.reliability.format import finite
+from tests.reliability.formats import formats
 
 NEED_BLENDER_OR_TORCH = ("pictures .exr", "checkpoint .pth", "4DGS of Yang, cfg_args")
 

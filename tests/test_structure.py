@@ -2,6 +2,7 @@
 
 import re
 import sys
+from functools import partial
 from graphlib import CycleError, TopologicalSorter
 
 import pytest
@@ -14,14 +15,17 @@ FORBIDDEN = {
     "gof": ("bpy", "gof_blender", "gof_benchmark"),
     "gof_blender": ("gof", "gof_benchmark", "torch", "mitsuba", "drjit", "zarr"),
     "gof_blender.pure": ("bpy", "mathutils", "gof_blender.scene", "gof_blender.ui", "gof_blender.worker"),
-    "gof_benchmark.commands": ("gof_benchmark.evidence",),
-    "gof_benchmark.generator": ("gof_benchmark.evidence", "gof_benchmark.studies"),
+    "gof_benchmark.generator": ("gof_benchmark.studies",),
 }
+# Of the repository alone: what proves claims, and how the flow prior was learned.
+NOT_INSTALLED = ("gof_benchmark.evidence", "gof_benchmark.training")
 BLENDERS_OWN = {"bpy", "mathutils", "bl_ui", "addon_utils", "bpy_extras", "manta", "_cycles"}
 BLENDERS_OWN |= {"OpenImageIO", "openvdb", "pxr", "pyopenvdb"}
 
 
-@pytest.mark.parametrize("graph", [file_graph, room_graph], ids=["files", "rooms"])
+@pytest.mark.parametrize(
+    "graph", [file_graph, partial(file_graph, for_types=True), room_graph], ids=["files", "types", "rooms"]
+)
 def test_no_circle_of_imports(graph):
     try:
         TopologicalSorter(graph()).prepare()
@@ -43,6 +47,7 @@ def test_a_circle_is_found(tmp_path, monkeypatch):
     assert graph["gof.a"] == {"gof.room.b"} and graph["gof.room.b"] == {"gof.a"} and graph["gof.c"] == {"gof.a"}
     with pytest.raises(CycleError):
         TopologicalSorter(graph).prepare()
+    assert file_graph(for_types=True)["gof.room.b"] == {"gof.a", "gof.c"}
 
 
 @pytest.mark.parametrize("part", FORBIDDEN)
@@ -57,6 +62,18 @@ def test_what_must_not_be_imported(part):
         if any(target == bad or target.startswith(f"{bad}.") for bad in FORBIDDEN[part])
     ]
     assert not wrong, "\n".join(wrong)
+
+
+def test_product_and_tests_import_no_evidence_and_the_product_no_tests():
+    """Also not in code that they hand to another Python as text."""
+    product = {name: path for name, path in modules().items() if not name.startswith(NOT_INSTALLED)}
+    evidence = set(modules().values()) - set(product.values())
+    never = re.compile(r"^\s*(?:from|import) gof_benchmark(?:\.| import )(?:evidence|training)\b", re.MULTILINE)
+    tests = re.compile(r"^\s*(?:from|import) tests\b", re.MULTILINE)
+    assert [path for path in evidence if never.search(path.read_text(encoding="utf-8"))], "it can be found"
+    files = [*product.values(), *(import_graph.ROOT / "tests").rglob("*.py")]
+    assert not [path for path in files if never.search(path.read_text(encoding="utf-8"))]
+    assert not [path for path in product.values() if tests.search(path.read_text(encoding="utf-8"))]
 
 
 def test_the_add_on_needs_numpy_and_blender_only():

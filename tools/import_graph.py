@@ -31,13 +31,14 @@ def modules() -> dict[str, Path]:
     return found
 
 
-def all_imports(name: str, path: Path) -> Iterator[tuple[str, int]]:
-    """(dotted name, line) of everything a file imports, also inside functions, but not for type checkers only.
+def all_imports(name: str, path: Path, for_types: bool = False) -> Iterator[tuple[str, int]]:
+    """(dotted name, line) of all that a file imports, also inside functions; `for_types`: also for type checkers only.
 
     `from a import b` gives `a.b`, whether b is a module or not.
     """
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-    for node in _executed(ast.parse(path.read_text(encoding="utf-8"))):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree) if for_types else _executed(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -46,9 +47,9 @@ def all_imports(name: str, path: Path) -> Iterator[tuple[str, int]]:
             yield from ((f"{source}.{alias.name}", node.lineno) for alias in node.names)
 
 
-def imports_of(name: str, path: Path, known: dict[str, Path]) -> Iterator[tuple[str, int]]:
-    """(module of ours, line) of a file's imports."""
-    for target, line in all_imports(name, path):
+def imports_of(name: str, path: Path, known: dict[str, Path], for_types: bool = False) -> Iterator[tuple[str, int]]:
+    """(module of ours, line) of a file's imports; `for_types` as in `all_imports`."""
+    for target, line in all_imports(name, path, for_types):
         target = target.replace(*CORE) if target.startswith(CORE[0]) else target
         module = target if target in known else target.rpartition(".")[0]
         if module in known:
@@ -64,10 +65,13 @@ def _executed(tree: ast.AST) -> Iterator[ast.AST]:
         yield from _executed(node)
 
 
-def file_graph() -> dict[str, set[str]]:
-    """Module -> modules of ours that it imports."""
+def file_graph(for_types: bool = False) -> dict[str, set[str]]:
+    """Module -> modules of ours that it imports; `for_types` as in `all_imports`."""
     known = modules()
-    return {name: {target for target, _ in imports_of(name, path, known)} - {name} for name, path in known.items()}
+    return {
+        name: {target for target, _ in imports_of(name, path, known, for_types)} - {name}
+        for name, path in known.items()
+    }
 
 
 def room_of(module: str, path: Path) -> str:

@@ -12,8 +12,9 @@ from gof.core.costs import Costs, StageLog
 from gof.core.errors import GofError
 from gof.core.files import write_json
 from gof.host.terminal import console
-from gof_benchmark.generator.graph import require_certificate
+from gof_benchmark.generator import graph
 from gof_benchmark.generator.looks import require_look
+from gof_benchmark.generator.workers import require_certificate
 from gof_benchmark.scenes import claimed, load_scene
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import look_process
@@ -134,9 +135,7 @@ def _print_estimate(spec: SceneSpec, layout: Layout, json: Path | None) -> None:
 def _make(spec: SceneSpec, layout: Layout, log: StageLog, config: GenerateConfig) -> None:
     """Whatever is missing of the dataset, then its views."""
     if not layout.description.exists():
-        from gof_benchmark.generator import dataset  # dask is slow to import
-
-        dataset.make(spec, layout, log, config.scheduler, config.workers, config.tls)
+        graph.make(spec, layout, log, config.scheduler, config.workers, config.tls)
     if config.views:
         from gof_benchmark import views
 

@@ -9,16 +9,12 @@ and times as a program does that keeps them in float32 as they stand, without a 
 
 from __future__ import annotations
 
-import os
-import shutil
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
 from gof.core.datum import Datum
-from gof.core.description import DatasetDescription
-from gof.core.files import read_json, write_json
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
@@ -26,6 +22,7 @@ from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
 from gof_benchmark.evidence.small import SMALL
+from tests.moved_dataset import moved_copy
 
 UTM_AND_UNIX = Datum((5e5, 5e6, 100.0), 1.7e9)
 
@@ -56,37 +53,6 @@ def main(argv: list[str] | None = None) -> None:
     dataset, gaussians = Dataset.open(far), TransientGaussians.load(config.out / "moved_out" / "result.npz")
     rounded = gaussians.measured_from(Datum()).measured_from(dataset.datum)  # once to float32 as it stands, and back
     _print("moved, without a datum", rounded, dataset)
-
-
-def moved_copy(folder: Path, out: Path, by: Datum) -> Path:
-    """A dataset with its world and its clock moved away from zero; its pictures are links to the same files."""
-    shutil.copytree(folder, out, copy_function=os.link)
-    said = DatasetDescription.read(folder)
-    back = Datum(tuple(-x for x in by.position), -by.time_s)
-
-    def later(times_s: tuple[float, ...]) -> tuple[float, ...]:
-        return tuple(t + by.time_s for t in times_s)
-
-    cameras = tuple(
-        replace(
-            entry,
-            world_to_camera=tuple(map(tuple, camera.world_to_camera.tolist())),
-            time_s=None if entry.time_s is None else later(entry.time_s),
-        )
-        for entry in said.cameras
-        for camera in [entry.camera().measured_from(back)]
-    )
-    (out / "dataset.json").unlink()
-    replace(said, cameras=cameras, time_s=later(said.time_s)).write(out)
-    for store in out.rglob("*.zarr/zarr.json"):
-        content = read_json(store)
-        attributes = content["attributes"]
-        attributes["time_s"] = list(later(attributes["time_s"]))
-        for row, x in zip(attributes["index_to_world"], by.position, strict=False):
-            row[3] += x
-        store.unlink()
-        write_json(store, content)
-    return out
 
 
 def _row(name: str, folder: Path, out: Path, config: FarFromZero) -> None:

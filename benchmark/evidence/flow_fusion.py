@@ -25,7 +25,7 @@ from gof.reconstruct.fusion import fuse_frame
 from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.optical_flow import deepflow, tvl1
-from gof_benchmark.field_score import best_constant, buoyant_law, mean_per_height, score
+from gof_benchmark.training.field_score import best_constant, buoyant_law, mean_per_height, score
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import tyro
 from scipy.stats import norm
 
 from gof.evaluate.eddy_time import integral_time
-from gof.evaluate.statistics import CONFIDENCE, block_length, block_variance, over_frames
+from gof.evaluate.intervals import CONFIDENCE, block_length, block_variance, over_frames
 
 COUNTS, EDDIES = (24, 36, 100), (0, 1, 2, 4, 6)
 

@@ -3,11 +3,11 @@
     python -m gof_benchmark.evidence.rise_speed DATASET RESULT [DATASET RESULT ...]
 
 No truth is needed: DATASET may come from `gof ingest`, RESULT is a folder of `gof reconstruct`, at whose picture size
-all is measured. Per camera: the slope
-of bright traces in the picture of height against time (`gof_benchmark.space_time`), of the footage; and over it, that
-of the reconstruction drawn at the same times, and drawn four times as often, where a flame whose Gaussians only fade
-out and in would stand still between frames. "gas" is the mean upward motion of the Gaussians themselves, weighted by
-what they show: texture lags behind the gas, so this is to be more.
+all is measured. Per camera: the slope of bright traces in the picture of height against time
+(`gof_benchmark.training.space_time`), of the footage; and over it, that of the reconstruction drawn at the same times,
+and drawn four times as often, where a flame whose Gaussians only fade out and in would stand still between frames.
+"gas" is the mean upward motion of the Gaussians themselves, weighted by what they show: texture lags behind the gas, so
+this is to be more.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gof.reconstruct.observation import light_above
 from gof.reconstruct.settings import FILE, ReconstructionSettings
 from gof.reconstruct.shrink import shrink
 from gof.render import render
-from gof_benchmark.space_time import climb
+from gof_benchmark.training.space_time import climb
 
 OFTENER = 4
 

@@ -25,7 +25,7 @@ from gof.io.importers import ImportOptions
 from gof.look.player.opened import open_result
 from gof.look.player.page import in_words, share_page
 from gof.render import render
-from gof_benchmark.evidence.browser import Browser, page_address
+from tests.browser import Browser, page_address
 
 SCALES = (1, 2)  # of the cameras' size
 FRAMES = 5  # of which the time is taken

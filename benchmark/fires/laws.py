@@ -14,7 +14,6 @@ import math
 
 import numpy as np
 
-GRAVITY, AMBIENT_K = 9.81, 293.15
 # McCaffrey's zones: up to z / Q^(2/5) in m/kW^(2/5), k, and exponent eta of u / Q^(1/5) = k (z / Q^(2/5))^eta.
 ZONES = ((0.08, 6.8, 0.5), (0.20, 1.9, 0.0), (math.inf, 1.1, -1 / 3))
 
@@ -31,12 +30,6 @@ def mccaffrey_speed(height_m: np.ndarray, heat_release_kw: float) -> np.ndarray:
     """Mean vertical speed on the axis (m/s) at heights (m) above the burner: continuous flame, intermittent, plume."""
     scaled, k, eta = _zone(height_m, heat_release_kw)
     return heat_release_kw**0.2 * k * scaled**eta
-
-
-def mccaffrey_excess(height_m: np.ndarray, heat_release_kw: float) -> np.ndarray:
-    """Mean temperature above ambient on the axis (K), with McCaffrey's constant 0.9."""
-    scaled, k, eta = _zone(height_m, heat_release_kw)
-    return (k / (0.9 * math.sqrt(2 * GRAVITY))) ** 2 * scaled ** (2 * eta - 1) * AMBIENT_K
 
 
 def heskestad_height(heat_release_kw: float, diameter_m: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gof.core.costs import StageLog
+from gof_benchmark.generator import graph
 from gof_benchmark.scenes import claimed
 from gof_benchmark.solvers.openfoam.case import FoamFire
 from gof_benchmark.solvers.openfoam.run import bake
@@ -30,9 +31,7 @@ def make(spec: SceneSpec, foam: FoamFire | None, folder: Path, work: Path) -> No
     spec = spec.resolved(work.resolve())
     with claimed(layout, spec):
         if not layout.description.exists():
-            from gof_benchmark.generator import dataset  # dask is slow to import
-
-            dataset.make(spec, layout, StageLog(layout.costs))
+            graph.make(spec, layout, StageLog(layout.costs))
 
 
 def predicted_s(spec: SceneSpec, foam: FoamFire | None, folder: Path, work: Path) -> float:

@@ -38,12 +38,6 @@ def axis_columns(
     return np.nonzero(distance <= max(distance.min() + 1e-9, x[1] - x[0], 0.1 * diameter_m))
 
 
-def axis_speed(velocity: Iterable[np.ndarray], columns: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(Z,) m/s: vertical speed averaged over the frames' (X, Y, Z, 3) velocities and the columns of `axis_columns`."""
-    x, y = columns
-    return np.mean([frame[x, y, :, 2].mean(0) for frame in velocity], axis=0, dtype=float)
-
-
 def mean_over_time(time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(P,) mean of (N, P) values over an uneven clock: a time step counts by its length."""
     return np.diff(time_s) @ (values[1:] + values[:-1]) / 2 / (time_s[-1] - time_s[0])

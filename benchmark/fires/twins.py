@@ -118,11 +118,6 @@ def _say(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:.3g}"
 
 
-def near_twins(fires: dict[str, Traits], others: dict[str, Traits]) -> list[tuple[str, str]]:
-    """All pairs of names, of one group and of the other, that are near twins."""
-    return [(a, b) for a, one in fires.items() for b, other in others.items() if not differences(one, other)]
-
-
 def twins_table(fires: dict[str, Traits], others: dict[str, Traits]) -> str:
     """Markdown: each fire, the one of the others that is most like it, and in what it differs (its own value first)."""
     lines = ["| fire | most like | differs in (its own, the other's) |", "|---|---|---|"]

@@ -131,12 +131,23 @@ class Renderer:
 
 atexit.register(Renderer.close)
 
+_started: dict[Path, list[subprocess.Popen]] = {}  # by the dataset that they work at
+
+
+def end(root: Path) -> None:
+    """End the Blender processes of a dataset that were started here: idle ones by their own rule, others at once."""
+    Renderer.close(root)
+    for process in _started.pop(root, ()):
+        process.kill()
+
 
 def _start(stage: str, root: Path, **pipes) -> tuple[subprocess.Popen, Path]:
     log = Layout(root).log(stage).with_suffix(".err")
     log.parent.mkdir(parents=True, exist_ok=True)
     with open(log, "ab") as file:
-        return start(command(stage, root), stderr=file, **({"stdout": file} | pipes)), log
+        process = start(command(stage, root), stderr=file, **({"stdout": file} | pipes))
+    _started.setdefault(root, []).append(process)
+    return process, log
 
 
 @contextmanager

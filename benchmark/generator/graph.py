@@ -1,147 +1,73 @@
-"""The generator's task graph on dask.distributed: bake -> pictures -> codec, ground truth -> description -> views.
+"""A dataset as a graph of tasks: bake -> pictures -> codec, ground truth -> description -> views.
 
-A task is a call into a Blender process (`gof_benchmark.generator.blender_process`) and leaves files; a shared file
-system carries the data, dask only the order, the retries and the costs. Pictures of a frame are asked for as soon as
-the solver has passed what their shutter sees, so that rendering does not wait for the bake. Everything resumes from the
-files.
+A task is a call into a Blender process (`gof_benchmark.generator.blender_process`) and leaves files; where it runs is
+`gof_benchmark.generator.workers`'. Pictures of a frame are asked for as soon as the solver has passed what their
+shutter sees, so that rendering does not wait for the bake. Everything resumes from the files.
 """
 
 from __future__ import annotations
 
-import logging
-import ssl
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
 
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
 from gof.host import extras
 from gof.host.progress import progress_bar
+from gof_benchmark.generator import machine
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, StageRefused, run_stage
+from gof_benchmark.generator.workers import RETRIES, ClusterWorkers, LocalWorkers, workers_for
 from gof_blender.pure import effects
 from gof_blender.pure.brightness import Brightness
 from gof_blender.pure.cost_model import stage_settings
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
-RETRIES = 3
-CERTIFICATE = ("cert.pem", "key.pem")
 POLL_S = 0.3
-LOCAL_WORKERS = {  # they are threads of this process: dask must neither pause nor kill them for its memory
-    "distributed.admin.tick.limit": "1h",
-    "distributed.worker.memory.terminate": False,
-    "distributed.worker.memory.pause": False,
-    "distributed.worker.memory.spill": False,
-}
 
 
-@contextmanager
-def cluster(scheduler: str | None, workers: int, tls: Path | None = None) -> Iterator:
-    """A dask client: of a running scheduler, or of workers in this process, whose Blenders are the real processes.
+def make(
+    spec: SceneSpec,
+    layout: Layout,
+    log: StageLog,
+    scheduler: str | None = None,
+    workers: int = 2,
+    tls: Path | None = None,
+) -> None:
+    """Simulate and render what is missing, with a prediction before and a bar meanwhile; nothing in a finished dataset.
 
     Args:
-        tls: folder with the cert.pem and key.pem that the scheduler asks for (docs/cluster.md).
+        layout: its folder, which this spec has claimed (`gof_benchmark.scenes.claim`), and which no other run works in.
+        scheduler: address of a dask scheduler; None for `workers` Blender processes on this machine.
+        tls: folder with the certificate that the scheduler asks for (`workers_for`).
     Raises:
-        GofError: the scheduler does not answer, or see `require_certificate`.
-        MissingDependencyError: distributed is not installed.
+        GofError: memory or disk do not suffice, the scheduler does not answer, or a stage failed; what was finished is
+            kept.
+        MissingDependencyError: Blender is not installed here, and no scheduler is given; or distributed is not.
     """
-    require_certificate(scheduler, tls)
-    extras.load("distributed", "generate", "making a dataset")
-    import dask
-    from distributed import Client, Scheduler, SpecCluster, Worker
-
-    if scheduler:
-        with _connect(scheduler, tls) as client:
-            yield client
+    if layout.description.exists():
         return
-    inside = {"protocol": "inproc://"}
-    scheduler_here = {"cls": type("QuietScheduler", (Scheduler,), _QUIET), "options": inside}
-    worker_here = {"cls": type("QuietWorker", (Worker,), _QUIET), "options": inside | {"nthreads": 1}}
-    with (
-        dask.config.set(LOCAL_WORKERS),
-        SpecCluster(dict.fromkeys(range(workers), worker_here), scheduler_here, silence_logs=logging.ERROR) as local,
-        Client(local) as client,
-    ):
-        yield client
-
-
-def require_certificate(scheduler: str | None, tls: Path | None) -> None:
-    """Make sure that an address and a certificate go together, before anything is connected or written.
-
-    Raises:
-        GofError: an address without encryption is given a certificate, one with encryption is given none, or the
-            folder holds no certificate with its key.
-    """
-    if scheduler is None:
-        if tls is not None:
-            raise GofError("--tls is for the scheduler of --scheduler; give its address too, or leave --tls out")
-        return
-    encrypted = scheduler.startswith("tls://")
-    if tls is None:
-        if encrypted:
-            raise GofError(f"no dask scheduler answers at {scheduler} without a certificate; give --tls FOLDER")
-        print(f"{scheduler}: without --tls, whoever reaches that port can run programs as you", file=sys.stderr)
-        return
-    if not encrypted:
-        raise GofError(
-            f"--tls needs a scheduler at tls://HOST:PORT, and --scheduler {scheduler} is not encrypted; start the "
-            "scheduler with '--protocol tls' and its certificate (docs/cluster.md)"
-        )
-    missing = [name for name in CERTIFICATE if not (tls / name).is_file()]
-    if missing:
-        raise GofError(f"{tls}: has no {' and no '.join(missing)}; docs/cluster.md says how to make them")
-    cert, key = (str(tls / name) for name in CERTIFICATE)
-    try:
-        ssl.create_default_context(cafile=cert).load_cert_chain(cert, key, password="")
-    except (ssl.SSLError, OSError) as e:
-        raise GofError(
-            f"{tls}: cert.pem and key.pem are no certificate with its key, without a password ({e}); docs/cluster.md "
-            "says how to make them"
-        ) from e
-
-
-def _connect(scheduler: str, tls: Path | None) -> Any:
-    """A client of a running scheduler. Raises GofError: it does not answer, or not to this certificate."""
-    from distributed import Client, Security
-
-    security = None
-    if tls is not None:
-        cert, key = (str(tls / name) for name in CERTIFICATE)
-        security = Security(require_encryption=True, tls_ca_file=cert, tls_client_cert=cert, tls_client_key=key)
-    try:
-        return Client(scheduler, timeout=20, security=security)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise GofError(
-            f"no dask scheduler answers at {scheduler} ({error}); start one with 'dask scheduler'"
-        ) from error
-
-
-def _no_http(node: Any, *_: Any, **__: Any) -> None:
-    """In place of dask's pages about a node: without a login, they show folders, logs and addresses to the network."""
-    from distributed.http.routing import RoutingApplication
-    from tornado.httpserver import HTTPServer
-
-    node.http_application = RoutingApplication([])
-    node.http_server = HTTPServer(node.http_application)  # is never told to listen
-
-
-_QUIET = {"start_http_server": _no_http}
+    if not scheduler:  # whose workers have Blender, where it is given
+        extras.require("bpy", "blender", "making a dataset")
+    if not layout.bake_marker.exists():
+        machine.refuse_if_too_large(spec, layout.root)
+    with workers_for(scheduler, workers, tls) as there:
+        Generation(spec, layout, there, log).run()
 
 
 class Generation:
     """One dataset on its way through the graph."""
 
-    def __init__(self, spec: SceneSpec, layout: Layout, client, log: StageLog):
+    def __init__(self, spec: SceneSpec, layout: Layout, workers: LocalWorkers | ClusterWorkers, log: StageLog):
         self._spec = spec
         self._layout = layout
-        self._client = client
+        self._workers = workers
         self._log = log
         self._root = layout.root.resolve()
-        self._running: dict = {}  # future -> stage
+        self._running: dict[Future, str] = {}  # -> stage
         self._rendered = 0  # pictures, in this run
         self._plates = 0
         self._steps = 0  # of the solver
@@ -164,8 +90,9 @@ class Generation:
                 self._submit(stage, _stage, stage)
                 self._wait_for(lambda: not self._running)
         finally:
-            self._client.cancel(list(self._running))
-            self._client.run(Renderer.close, self._root)
+            for future in self._running:
+                future.cancel()
+            self._workers.leave(self._root)
 
     def _simulate_and_render(self, fresh_bake: bool) -> None:
         spec = self._spec
@@ -202,17 +129,15 @@ class Generation:
         return self._layout.blend.is_file() and self._layout.is_baked(timeline.blender_frame(frame) + last)
 
     def _submit(self, stage: str, function, *args, priority: int = 0) -> None:
-        future = self._client.submit(
-            function, *args, root=self._root, pure=False, retries=RETRIES, priority=priority, key=None
-        )
-        self._running[future] = stage
+        self._running[self._workers.submit(function, *args, root=self._root, priority=priority)] = stage
 
     def _collect(self) -> None:
         for future in [f for f in self._running if f.done()]:
             stage = self._running.pop(future)
-            if future.status != "finished":
-                raise GofError(f"{stage} failed {RETRIES + 1} times; the last time: {future.exception()}")
-            cost: ProcessCost | StageRefused = future.result()
+            try:
+                cost: ProcessCost | StageRefused = future.result()
+            except Exception as e:  # of any kind: a worker's, a lost connection's
+                raise GofError(f"{stage} failed {RETRIES + 1} times; the last time: {str(e) or repr(e)}") from e
             if isinstance(cost, StageRefused):
                 raise cost
             self._rendered += stage == "render"
@@ -254,7 +179,7 @@ class Generation:
 
 
 def _stage(stage: str, root: Path) -> ProcessCost | StageRefused:
-    """A refusal is an answer: dask would do work that raises again, and print how it went."""
+    """A refusal is an answer: work that raises is done again."""
     try:
         return run_stage(stage, root)
     except StageRefused as refusal:

@@ -20,8 +20,9 @@ from gof.core.files import write_json
 from gof.core.records import to_json
 from gof.core.rotations import rotation_matrices
 from gof.evaluate.closed_forms import Flow, abc, gaussian_vortex, linear, taylor_green
+from gof.evaluate.expectation import expected_velocity_plain
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
-from gof.evaluate.quadrature import ORDERS, expected_velocity_plain
+from gof.evaluate.quadrature import ORDERS
 from gof.host.progress import progress_bar
 from gof.look.charts import line_chart
 

@@ -5,10 +5,10 @@
 
 Runs the motion and fusion stages on every dataset in WORK/dev, prints what the prior does for a flame it has not seen
 (each fire left out in turn, and the datasets given with --test), and writes the weights. Scores and controls as in
-`gof_benchmark.field_score`, means over frames of DVE's figures (speed is its least-squares gain); `pace` is the
-estimated mean speed over the true one; `within` is the share of the light whose velocity is within one standard
-deviation of the truth, component by component (0.68 where errors are normal and the doubt is right). `--without SOLVER`
-shows what is left when a solver's fires are not trained on.
+`field_score`, means over frames of DVE's figures (speed is its least-squares gain); `pace` is the estimated mean speed
+over the true one; `within` is the share of the light whose velocity is within one standard deviation of the truth,
+component by component (0.68 where errors are normal and the doubt is right). `--without SOLVER` shows what is left when
+a solver's fires are not trained on.
 """
 
 from __future__ import annotations
@@ -32,8 +32,15 @@ from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescribe
 from gof.reconstruct.observation import observe
 from gof.reconstruct.pace import Pace, PaceClues
 from gof.reconstruct.several_flames import alone, several_flames
-from gof_benchmark.field_score import best_constant, buoyant_law, fluctuation_cos_sim, mean_per_height, score, within
-from gof_benchmark.preview_field import open_small, preview_field
+from gof_benchmark.training.field_score import (
+    best_constant,
+    buoyant_law,
+    fluctuation_cos_sim,
+    mean_per_height,
+    score,
+    within,
+)
+from gof_benchmark.training.preview_field import open_small, preview_field
 
 
 @dataclass

@@ -1,10 +1,13 @@
-"""The clip of a scene spec: how many instants, and how they follow each other."""
+"""When and where of a scene spec: its clip, how many instants and how they follow each other; a place in its world."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from ..core.checked_json import require
+
+Vector = tuple[float, float, float]
+"""World metres along x, y, z; of all that stands in a scene."""
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ def predict(spec: SceneSpec, machine: Machine) -> Prediction:
     plates = cameras * _picture_s(spec, machine, 1.0, spec.render.plate_samples)
     grids = 1 + len(spec.ground_truth)
     return Prediction(
-        bake_s=machine.start + spec.fire.bake_steps(spec) * _step_s(spec, machine),
+        bake_s=machine.start + spec.fire.bake_steps(spec.timeline) * _step_s(spec, machine),
         render_s=machine.start + plates + cameras * frames * _frame_s(spec, machine),
         ground_truth_s=machine.start + frames * count * machine.velocity * grids,
         memory_mb=_memory_mb(spec),
@@ -209,7 +209,7 @@ def stage_settings(stage: str, spec: SceneSpec) -> dict:
     """The settings that explain a stage's cost, for costs.json."""
     frames, cameras, resolution = spec.clip.frames, len(spec.cameras.names), spec.box.resolution
     return {
-        "bake": {"resolution": resolution, "steps": spec.fire.bake_steps(spec), "effects": spec.effect_names},
+        "bake": {"resolution": resolution, "steps": spec.fire.bake_steps(spec.timeline), "effects": spec.effect_names},
         "render": {
             "images": frames * cameras,
             "percentage": spec.render.percentage,
@@ -265,7 +265,7 @@ def _disk_mb(spec: SceneSpec) -> float:
     """Of pictures, the solver's cache and the ground truth."""
     frames, grids = spec.clip.frames, 1 + len(spec.ground_truth)
     images = math.prod(spec.picture_px) * len(spec.cameras.names) * frames * PICTURE_BYTES_PER_PIXEL
-    cache = (1 + _fine_cells(spec) / 4) * spec.fire.bake_steps(spec) * CACHE_BYTES_PER_CELL_STEP
+    cache = (1 + _fine_cells(spec) / 4) * spec.fire.bake_steps(spec.timeline) * CACHE_BYTES_PER_CELL_STEP
     return (images + cells(spec) * (cache + frames * grids * VELOCITY_BYTES_PER_CELL_FRAME)) / 2**20
 
 

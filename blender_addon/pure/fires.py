@@ -1,7 +1,7 @@
 """What burns in a scene, and in which box: a fire that we simulate, or the grids of any other solver.
 
-`SceneSpec` asks both kinds the same: ``check(spec)``, ``box(spec)``, ``bake_steps(spec)``, ``burner``,
-``dims``, ``title``.
+`SceneSpec` asks both kinds the same: ``check(domain, effects)``, ``box(domain, timeline)``, ``bake_steps(timeline)``,
+``burner``, ``dims``, ``title``.
 """
 
 from __future__ import annotations
@@ -9,22 +9,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from ..core.checked_json import SpecError, require
 from ..core.errors import GofError
 from . import effects as effect_modules
+from .clip import Vector
 from .fuels import FUELS
 from .io.fire_store import FireStore
 from .soot import Sheet, sheet
 from .timeline import Timeline
 
-if TYPE_CHECKING:
-    from .spec import SceneSpec
-
-Vector = tuple[float, float, float]
 MOST_CELLS = 2048  # along the longest side
 LEAST_SIDE, MOST_SIDE = 1e-3, 1e3
 LEAST_LOGS, MOST_LOGS = 2, 8
@@ -113,17 +110,17 @@ class Fire:
         thickness = {"disc": self.radius / 6, "sphere": self.radius, "logs": self.radius / 2}
         return (self.radius, self.radius, thickness[self.shape])
 
-    def check(self, spec: SceneSpec) -> None:
-        """Raise SpecError if the rest of the spec does not fit this fire."""
-        sides = zip("xyz", self.position, self.half_size, spec.domain.min, spec.domain.max, strict=True)
+    def check(self, domain: Domain, effects: tuple[Any, ...]) -> None:
+        """Raise SpecError if the spec's domain and effects do not fit this fire."""
+        sides = zip("xyz", self.position, self.half_size, domain.min, domain.max, strict=True)
         for axis, centre, half, low, high in sides:
             inside = low <= centre - half and centre + half <= high
             rule = f"such that the emitter lies inside the domain along {axis}"
             require(inside, "fire.position", rule, self.position)
 
-    def box(self, spec: SceneSpec) -> Domain:
-        """The box that the flame's cells fill."""
-        return spec.domain
+    def box(self, domain: Domain, timeline: Timeline) -> Domain:
+        """Return the box that the flame's cells fill."""
+        return domain
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -140,9 +137,9 @@ class Fire:
         """What surroundings draw under the flame."""
         return Burner(self.position, self.radius, self.half_size[2])
 
-    def bake_steps(self, spec: SceneSpec) -> int:
-        """Steps that the bake makes, from the first that is simulated."""
-        return spec.timeline.last_frame
+    def bake_steps(self, timeline: Timeline) -> int:
+        """Count the steps that the bake makes, from the first that is simulated."""
+        return timeline.last_frame
 
     @property
     def title(self) -> str:
@@ -183,12 +180,10 @@ class GridFire:
         except GofError as error:
             raise SpecError(f"fire.grids: {error}") from error
 
-    def check(self, spec: SceneSpec) -> None:
-        """Raise SpecError if the rest of the spec does not fit this fire. Its folder is not opened."""
-        require(spec.domain is None, "domain", "left out: a fire of grids has its own box", spec.domain)
-        changing = [
-            name for name, e in zip(spec.effect_names, spec.effects, strict=True) if effect_modules.changes_bake(e)
-        ]
+    def check(self, domain: Domain | None, effects: tuple[Any, ...]) -> None:
+        """Raise SpecError if the spec's domain and effects do not fit this fire. Its folder is not opened."""
+        require(domain is None, "domain", "left out: a fire of grids has its own box", domain)
+        changing = [effect_modules.name_of(effect) for effect in effects if effect_modules.changes_bake(effect)]
         require(not changing, "effects", "those of cameras and pictures: a fire of grids is not simulated", changing)
 
     def check_clock(self, timeline: Timeline) -> None:
@@ -201,9 +196,9 @@ class GridFire:
         )
         require(self.store.covers(first, last), "fire.start_s", rule, self.start_s)
 
-    def box(self, spec: SceneSpec) -> Domain:
-        """The box that the flame's cells fill. Raises SpecError: see `store`, `check_clock`."""
-        self.check_clock(spec.timeline)
+    def box(self, domain: Domain | None, timeline: Timeline) -> Domain:
+        """Return the box that the flame's cells fill. Raises SpecError: see `store`, `check_clock`."""
+        self.check_clock(timeline)
         low = np.add(self.store.index_to_world[:3, 3], self.position)
         size = np.multiply(self.store.grid, self.store.cell_m)
         return Domain(tuple(low.tolist()), tuple(size.tolist()), max(self.store.grid))
@@ -225,9 +220,9 @@ class GridFire:
         name = "hearth of the grids" if len(hearths) == 1 else f"circle around the grids' {len(hearths)} hearths"
         return Burner(tuple(centre.tolist()), float(reach.max()), 0.0, name)
 
-    def bake_steps(self, spec: SceneSpec) -> int:
-        """Steps that the bake makes: those that are looked at."""
-        return len(spec.timeline.steps_needed)
+    def bake_steps(self, timeline: Timeline) -> int:
+        """Count the steps that the bake makes: those that are looked at."""
+        return len(timeline.steps_needed)
 
     @property
     def title(self) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ..core.checked_json import require
-from .fires import Vector
+from .clip import Vector
 
 MOST_PIXELS = 65_536  # along a side; Blender renders no larger
 

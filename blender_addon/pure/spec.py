@@ -121,7 +121,7 @@ class SceneSpec:
             require(len(set(listed)) == len(listed), name, "listed once each", listed)
         self._check_pictures()
         self._check_timeline()
-        self.fire.check(self)
+        self.fire.check(self.domain, self.effects)
 
     def _check_pictures(self) -> None:
         least = -(-400 // min(self.cameras.sensor_px))
@@ -157,7 +157,7 @@ class SceneSpec:
     @cached_property
     def box(self) -> Domain:
         """The box of the flame's cells, and how many. Raises SpecError: files of a fire of grids are wrong."""
-        return self.fire.box(self)
+        return self.fire.box(self.domain, self.timeline)
 
     @property
     def picture_px(self) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 Units. Mantaflow advects in cells per solver time unit, and Blender runs 0.1 * 25/fps * time_scale units per frame, so
 one second is 2.5 * time_scale units and the stored value u means 2.5 * time_scale * u cells per second, at any fps.
 `index_to_world` then turns cells into metres and grid axes into world axes; velocity is mapped by its linear part, so
-a moved, turned or scaled domain needs no special case. `gof_benchmark.evidence.velocity_truth` measures that this is
+a moved, turned or scaled domain needs no special case. `tests/blender/test_velocity_truth.py` measures that this is
 right.
 
 Time. The cache of frame k holds the velocity that carries the density of frame k to frame k + 1. With solver substeps

@@ -46,7 +46,7 @@ GENERATOR_VERSION = "0.2.0"
 
 def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     """Build scene.blend and make the flame of every step; an unfinished bake starts over."""
-    total = spec.fire.bake_steps(spec)
+    total = spec.fire.bake_steps(spec.timeline)
     if layout.bake_marker.is_file():
         progress(total, total)
         return

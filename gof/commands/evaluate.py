@@ -31,8 +31,6 @@ PICTURE_ROWS = (
     ("flip", "FLIP", 4),
     ("lpips", "LPIPS", 4),
     ("temporal_l2", "change between frames, relative L2", 3),
-    ("cgvqm_2", "CGVQM-2 of the whole video, 0..100", 2),
-    ("cgvqm_5", "CGVQM-5 of the whole video, 0..100", 2),
     ("rmse_depth", "RMSE depth", 3),
 )
 PUBLISHED_ROWS = (
@@ -67,7 +65,7 @@ class EvaluateConfig:
     opacity: Literal["temporal", "base"] = "temporal"
     """Weight Gaussians by their opacity at each time, or by their peak opacity at all times."""
     weights: Path | None = None
-    """Folder with weight files of LPIPS and CGVQM (docs/leaderboard.md); what is not there is left out and named."""
+    """Folder with the weight file of LPIPS (docs/leaderboard.md); without it that score is left out and named."""
     depth: Path | None = None
     """Folder of predicted or true depth maps CAMERA/FRAME.npy, for RMSE_depth."""
     flame_only: bool = False
@@ -92,14 +90,14 @@ def main(argv: list[str]) -> int:
         scores = evaluate(
             config.result,
             dataset,
-            config.order,
-            config.opacity,
-            config.images,
-            progress,
-            foreign,
-            config.align,
-            Extras(config.weights, config.depth, dis if config.published else None, config.disparity),
-            config.flame_only,
+            order=config.order,
+            opacity=config.opacity,
+            images=config.images,
+            progress=progress,
+            foreign=foreign,
+            align=config.align,
+            extras=Extras(config.weights, config.depth, dis if config.published else None, config.disparity),
+            flame_only=config.flame_only,
         )
     out = console()
     for table in (velocity_table(scores), picture_table(scores), published_table(scores)):

@@ -33,26 +33,32 @@ def _plate(folder: Path, name: str) -> Path:
 
 
 def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray:
-    """(H, W, 3) float32 display sRGB in [0, 1]: the view of a camera without flame, as the result knows it.
+    """Read the view of a camera without flame; arguments and result as in `own_plate`."""
+    return own_plate(dataset.static(camera), dataset.cameras[camera].name, result)
+
+
+def own_plate(static: np.ndarray, name: str, result: Path | None) -> np.ndarray:
+    """Read the view of a camera without flame, as the result knows it: (H, W, 3) float32 display sRGB in [0, 1].
 
     (H, W, 4) where the result knows of something that stands before the flame: the fourth value, 0..1, is how much of a
     pixel does.
 
     Args:
+        static: (H, W, 3) the dataset's plate, which it is where the result has none.
+        name: of the camera.
         result: file or folder of the result, None when there is none. Its plates may be smaller than the dataset's
             pictures; then what they add to the dataset's plate is enlarged, and the plate stays as sharp as it is.
     Raises:
         DataFormatError: a plate cannot be read, or is larger than the dataset's pictures.
     """
-    static = dataset.static(camera)
     if result is None:
         return static
-    path = _plate(result if result.is_dir() else result.parent, dataset.cameras[camera].name)
+    path = _plate(result if result.is_dir() else result.parent, name)
     if not path.is_file():
         return static
     height, width = static.shape[:2]
     remedy = (
-        f"pictures of {dataset.path} are {width}x{height}: score against the dataset that the result was made from, or "
+        f"the dataset's pictures are {width}x{height}: score against the dataset that the result was made from, or "
         "remove plates/ beside the result to use the dataset's"
     )
     stored = read_picture(path, most=height * width, unchanged=True, remedy=remedy)

@@ -92,7 +92,7 @@ def _area(covariance: np.ndarray) -> float:
 
 def _places(dataset: Dataset, rng: np.random.Generator) -> np.ndarray:
     """(M, 3) world m."""
-    flame = flame_grid(dataset)
+    flame = flame_grid(dataset.path, dataset.datum)
     if flame is not None:
         each = -(-PLACES // len(flame.times_s))
         places = np.concatenate([flame.places(float(time_s), each, rng) for time_s in flame.times_s])

@@ -1,6 +1,6 @@
 """The quadrature of `gof.evaluate.quadrature` on a gridded field, compiled: one kernel from Gaussians to expectations.
 
-Its plain twin is `quadrature.expected_velocity_plain`; both agree to float32 rounding (tested).
+Its plain twin is `expectation.expected_velocity_plain`; both agree to float32 rounding (tested).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from gof.core.fields import CHUNK, VelocityField
 from gof.evaluate.quadrature import Expectation, product_rule
-from gof.evaluate.sparse_grid import EDGE, FAR, Pool, StoredField, cell_ranges, parts, pool_of
+from gof.evaluate.sparse_grid import EDGE, FAR, Pool, StoredField, pools
 from gof.render.backend import Array4f, Float, Int, UInt, floats
 
 LAUNCH = 1 << 20  # Gaussians per launch: bounds memory at about 150 MB, whatever their number
@@ -33,18 +33,17 @@ def expected_velocity_on_grid(
         return result
     index = np.clip(field.to_index(position) - 0.5, -FAR, FAR)  # whole numbers are cell centres
     cell = np.floor(index).astype(np.int32)
-    low, high = cell_ranges(field, position, scale, np.abs(nodes).max())
+    resolution = field.resolution
 
-    def evaluate(part: np.ndarray, needed: np.ndarray) -> None:
-        pool = pool_of(field, needed)
+    def evaluate(part: np.ndarray, pool: Pool) -> None:
         cells = _to_device(pool.cells)
-        part = part[np.argsort(_brick_order(cell[part], field.resolution), kind="stable")]  # neighbours share the cache
+        part = part[np.argsort(_brick_order(cell[part], resolution), kind="stable")]  # neighbours share the cache
         for start in range(0, len(part), LAUNCH):
             rows = part[start : start + LAUNCH]
             mean, centre, outside = _kernel(
                 cells,
                 pool,
-                field.resolution,
+                resolution,
                 [Int(np.ascontiguousarray(c)) for c in cell[rows].T],
                 [floats(c) for c in (index[rows] - cell[rows]).T],
                 _axes(to_index, scale[rows], rotation[rows]),
@@ -54,8 +53,9 @@ def expected_velocity_on_grid(
             result.mean[rows], result.centre[rows] = mean.numpy()[:3].T, centre.numpy()[:3].T
             result.inside[rows] = np.maximum(1 - outside.numpy().astype(np.float64), 0)
 
-    for part, needed in parts(field, low, high, np.arange(len(position))):
-        evaluate(part, needed)  # a function, so that its pool is gone before the next one is made
+    for part, pool in pools(field, position, scale, np.abs(nodes).max()):
+        evaluate(part, pool)  # a function, so that what it put on the device is gone before the next pool is made
+        del pool
     return result
 
 

@@ -1,4 +1,4 @@
-"""Scores of pictures and videos: a result drawn at the held-out frames, against what the cameras saw."""
+"""Scores of pictures: a result drawn at the held-out frames, against what the cameras saw."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from gof.evaluate.depth import read_depth, rmse_to_map
 from gof.evaluate.image import psnr, ssim, temporal_l2
 from gof.evaluate.published import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
 from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore, PublishedFigures
-from gof.evaluate.video import VideoQuality, available, clip_length
 
 Progress = Callable[..., None]  # progress(done, total, stage=...)
 Weights = np.ndarray | None  # (H, W) what a pixel counts for, 0..1; None = all count
@@ -34,7 +33,7 @@ VISIBLE = 0.1  # opacity of a pixel from which on its depth counts
 class Extras:
     """Material for scores that need more than the dataset."""
 
-    weights: Path | None = None  # folder of weight files, for LPIPS and CGVQM
+    weights: Path | None = None  # folder of LPIPS' weight file
     depth: Path | None = None  # folder of CAMERA/FRAME.npy depth maps, for RMSE_depth
     flow: Flow | None = None  # optical flow, for the figures that the authors publish; None leaves them out
     disparity: Path | None = None  # folder of CAMERA/FRAME.npy maps of inverse depth, for their error of depth
@@ -42,23 +41,21 @@ class Extras:
 
 @dataclass(frozen=True)
 class FoundImageScores:
-    """`means` over pictures; `videos`: means over cameras by the name of the score; and what is behind them.
+    """`means` over pictures, and what is behind them.
 
     `published`: means of the authors' figures; None when not asked for.
     """
 
     means: PictureFigures
     published: PublishedFigures | None
-    videos: dict[str, float]
     images: ImageScores
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """Scores of one picture and of a video that can be computed here, and of the others why not."""
+    """Scores of one picture that can be computed here, and of the others why not."""
 
     picture: dict[str, Metric]
-    video: list[str]
     absent: list[str]
 
 
@@ -96,6 +93,8 @@ def timed(costs: dict[str, float], name: str) -> Iterator[None]:
 def image_scores(
     gaussians: MovingGaussians,
     dataset: Dataset,
+    known: np.ndarray,
+    plates: list[np.ndarray],
     backgrounds: list[Background],
     costs: dict[str, float],
     extras: Extras,
@@ -107,40 +106,30 @@ def image_scores(
     both pictures are faded to black there.
 
     Args:
+        known: (T,) bool, the frames that the result says something about.
+        plates: per camera, the dataset's fire-free picture.
         backgrounds: per camera, what the result is drawn over.
-        costs: seconds by part; "render", "images" and "video" are added.
+        costs: seconds by part; "render" and "images" are added.
     """
     metrics = _metrics(extras)
-    known = known_frames(gaussians, dataset)
-    frames = [k for k in _frames_to_draw(dataset, whole_clip=bool(metrics.video)) if known[k]]
+    frames = [k for k in _frames_to_draw(dataset) if known[k]]
     rows: list[PictureScore] = []
     published: list[PublishedFigures] = []
-    qualities: list[dict[str, float]] = []
     boards = [dataset.board_weight(number) for number in range(len(dataset.cameras))]
     for number, board in enumerate(boards):
-        view = View(number, backgrounds[number], dataset.static(number), board)
-        video = (
-            VideoQuality(metrics.video, clip_length(dataset.frame_time_s), extras.weights) if metrics.video else None
-        )
+        view = View(number, backgrounds[number], plates[number], board)
         for i, (frame, after) in enumerate(_with_next(_draw(gaussians, dataset, view, frames, extras, costs))):
             if frame.number in dataset.test_frames:
                 with timed(costs, "images"):
                     rows.append(_picture_score(dataset, view, frame, after, metrics, extras))
                     if extras.flow is not None and after is not None:
                         published.append(_published(dataset, view, frame, after, extras))
-            if video:
-                with timed(costs, "video"):
-                    video.add(_faded(frame.image, board), _faded(frame.truth, board))
             progress(number * len(frames) + i + 1, len(boards) * len(frames), stage="pictures")
-        if video:
-            with timed(costs, "video"):
-                qualities.append(video.scores())
     covered = [0.0 if board is None else float(1 - board.mean()) for board in boards]
     statistics = {name: _mean_and_spread([getattr(row, name) for row in rows]) for name in FIGURES}
     return FoundImageScores(
         means=PictureFigures(**{name: mean for name, (mean, _) in statistics.items()}),
         published=None if extras.flow is None else mean_figures(published),
-        videos={name: float(np.mean([quality[name] for quality in qualities])) for name in metrics.video},
         images=ImageScores(
             count=len(rows),
             absent=tuple(metrics.absent),
@@ -152,19 +141,12 @@ def image_scores(
     )
 
 
-def known_frames(gaussians: MovingGaussians, dataset: Dataset) -> np.ndarray:
-    """(T,) bool: the frames whose pictures all lie in the time for which a result has a state."""
-    first, last = gaussians.covered_s
-    clocks = np.array([dataset.times_s, *(dataset.camera_times_s(c) for c in range(len(dataset.cameras)))])
-    return ((clocks >= first - 1e-6) & (clocks <= last + 1e-6)).all(0)
-
-
 def _metrics(extras: Extras) -> Metrics:
     """What can be computed here."""
-    metrics = Metrics({"psnr": psnr, "ssim": ssim}, [], [])
+    metrics = Metrics({"psnr": psnr, "ssim": ssim}, [])
     optional: dict[str, Metric] = {"flip": perceptual.flip}
     if extras.weights is None:
-        metrics.absent.append("LPIPS and CGVQM: give --weights, the folder with their weight files")
+        metrics.absent.append("LPIPS: give --weights, the folder with its weight file")
     else:
         optional["lpips"] = lambda image, truth, weight: perceptual.lpips(
             _faded(image, weight), _faded(truth, weight), extras.weights
@@ -176,19 +158,12 @@ def _metrics(extras: Extras) -> Metrics:
             metrics.picture[name] = metric
         except MissingDependencyError as e:
             metrics.absent.append(str(e))
-    if extras.weights is not None:
-        try:
-            metrics.video.extend(available(extras.weights))
-        except MissingDependencyError as e:
-            metrics.absent.append(str(e))
     return metrics
 
 
-def _frames_to_draw(dataset: Dataset, whole_clip: bool) -> list[int]:
-    """Held-out frames and the ones after them; or the whole clip, since a video with gaps is another video."""
+def _frames_to_draw(dataset: Dataset) -> list[int]:
+    """Held-out frames and the ones after them."""
     count = len(dataset.times_s)
-    if whole_clip:
-        return list(range(count))
     return sorted({k for held_out in dataset.test_frames for k in (held_out, held_out + 1) if k < count})
 
 

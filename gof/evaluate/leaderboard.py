@@ -117,8 +117,6 @@ COLUMNS = {
     "lpips": Column("LPIPS", LOWER, ".4f", lambda result: result.scores.lpips),
     "flip": Column("FLIP", LOWER, ".4f", lambda result: result.scores.flip),
     "temporal_l2": Column("change L2", LOWER, ".3f", lambda result: result.scores.temporal_l2),
-    "cgvqm_2": Column("CGVQM-2", HIGHER, ".2f", lambda result: result.scores.cgvqm_2),
-    "cgvqm_5": Column("CGVQM-5", HIGHER, ".2f", lambda result: result.scores.cgvqm_5),
     "rmse_depth": Column("RMSE depth (m)", LOWER, ".3f", lambda result: result.scores.rmse_depth),
     "published_psnr_flame": Column("PSNR moving (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_flame)),
     "published_ssim_flame": Column("SSIM moving", HIGHER, ".3f", _published(lambda p: p.ssim_flame)),
@@ -169,8 +167,6 @@ class Row:
     lpips: float | None = None
     flip: float | None = None
     temporal_l2: float | None = None
-    cgvqm_2: float | None = None
-    cgvqm_5: float | None = None
     rmse_depth: float | None = None
     published_psnr_flame: float | None = None
     published_ssim_flame: float | None = None

@@ -1,10 +1,10 @@
-"""Perceptual image scores that need something extra: FLIP (a package), LPIPS (PyTorch and local weights)."""
+"""Perceptual image scores that need something extra: FLIP (a package), LPIPS (packages and one file of weights)."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,16 +12,7 @@ from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.evaluate.image import _mean, _pair
 from gof.host import extras
 
-TRUNK = "alexnet-owt-7be5be79.pth"  # torchvision's AlexNet, ImageNet-trained
-HEADS = "lpips_alex_v0.1.pth"  # of the lpips package, where it is called weights/v0.1/alex.pth
-LAYERS = (
-    (0, 3, 64, 11, 4, 2),
-    (3, 64, 192, 5, 1, 2),
-    (6, 192, 384, 3, 1, 1),
-    (8, 384, 256, 3, 1, 1),
-    (10, 256, 256, 3, 1, 1),
-)
-SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of inputs in [-1, 1]
+TRUNK = "alexnet-owt-7be5be79.pth"  # torchvision's AlexNet, ImageNet-trained, under the name that it is published by
 
 
 def flip(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
@@ -40,75 +31,47 @@ def flip(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
 
 
 def lpips(image: np.ndarray, truth: np.ndarray, weights: Path) -> float:
-    """LPIPS 0.1 with AlexNet (Zhang et al. 2018): distance of unit-normalised features of five layers; 0 is identical.
+    """LPIPS 0.1 with AlexNet (Zhang et al. 2018), by torchmetrics: distance of features of five layers; 0 is identical.
 
     Args:
         image, truth: (H, W, 3) display values in [0, 1], at least 32 px on each side.
-        weights: folder with `alexnet-owt-7be5be79.pth` and `lpips_alex_v0.1.pth` (the latter may come with the lpips
-            package).
+        weights: folder with `alexnet-owt-7be5be79.pth`; nothing is downloaded. The heads are torchmetrics' own.
     Raises:
-        MissingDependencyError: PyTorch or a weight file is absent (names it).
-        DataFormatError: a weight file holds something else, or the pictures are too small.
+        MissingDependencyError: PyTorch, torchvision, torchmetrics or the file is absent (names it).
+        DataFormatError: the file holds something else, or the pictures are too small.
     """
     image, truth = _pair(image, truth)
     if min(image.shape[:2]) < 32:
         raise DataFormatError(f"LPIPS needs pictures of at least 32 px on each side, got {image.shape[:2]}")
     torch = extras.load("torch", "torch", "LPIPS")
-    F = torch.nn.functional
-    trunk, heads = _weights(Path(weights))
+    network = _network(Path(weights))
+    pictures = torch.tensor(np.stack([image, truth]).transpose(0, 3, 1, 2), dtype=torch.float32)
     with torch.no_grad():
-        x = torch.tensor(np.stack([image, truth]).transpose(0, 3, 1, 2) * 2 - 1, dtype=torch.float32)
-        x = (x - torch.tensor(SHIFT)[:, None, None]) / torch.tensor(SCALE)[:, None, None]
-        total = 0.0
-        for i, (number, _, _, _, stride, padding) in enumerate(LAYERS):
-            if i in (1, 2):
-                x = F.max_pool2d(x, 3, 2)
-            x = F.relu(
-                F.conv2d(x, trunk[f"features.{number}.weight"], trunk[f"features.{number}.bias"], stride, padding)
-            )
-            unit = x / (x.norm(dim=1, keepdim=True) + 1e-10)
-            total += float(F.conv2d((unit[:1] - unit[1:]) ** 2, heads[f"lin{i}.model.1.weight"]).mean())
-    return total
+        return float(network(pictures[:1], pictures[1:], normalize=True))
 
 
-@lru_cache(maxsize=2)
-def _weights(folder: Path) -> tuple[dict, dict]:
-    heads = folder / HEADS
-    package = find_spec("lpips")
-    if not heads.is_file() and package and package.origin:
-        heads = Path(package.origin).parent / "weights" / "v0.1" / "alex.pth"
-    return (
-        load_weights(
-            folder / TRUNK,
-            {f"features.{n}.weight": (o, c, k, k) for n, c, o, k, _, _ in LAYERS}
-            | {f"features.{n}.bias": (o,) for n, _, o, _, _, _ in LAYERS},
-            "torchvision's AlexNet",
-            "LPIPS",
-        ),
-        load_weights(
-            heads,
-            {f"lin{i}.model.1.weight": (1, o, 1, 1) for i, (_, _, o, _, _, _) in enumerate(LAYERS)},
-            "weights/v0.1/alex.pth of the lpips package, under this name",
-            "LPIPS",
-        ),
-    )
-
-
-def load_weights(path: Path, shapes: dict[str, tuple], what: str, score: str) -> dict:
-    """Tensors of a PyTorch state file by name, float32, with exactly these shapes; others in the file are ignored.
-
-    Raises:
-        MissingDependencyError: the file is absent.   DataFormatError: it holds something else.
-    """
+@lru_cache(maxsize=1)
+def _network(folder: Path) -> Any:
+    """torchmetrics' network of LPIPS with AlexNet's weights from a folder."""
     import torch
 
+    path = folder / TRUNK
     if not path.is_file():
-        raise MissingDependencyError(f"{score}: {path} is absent ({what}); put it there, gof downloads nothing")
+        raise MissingDependencyError(
+            f"LPIPS: {path} is absent (torchvision's AlexNet); put it there, gof downloads nothing"
+        )
+    try:
+        extras.load("torchvision", "lpips", "LPIPS")
+    except RuntimeError as e:  # its operators are of another build of PyTorch
+        raise MissingDependencyError(f"LPIPS needs a build of torchvision that fits this PyTorch ({e})") from e
+    network = extras.load("torchmetrics.functional.image.lpips", "lpips", "LPIPS")._LPIPS(pnet_rand=True)
+    # "net.slice2.3.weight" is torchvision's "features.3.weight"
+    trunk = {name: "features." + name.split(".", 2)[2] for name in network.state_dict() if name.startswith("net.")}
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-        found = {name: tuple(state[name].shape) for name in shapes}
-    except Exception as e:
-        raise DataFormatError(f"{path}: not the weights of {what} ({type(e).__name__}: {str(e)[:100]})") from e
-    if found != shapes:
-        raise DataFormatError(f"{path}: layers have other shapes than {what}")
-    return {name: state[name].float() for name in shapes}
+        network.load_state_dict({ours: state[theirs] for ours, theirs in trunk.items()}, strict=False)
+    except Exception as e:  # damaged files raise anything
+        raise DataFormatError(
+            f"{path}: not the weights of torchvision's AlexNet ({type(e).__name__}: {str(e)[:100]})"
+        ) from e
+    return network

@@ -59,7 +59,7 @@ def published_figures(frame: PublishedFrame, flow: Flow, weights: Path | None) -
     """The six of one picture; None where one is undefined (nothing moves) or its material is not there.
 
     Args:
-        weights: folder of LPIPS' weight files, or None.
+        weights: folder of LPIPS' weight file, or None.
     """
     still = np.zeros(frame.truth.shape[:2], bool) if frame.board is None else frame.board
     flame = moving(frame.truth, frame.after, flow) & ~still

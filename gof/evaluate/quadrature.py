@@ -1,4 +1,4 @@
-"""Expected value of a velocity field under anisotropic 3D Gaussians, by a Gauss-Hermite product rule."""
+"""The Gauss-Hermite product rule for expectations under 3D Gaussians; what it asks of a field, and what it gives."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
 from gof.core.errors import GofError
-from gof.core.rotations import rotation_matrices
 
 ORDERS = (1, 3, 5, 7)
-CHUNK_POINTS = 1 << 15  # quadrature points held at once; small enough for a cache, which is worth a factor of two
 
 
 class VelocityLike(Protocol):
@@ -55,31 +53,3 @@ def product_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
     nodes = np.stack(np.meshgrid(node, node, node, indexing="ij"), -1).reshape(-1, 3)
     weights = (weight[:, None, None] * weight[None, :, None] * weight[None, None, :]).ravel()
     return nodes, weights
-
-
-def expected_velocity_plain(
-    field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, order: int = 3
-) -> Expectation:
-    """E[V(x)] as `gof.evaluate.expectation` says, in numpy float64, for any field.
-
-    Holds about CHUNK_POINTS points at a time, whatever M is.
-    """
-    nodes, weights = product_rule(order)
-    count = len(position)
-    result = Expectation.empty(count)
-    corners = np.flatnonzero((np.abs(nodes) == np.abs(nodes).max()).all(1))
-    step = max(1, CHUNK_POINTS // len(nodes))
-    for start in range(0, count, step):
-        rows = slice(start, min(start + step, count))
-        axes = rotation_matrices(rotation[rows]) * scale[rows, None, :]  # columns: own axes times std-dev
-        offsets = (axes.reshape(-1, 3) @ nodes.T).reshape(-1, 3, len(nodes))
-        points = np.ascontiguousarray(np.moveaxis(position[rows, :, None] + offsets, 2, 1))
-        velocity = field.sample(points.reshape(-1, 3)).reshape(-1, len(nodes), 3)
-        result.mean[rows] = np.matmul(weights, velocity)
-        result.centre[rows] = velocity[:, len(nodes) // 2]
-        # the domain is convex: when the corner nodes are inside, all are
-        partial = ~field.contains(points[:, corners].reshape(-1, 3)).reshape(-1, len(corners)).all(1)
-        if partial.any():
-            inside = field.contains(points[partial].reshape(-1, 3)).reshape(-1, len(nodes))
-            result.inside[start + np.flatnonzero(partial)] = inside @ weights
-    return result

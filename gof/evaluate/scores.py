@@ -15,7 +15,7 @@ from gof.core.errors import DataFormatError
 from gof.core.files import without_place
 from gof.core.records import read_record, write_record
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
-from gof.evaluate.gradients import GradientErrors
+from gof.evaluate.emission import GradientErrors
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
 from gof.io.importers.source import WorldBy
@@ -245,7 +245,6 @@ class Scores(PictureFigures):
         warnings: hints that something is in other units or another world, or missing.
         dve: None when the dataset has no true velocity.
         controls: by name (`gof.evaluate.controls.CONTROLS`); empty without `dve`.
-        cgvqm_2, cgvqm_5: quality of the whole videos, mean over cameras; None without weights.
         published: means over the held-out pictures; None when not asked for.
         images: None when pictures were not asked for.
         costs: seconds by part.
@@ -261,8 +260,6 @@ class Scores(PictureFigures):
     warnings: tuple[str, ...] = ()
     dve: VelocityScore | None = None
     controls: dict[str, ControlScore] = field(default_factory=dict)
-    cgvqm_2: float | None = None
-    cgvqm_5: float | None = None
     published: PublishedFigures | None = None
     images: ImageScores | None = None
     costs: dict[str, float] = field(default_factory=dict)

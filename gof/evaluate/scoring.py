@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gof.core.errors import DataFormatError
+from gof.core.fields import VelocitySequence
 from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom, leaks
-from gof.dataset.plates import background
+from gof.dataset.plates import own_plate
 from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import DVESequence, Opacity
-from gof.evaluate.emission import EmissionScore, flame_grid, score_on_emission
-from gof.evaluate.gradients import GradientErrors, score_gradients
-from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, known_frames, timed
+from gof.evaluate.emission import EmissionScore, GradientErrors, flame_grid, score_flame
+from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, timed
 from gof.evaluate.scores import (
     Agreement,
     ControlScore,
@@ -48,7 +50,7 @@ def evaluate(
     extras: Extras | None = None,
     flame_only: bool = False,
 ) -> Scores:
-    """All scores of a result.
+    """Compute all scores of a result.
 
     Pictures: every held-out frame of every camera. Our own results without static Gaussians are flames before a plate:
     their own (`gof.dataset.plates`), else the dataset's fire-free one. Everybody else's are drawn as they are, over
@@ -57,8 +59,8 @@ def evaluate(
     a true velocity field.
 
     Args:
-        result: file or folder of any known method (gof.io.importers), or the Gaussians. Nobody says whose those in
-            memory are: `TransientGaussians` count as ours, trajectories and functions of time do not.
+        result: file or folder of any known method (gof.io.importers), or the Gaussians. Of those in memory,
+            `TransientGaussians` count as ours, trajectories and functions of time do not.
         dataset: what it was made from.
         order, opacity: of `dve`.
         images: also render and score pictures.
@@ -66,7 +68,7 @@ def evaluate(
         foreign: what a foreign result does not say; its frame time is the dataset's unless given.
         align: cameras of the method's own world (see `read_cameras`); the result is moved by the similarity that maps
             them onto the dataset's.
-        extras: material for LPIPS, CGVQM and RMSE_depth; without it they are named as absent.
+        extras: material for LPIPS and RMSE_depth; without it they are named as absent.
         flame_only: the result of another method is a flame without its surroundings: draw it over plates too.
     Raises:
         GofError: see `dve_sequence`.   DataFormatError: a file is damaged.
@@ -75,42 +77,43 @@ def evaluate(
     progress = progress or (lambda *a, **k: None)
     with timed(costs, "load"):
         gaussians, origin = _load(result, dataset, foreign or ImportOptions(), align)
-    made_from = _made_from(result)
-    partly = _partly(gaussians, dataset)
-    scores = Scores(
+    known = known_frames(gaussians, dataset)
+    warnings = _partly(gaussians, known, dataset.test_frames)
+    own = result if isinstance(result, Path) else None
+    made_from = None if own is None else MadeFrom.read(own if own.is_dir() else own.parent)
+    figures: dict[str, Any] = {}
+    if dataset.has_velocity:
+        with timed(costs, "dve"):
+            truth, flame = dataset.velocity, flame_grid(dataset.path, dataset.datum)
+            sequence = dve_sequence(
+                gaussians, truth, _scored_times(truth, dataset), order, opacity, progress=partial(progress, stage="DVE")
+            )
+            times_s = np.array(sequence.times_s)
+            shine = None if flame is None else score_flame(gaussians, truth, flame, times_s, progress)
+        figures["dve"] = _velocity_score(sequence, dataset.datum.time_s, order, opacity, shine)
+        figures["controls"] = {name: _control_score(name, control) for name, control in sequence.controls.items()}
+        warnings += sanity_warnings(sequence)
+    else:
+        warnings.append("the dataset has no true velocity field, so there is no DVE")
+    warnings += _leak_warnings(made_from, dataset.test_frames)
+    if images:
+        origin = _drawn_as(origin, gaussians, flame_only)
+        plates = [dataset.static(k) for k in range(len(dataset.cameras))]
+        names = [camera.name for camera in dataset.cameras]
+        behind = [own_plate(*of, own) if origin.over_plates else BLACK for of in zip(plates, names, strict=True)]
+        if not dataset.test_frames:
+            warnings.append(NO_PICTURES)
+        found = image_scores(gaussians, dataset, known, plates, behind, costs, extras or Extras(), progress)
+        figures |= asdict(found.means) | {"published": found.published, "images": found.images}
+    return Scores(
         gaussians=len(gaussians),
         dynamic_gaussians=int(np.count_nonzero(gaussians.dynamic)),
         import_=origin,
         flow_prior=None if made_from is None else "flow_prior" in made_from.learned,
-        warnings=partly,
+        warnings=tuple(warnings),
+        costs={name: round(seconds, 3) for name, seconds in costs.items()},
+        **figures,
     )
-    if dataset.has_velocity:
-        with timed(costs, "dve"):
-            sequence = _dve(gaussians, dataset, order, opacity, progress)
-            emission = _emission(gaussians, dataset, sequence.times_s, progress)
-            gradients = _gradients(gaussians, dataset, sequence.times_s, progress)
-        scores = replace(
-            scores,
-            dve=_velocity_score(sequence, dataset.datum.time_s, order, opacity, emission, gradients),
-            controls={name: _control_score(name, control) for name, control in sequence.controls.items()},
-            warnings=(*partly, *sanity_warnings(sequence)),
-        )
-    else:
-        scores = replace(scores, warnings=(*partly, "the dataset has no true velocity field, so there is no DVE"))
-    scores = replace(scores, warnings=(*scores.warnings, *_leak_warnings(made_from, dataset)))
-    if images:
-        origin = replace(origin, over_plates=is_flame_alone(gaussians, origin.method, flame_only))
-        if not origin.over_plates and origin.method not in OURS:
-            said = "pictures are those of its Gaussians alone, over black; --flame-only draws a flame over the plates"
-            origin = replace(origin, notes=(*origin.notes, said))
-        scores = replace(scores, import_=origin)
-        own = result if isinstance(result, Path) else None
-        plates = [background(dataset, k, own) if origin.over_plates else BLACK for k in range(len(dataset.cameras))]
-        if not dataset.test_frames:
-            scores = replace(scores, warnings=(*scores.warnings, NO_PICTURES))
-        found = image_scores(gaussians, dataset, plates, costs, extras or Extras(), progress)
-        scores = replace(scores, **asdict(found.means), **found.videos, published=found.published, images=found.images)
-    return replace(scores, costs={name: round(seconds, 3) for name, seconds in costs.items()})
 
 
 # ---------------------------------------------------------------- the result
@@ -119,6 +122,14 @@ def evaluate(
 def is_flame_alone(gaussians: MovingGaussians, method: str, flame_only: bool) -> bool:
     """Whether a result is drawn over plates: ours without static Gaussians, and others that say they are flames."""
     return bool(gaussians.dynamic.all()) and (flame_only or method in OURS)
+
+
+def _drawn_as(origin: Origin, gaussians: MovingGaussians, flame_only: bool) -> Origin:
+    """The origin with what its pictures are drawn over, and a note where that may be another than was thought of."""
+    over_plates = is_flame_alone(gaussians, origin.method, flame_only)
+    said = "pictures are those of its Gaussians alone, over black; --flame-only draws a flame over the plates"
+    notes = origin.notes if over_plates or origin.method in OURS else (*origin.notes, said)
+    return replace(origin, over_plates=over_plates, notes=notes)
 
 
 def _load(
@@ -146,41 +157,38 @@ def _load(
     return gaussians.transformed(found.matrix), origin
 
 
-def _made_from(result: Path | MovingGaussians) -> MadeFrom | None:
-    """What a result of ours was made from; None where its folder does not say."""
-    if not isinstance(result, Path):
-        return None
-    return MadeFrom.read(result if result.is_dir() else result.parent)
-
-
-def _leak_warnings(made_from: MadeFrom | None, dataset: Dataset) -> list[str]:
+def _leak_warnings(made_from: MadeFrom | None, held_out: list[int]) -> list[str]:
     """What a result learned from that is held out here, in words."""
-    found = leaks(made_from.files if made_from else {}, dataset.test_frames).values()
+    found = leaks(made_from.files if made_from else {}, held_out).values()
     frames = sorted({frame for frames in found for frame in frames})
     said = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"
     return [said] if frames else []
 
 
-def _partly(gaussians: MovingGaussians, dataset: Dataset) -> tuple[str, ...]:
-    """A warning where a result says something about a part of the clip alone."""
-    known = known_frames(gaussians, dataset)
-    if known.all():
-        return ()
+def known_frames(gaussians: MovingGaussians, dataset: Dataset) -> np.ndarray:
+    """Find the frames, (T,) bool, whose pictures all lie in the time for which a result has a state."""
     first, last = gaussians.covered_s
-    held_out = dataset.test_frames
-    return (
+    clocks = np.array([dataset.times_s, *(dataset.camera_times_s(c) for c in range(len(dataset.cameras)))])
+    return ((clocks >= first - 1e-6) & (clocks <= last + 1e-6)).all(0)
+
+
+def _partly(gaussians: MovingGaussians, known: np.ndarray, held_out: list[int]) -> list[str]:
+    """A warning where a result says something about a part of the clip alone: of `known` (T,) frames."""
+    if known.all():
+        return []
+    first, last = gaussians.covered_s
+    return [
         f"the result covers {first:g}..{last:g} s, {known.sum()} of the clip's {len(known)} frames and "
         f"{known[held_out].sum()} of its {len(held_out)} held-out ones, and is scored there alone: these are no scores "
-        "of the clip",
-    )
+        "of the clip"
+    ]
 
 
 # ---------------------------------------------------------------- its velocities
 
 
-def _dve(gaussians: MovingGaussians, dataset: Dataset, order: int, opacity: Opacity, progress: Progress) -> DVESequence:
-    """DVE of the frames of the velocity store that lie in the clip, half a frame's time around it included."""
-    truth = dataset.velocity
+def _scored_times(truth: VelocitySequence, dataset: Dataset) -> np.ndarray:
+    """(K,) s: the frames of the velocity store that lie in the clip, half a frame's time around it included."""
     slack = dataset.frame_time_s / 2
     in_clip = (truth.times_s >= dataset.times_s[0] - slack) & (truth.times_s <= dataset.times_s[-1] + slack)
     if not in_clip.any():
@@ -188,29 +196,10 @@ def _dve(gaussians: MovingGaussians, dataset: Dataset, order: int, opacity: Opac
             f"{dataset.path}: the velocity store covers {truth.times_s[0]:g}..{truth.times_s[-1]:g} s, the "
             f"clip {dataset.times_s[0]:g}..{dataset.times_s[-1]:g} s: their clocks do not overlap"
         )
-    return dve_sequence(
-        gaussians,
-        truth,
-        truth.times_s[in_clip],
-        order,
-        opacity,
-        progress=lambda done, total: progress(done, total, stage="DVE"),
-    )
+    return truth.times_s[in_clip]
 
 
-def _emission(
-    gaussians: MovingGaussians, dataset: Dataset, times_s: list[float], progress: Progress
-) -> EmissionFigures | None:
-    flame = flame_grid(dataset)
-    if flame is None:
-        return None
-    found: EmissionScore = score_on_emission(
-        gaussians,
-        dataset.velocity,
-        flame,
-        np.array(times_s),
-        progress=lambda done, total: progress(done, total, stage="on emission"),
-    )
+def _emission_figures(found: EmissionScore) -> EmissionFigures:
     return EmissionFigures(
         l2=found.score.l2,
         cos_sim=found.score.cos_sim,
@@ -220,21 +209,6 @@ def _emission(
         undefined=found.score.undefined,
         uncovered=found.uncovered,
         constant=Agreement.of(found.constant),
-    )
-
-
-def _gradients(
-    gaussians: MovingGaussians, dataset: Dataset, times_s: list[float], progress: Progress
-) -> GradientErrors | None:
-    flame = flame_grid(dataset)
-    if flame is None:
-        return None
-    return score_gradients(
-        gaussians,
-        dataset.velocity,
-        flame,
-        np.array(times_s),
-        progress=lambda done, total: progress(done, total, stage="gradients"),
     )
 
 
@@ -260,8 +234,7 @@ def _velocity_score(
     zero_s: float,
     order: int,
     opacity: Opacity,
-    emission: EmissionFigures | None,
-    gradients: GradientErrors | None,
+    shine: tuple[EmissionScore, GradientErrors] | None,
 ) -> VelocityScore:
     frames = zip(sequence.times_s, sequence.frames, strict=True)
     controls = ((name, sequence.controls.get(name)) for name in CONTROLS)
@@ -275,6 +248,6 @@ def _velocity_score(
         within_sd=sequence.within_sd,
         order=order,
         opacity=opacity,
-        on_emission=emission,
-        gradients=gradients,
+        on_emission=None if shine is None else _emission_figures(shine[0]),
+        gradients=None if shine is None else shine[1],
     )

@@ -122,6 +122,18 @@ def cell_ranges(
     return cell - reach, cell + reach
 
 
+def pools(
+    field: VelocityField | StoredField, position: np.ndarray, scale: np.ndarray, outermost: float
+) -> Iterator[tuple[np.ndarray, Pool]]:
+    """Rows of Gaussians, (K,) numbers, with the pool that answers for all their nodes; arguments as in `cell_ranges`.
+
+    Whoever takes them lets go of a pool before asking for the next one: both at once would be the peak of the memory.
+    """
+    low, high = cell_ranges(field, position, scale, outermost)
+    for rows, needed in parts(field, low, high, np.arange(len(position))):
+        yield rows, pool_of(field, needed)
+
+
 def touched_chunks(field: VelocityField | StoredField, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """(bricks per axis) bool: the chunks that any of the cell ranges low..high, (M, 3) whole numbers, reaches into."""
     size = np.array(field.resolution)

@@ -17,10 +17,9 @@ from gof.dataset import Dataset
 from gof.dataset.leaks import FILE as MADE_FROM
 from gof.dataset.leaks import MadeFrom, leaks
 from gof.evaluate.image import psnr
-from gof.evaluate.image_scores import known_frames
+from gof.evaluate.intervals import over_frames
 from gof.evaluate.scores import Scores
-from gof.evaluate.scoring import evaluate
-from gof.evaluate.statistics import over_frames
+from gof.evaluate.scoring import evaluate, known_frames
 from gof.evaluate.submission import Run, Shown, Submission, draw, picture_file, read_again
 from gof.evaluate.suite_board import beyond_sense, too_good
 from gof.evaluate.training_curve import FILE as CURVE

@@ -1,7 +1,7 @@
 """Methods side by side over the scenes of a suite: means, how sure they are, and who cannot be told from whom.
 
 A figure of a method is the mean over a scene's frames, over its runs there, and over scenes. Two methods are compared
-on the same frames of the same scenes, difference by difference (`gof.evaluate.statistics`).
+on the same frames of the same scenes, difference by difference (`gof.evaluate.intervals`).
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from gof.evaluate.eddy_time import EddyTime
+from gof.evaluate.intervals import Estimate, over_frames, over_runs, over_scenes, ranks
 from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import FIGURES, Scores
-from gof.evaluate.statistics import Estimate, over_frames, over_runs, over_scenes, ranks
 from gof.evaluate.training_curve import TrainingCurve
 
 RANKED = ("l2", "cos_sim", "psnr_flame", "ssim_flame")  # figures that every frame has

@@ -45,7 +45,7 @@ WEIGHTS = {
         "gof reconstruct --flow memfof --flow-weights",
     ),
     "scores": (
-        "LPIPS and CGVQM (docs/leaderboard.md names the files); without them these two scores are left out",
+        "LPIPS (docs/leaderboard.md names the file); without it this score is left out",
         "gof evaluate --weights",
     ),
 }

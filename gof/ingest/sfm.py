@@ -89,7 +89,7 @@ def solve(
         if len(clips) > 1:
             _write_features(pycolmap, work, database, files, features)
         best = _largest_model(pycolmap, work, database) if mapped else None
-    poses = _registered_poses(best, files)
+    poses = _registered_poses(best)
     figures = FeatureFigures(
         keypoints={n: len(k) for n, k in zip(names, features.keypoints, strict=True)},
         matches={f"{names[i]}-{names[j]}": len(m) for (i, j), m in features.matches.items()},
@@ -267,7 +267,7 @@ def _doubts(pycolmap: ModuleType, model: Any, lens: Lens) -> tuple[str, ...]:
     )
 
 
-def _registered_poses(model: Any | None, files: list[str]) -> dict[str, np.ndarray]:
+def _registered_poses(model: Any | None) -> dict[str, np.ndarray]:
     """(4, 4) world to camera of every registered picture, by its name."""
     poses = {}
     for image in model.images.values() if model is not None else ():

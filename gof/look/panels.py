@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.core.harmonics import plain_color
-from gof.evaluate.weighted import weighted_quantile
+from gof.evaluate.intervals import weighted_quantile
 from gof.look.images import BETWEEN, GAP, INFERNO, VIRIDIS, mapped, side_by_side, to_bytes
 from gof.look.path import Shot
 from gof.look.velocity import GROUND, ScreenVelocity, draw, legend, living, sideways_velocity

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from gof.core.gaussians import TransientGaussians
-from gof.evaluate.weighted import weighted_quantile
+from gof.evaluate.intervals import weighted_quantile
 from gof.look.charts import FAINT, Chart, stream_chart
 
 CELLS = 72  # along the longest side of the box

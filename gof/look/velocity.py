@@ -17,7 +17,7 @@ from gof.core.colour import direction_colors
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.expectation import expected_velocity
-from gof.evaluate.weighted import weighted_quantile
+from gof.evaluate.intervals import weighted_quantile
 
 GROUND = np.array([0.11, 0.11, 0.12])  # display colour where nothing is
 ARROWS_ACROSS = 14

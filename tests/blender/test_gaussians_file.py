@@ -90,7 +90,7 @@ def test_a_capture_far_from_zero_is_measured_from_the_datum(tmp_path):
     """Blender knows float32 alone: its cameras stand where the library's do."""
     from gof.core.description import DatasetDescription
     from gof.dataset import Dataset
-    from gof_benchmark.evidence.far_from_zero import moved_copy
+    from tests.moved_dataset import moved_copy
     from tests.reconstruct.rising_flame import write_flame
 
     folder = moved_copy(

@@ -17,13 +17,13 @@ from dataclasses import replace
 from pathlib import Path
 import bpy
 import numpy as np
-from gof_benchmark.evidence import velocity_truth
 from gof_blender.scene import mantaflow
 from gof_blender.scene import velocity
+from tests.blender import smoke_transport
 
 mantaflow.enable()
 folder, data_format = Path(sys.argv[1]), sys.argv[2]
-domain, emitter = velocity_truth.build_puff(replace(velocity_truth.CASES["plain"], resolution=16), folder / "cache")
+domain, emitter = smoke_transport.build_puff(replace(smoke_transport.CASES["plain"], resolution=16), folder / "cache")
 settings = domain.modifiers["Fluid"].domain_settings
 settings.cache_data_format = data_format
 settings.cache_frame_end = bpy.context.scene.frame_end = 5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gof.core.fields import VelocitySequence
-from gof_benchmark.evidence import velocity_truth
+from tests.blender import smoke_transport
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def folder(tmp_path_factory):
 @pytest.mark.timeout(240)  # 6 s each on two free cores
 @pytest.mark.parametrize("case", ["plain", "slow_50fps_2m"])
 def test_exported_velocity_moves_the_smoke(folder, case):
-    result = velocity_truth.measure(velocity_truth.run_case(case, folder))
+    result = smoke_transport.measure(smoke_transport.run_case(case, folder))
     assert result.largest_motion_cells > 0.05  # else every factor would fit
     factors, shifts = result.factors, result.shifts
     for wrong in (0.5, 0.8, 1.25, 2.0):
@@ -36,9 +36,9 @@ def test_exported_velocity_moves_the_smoke(folder, case):
 def test_posed_domain_gives_the_turned_field(folder):
     """A turned, moved domain with unapplied scale holds the same flow, seen in world axes."""
     plain, posed = (
-        VelocitySequence.open(velocity_truth.run_case(name, folder) / "velocity.zarr") for name in ("plain", "posed")
+        VelocitySequence.open(smoke_transport.run_case(name, folder) / "velocity.zarr") for name in ("plain", "posed")
     )
-    case = velocity_truth.CASES["posed"]
+    case = smoke_transport.CASES["posed"]
     x, y, z = np.radians(case.rotation_deg)
     turn_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
     turn_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
@@ -59,7 +59,7 @@ def test_posed_domain_gives_the_turned_field(folder):
 def test_twin_moves_by_whole_cells_exactly():
     grid = np.zeros((12, 10, 11))
     grid[3:6, 4:6, 4:7] = np.random.default_rng(0).uniform(size=(3, 2, 3))
-    moved = velocity_truth.advect(grid, np.broadcast_to([2.0, 1.0, -1.0], (*grid.shape, 3)))
+    moved = smoke_transport.advect(grid, np.broadcast_to([2.0, 1.0, -1.0], (*grid.shape, 3)))
     assert np.allclose(moved, np.roll(grid, (2, 1, -1), (0, 1, 2)), atol=1e-12)
 
 
@@ -67,5 +67,5 @@ def test_twin_keeps_the_range_and_survives_large_steps():
     rng = np.random.default_rng(1)
     grid = rng.uniform(size=(9, 8, 7))
     for size in (0.3, 3.0, 1e6):
-        moved = velocity_truth.advect(grid, rng.normal(scale=size, size=(9, 8, 7, 3)))
+        moved = smoke_transport.advect(grid, rng.normal(scale=size, size=(9, 8, 7, 3)))
         assert np.isfinite(moved).all() and moved.min() >= 0 and moved.max() <= 1

@@ -16,7 +16,7 @@ from gof.commands.cli import main as gof
 from gof.core.errors import DataFormatError
 from gof.dataset import Dataset
 from gof.footage.pictures import write_picture
-from gof_benchmark.evidence.capture_accuracy import errors
+from tests.capture.rendered_clips import errors
 from tests.conftest import look_at, write_dataset
 
 BOARD = BoardTemplate.load("gof_board")

@@ -9,7 +9,7 @@ from gof.capture.board_points import points_on
 from gof.capture.decode import DecodeOptions
 from gof.capture.sync import synchronise
 from gof.capture.template import BoardTemplate
-from gof_benchmark.evidence.capture_accuracy import MARKED
+from tests.capture.marked_views import MARKED
 
 pytestmark = pytest.mark.long
 

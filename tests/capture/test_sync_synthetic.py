@@ -13,7 +13,7 @@ from gof.capture.synthetic import SyntheticShot, lit_share, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.commands.cli import main as gof
 from gof.footage.pictures import write_picture
-from gof_benchmark.evidence.capture_accuracy import errors, measure, signals_of
+from tests.capture.rendered_clips import errors, measure, signals_of
 
 pytestmark = pytest.mark.long
 

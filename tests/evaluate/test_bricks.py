@@ -7,9 +7,8 @@ from gof.core.errors import DataFormatError
 from gof.core.fields import CHUNK, VelocityField, VelocitySequence
 from gof.evaluate import dve_sequence
 from gof.evaluate import sparse_grid as bricks
-from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.expectation import expected_velocity, expected_velocity_plain
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
-from gof.evaluate.quadrature import expected_velocity_plain
 from gof.evaluate.sparse_grid import StoredField, cell_ranges, pool_of, touched_chunks
 from tests.evaluate.analytic import Sequence, make_gaussians
 
@@ -70,12 +69,11 @@ def test_parts_do_not_change_the_answer(store, monkeypatch):
     whole = expected_velocity_on_grid(StoredField(store, 0.0), *shape_of(g), 3)
     monkeypatch.setattr(bricks, "POOL_BYTES", 3 * bricks.EDGE**3 * 16)
     sizes = []
-    monkeypatch.setattr("gof.evaluate.grid_quadrature.pool_of", lambda *a: sizes.append(pool_of(*a)) or sizes[-1])
+    monkeypatch.setattr(bricks, "pool_of", lambda *a: sizes.append(pool_of(*a)) or sizes[-1])
     for a, b in zip(whole, expected_velocity_on_grid(StoredField(store, 0.0), *shape_of(g), 3), strict=True):
         np.testing.assert_array_equal(a, b)
     assert len(sizes) > 3
     points, read = np.random.default_rng(2).uniform(-0.8, 0.8, (2000, 3)), len(sizes)
-    monkeypatch.setattr(bricks, "pool_of", lambda *a: sizes.append(pool_of(*a)) or sizes[-1])
     np.testing.assert_allclose(StoredField(store, 0.0).sample(points), store.at(0.0).sample(points), atol=1e-6)
     assert len(sizes) > read + 3 and max(p.held.sum() for p in sizes) < 18
 

@@ -31,6 +31,26 @@ def write_grid(path, flame, quantity="flame"):
     return path
 
 
+def with_a_flame_grid(folder):
+    """The dataset of `flame_dataset` with a grid that says that a column of 0.3 m burns evenly. Returns the folder."""
+    dataset = Dataset.open(folder)
+    attributes = {
+        "schema": "gof-grid",
+        "version": 1,
+        "quantity": "flame",
+        "index_to_world": dataset.velocity.index_to_world.tolist(),
+        "time_s": dataset.velocity.times_s.tolist(),
+    }
+    array = ZarrArray.create(folder / "grids/flame.zarr", (9, 32, 32, 32), (1, 64, 64, 64), "float32", attributes)
+    for frame in range(9):
+        array.write(frame, np.broadcast_to(np.where(distance_from_axis(dataset) < 0.15, 0.7, 0), (32, 32, 32)))
+    return folder
+
+
+def distance_from_axis(dataset):
+    return np.linalg.norm(dataset.velocity.at(0.0).cell_centers()[..., :2], axis=-1)
+
+
 @pytest.fixture
 def column(tmp_path):
     """A column of 0.5 m that burns evenly from 1 m to 3 m, in V = (0, 0, z) (1 + t)."""
@@ -161,24 +181,14 @@ def test_in_evaluate(tmp_path):
     truth = flame_dataset(tmp_path / "data")
     dataset = Dataset.open(tmp_path / "data")
     assert evaluate(truth, dataset, images=False).dve.on_emission is None
-    r = np.linalg.norm(dataset.velocity.at(0.0).cell_centers()[..., :2], axis=-1)
-    attributes = {
-        "schema": "gof-grid",
-        "version": 1,
-        "quantity": "flame",
-        "index_to_world": dataset.velocity.index_to_world.tolist(),
-        "time_s": dataset.velocity.times_s.tolist(),
-    }
-    path = tmp_path / "data/grids/flame.zarr"
-    array = ZarrArray.create(path, (9, 32, 32, 32), (1, 64, 64, 64), "float32", attributes)
-    for frame in range(9):
-        array.write(frame, np.broadcast_to(np.where(r < 0.15, 0.7, 0), (32, 32, 32)))
+    with_a_flame_grid(tmp_path / "data")
     scores = evaluate(truth, dataset, images=False)
     on = scores.dve.on_emission
     assert 0.1 < on.uncovered < 0.6 and on.n == 9 * 1024  # the column goes on where no Gaussian is
     # right where there are Gaussians, zero elsewhere: what is wrong is the missing part of the truth
     assert on.cos_sim == pytest.approx(1 - on.uncovered, abs=0.01)
     assert on.l2**2 == pytest.approx(1 - on.speed_ratio, abs=0.01)
+    r = distance_from_axis(dataset)
     flow = plume(dataset.velocity.at(0.0).cell_centers()[r < 0.15])
     best_vector = np.sqrt(1 - (flow.mean(0) ** 2).sum() / (flow**2).sum(1).mean())
     assert on.constant.l2 == pytest.approx(best_vector, rel=0.02)

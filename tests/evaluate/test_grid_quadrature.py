@@ -5,9 +5,8 @@ import pytest
 
 from gof.core.fields import VelocityField
 from gof.evaluate import quadrature
-from gof.evaluate.expectation import COMPILED_FROM, expected_velocity
+from gof.evaluate.expectation import COMPILED_FROM, expected_velocity, expected_velocity_plain
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
-from gof.evaluate.quadrature import expected_velocity_plain
 from tests.evaluate.analytic import make_gaussians
 
 

@@ -1,5 +1,9 @@
 """Depth, change between frames, FLIP and LPIPS."""
 
+import sys
+import types
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,7 +12,7 @@ from gof.dataset import Dataset
 from gof.evaluate import Extras, evaluate
 from gof.evaluate.depth import read_depth, rmse_depth
 from gof.evaluate.image import temporal_l2
-from gof.evaluate.perceptual import HEADS, LAYERS, TRUNK, flip, lpips
+from gof.evaluate.perceptual import TRUNK, flip, lpips
 from tests.evaluate.synthetic_flame import flame_dataset
 
 
@@ -69,33 +73,11 @@ def test_flip_or_its_absence():
     assert both == pytest.approx(theirs, abs=1e-4)
 
 
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    """Files with the names, layer names and shapes of the real ones, and random values."""
-    torch = pytest.importorskip("torch")
-    folder, generator = tmp_path_factory.mktemp("weights"), torch.Generator().manual_seed(0)
-    trunk = {"classifier.6.bias": torch.zeros(1000)}
-    for n, c, o, k, _, _ in LAYERS:
-        trunk |= {
-            f"features.{n}.weight": torch.randn(o, c, k, k, generator=generator) / np.sqrt(c * k * k),
-            f"features.{n}.bias": torch.randn(o, generator=generator),
-        }
-    torch.save(trunk, folder / TRUNK)
-    torch.save(
-        {
-            f"lin{i}.model.1.weight": torch.rand(1, o, 1, 1, generator=generator)
-            for i, (_, _, o, *_) in enumerate(LAYERS)
-        },
-        folder / HEADS,
-    )
-    return folder
+def alexnet():
+    """The convolutional part of AlexNet by torch.nn modules, in torchvision's order."""
+    from torch import nn
 
-
-def test_lpips_against_the_network_built_from_modules(weights):
-    """The published definition, written with torch.nn modules in AlexNet's order."""
-    torch = pytest.importorskip("torch")
-    nn = torch.nn
-    features = nn.Sequential(
+    return nn.Sequential(
         nn.Conv2d(3, 64, 11, 4, 2),
         nn.ReLU(),
         nn.MaxPool2d(3, 2),
@@ -108,30 +90,62 @@ def test_lpips_against_the_network_built_from_modules(weights):
         nn.ReLU(),
         nn.Conv2d(256, 256, 3, padding=1),
         nn.ReLU(),
+        nn.MaxPool2d(3, 2),
     )
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """A folder with AlexNet's file: the names and shapes of the published one, and random values.
+
+    torchvision, which has AlexNet's layers, is stood in for where it does not load beside this PyTorch's build.
+    """
+    torch = pytest.importorskip("torch")
+    theirs = pytest.importorskip("torchmetrics.functional.image.lpips")
+    folder, generator = tmp_path_factory.mktemp("weights"), torch.Generator().manual_seed(0)
+    state = {f"features.{name}": torch.zeros_like(value) for name, value in alexnet().state_dict().items()}
+    for name, value in state.items():
+        spread = value[0].numel() ** -0.5 if value.ndim > 1 else 1
+        state[name] = torch.randn(value.shape, generator=generator) * spread
+    torch.save(state | {"classifier.6.bias": torch.zeros(1000)}, folder / TRUNK)
+    with pytest.MonkeyPatch.context() as patched:
+        try:
+            import torchvision  # noqa: F401
+        except (ImportError, RuntimeError):
+            patched.setitem(sys.modules, "torchvision", types.ModuleType("torchvision"))
+            patched.setattr(theirs, "_get_tv_model_features", lambda net, pretrained: alexnet())
+        yield folder
+
+
+def test_lpips_is_the_published_definition_on_the_file_that_was_given(weights):
+    """Written out: features of both pictures, of unit length at every pixel, squared differences, weighted by the heads
+    that torchmetrics ships."""
+    torch, theirs = pytest.importorskip("torch"), pytest.importorskip("torchmetrics.functional.image.lpips")
+    features = alexnet()
     state = torch.load(weights / TRUNK)
     features.load_state_dict({k.removeprefix("features."): v for k, v in state.items() if k.startswith("features")})
-    heads = torch.load(weights / HEADS)
+    heads = torch.load(Path(theirs.__file__).parent / "lpips_models" / "alex.pth", "cpu", weights_only=True)
     rng = np.random.default_rng(4)
     a, b = rng.random((2, 64, 70, 3))
 
     def layers(image):
         x = torch.tensor(2 * image - 1, dtype=torch.float32).permute(2, 0, 1)[None]
-        x = (x - torch.tensor([-0.030, -0.088, -0.188]).view(1, 3, 1, 1)) / torch.tensor([0.458, 0.448, 0.450]).view(
-            1, 3, 1, 1
-        )
-        out = []
-        for i, module in enumerate(features):
+        x = (x - torch.tensor([-0.030, -0.088, -0.188])[:, None, None]) / torch.tensor([0.458, 0.448, 0.450])[
+            :, None, None
+        ]
+        found = []
+        for k, module in enumerate(features):
             x = module(x)
-            if i in (1, 4, 7, 9, 11):
-                out.append(nn.functional.normalize(x, dim=1, eps=1e-10))
-        return out
+            if k in (1, 4, 7, 9, 11):
+                found.append(x / (x.norm(dim=1, keepdim=True) + 1e-10))
+        return found
 
     with torch.no_grad():
         expected = sum(
             float((heads[f"lin{i}.model.1.weight"][0] * (p - q) ** 2).sum(1).mean())
             for i, (p, q) in enumerate(zip(layers(a), layers(b), strict=True))
         )
+    assert expected > 0.01
     assert lpips(a, b, weights) == pytest.approx(expected, rel=1e-4) and lpips(a, a, weights) == 0
     with pytest.raises(DataFormatError, match="32 px"):
         lpips(a[:20], b[:20], weights)
@@ -140,11 +154,20 @@ def test_lpips_against_the_network_built_from_modules(weights):
 def test_absent_and_wrong_weights_are_named(weights, tmp_path):
     torch = pytest.importorskip("torch")
     image = np.zeros((40, 40, 3))
-    with pytest.raises(MissingDependencyError, match=TRUNK):
+    with pytest.raises(MissingDependencyError, match=f"{TRUNK} is absent.*downloads nothing"):
         lpips(image, image, tmp_path)
-    torch.save({"features.0.weight": torch.zeros(1)}, tmp_path / TRUNK)
-    with pytest.raises(DataFormatError, match="AlexNet"):
-        lpips(image, image, tmp_path)
+    state = torch.load(weights / TRUNK)
+    for number, wrong in enumerate(
+        (
+            {"features.0.weight": torch.zeros(1)},
+            state | {"features.3.weight": torch.zeros(2, 2)},
+            {name: value for name, value in state.items() if name != "features.10.bias"},
+        )
+    ):
+        (tmp_path / str(number)).mkdir()
+        torch.save(wrong, tmp_path / str(number) / TRUNK)
+        with pytest.raises(DataFormatError, match=f"{number}.{TRUNK}: not the weights of torchvision's AlexNet"):
+            lpips(image, image, tmp_path / str(number))
 
 
 @pytest.mark.long

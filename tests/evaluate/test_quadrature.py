@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from gof.core.errors import GofError
 from gof.core.fields import VelocityField
 from gof.core.rotations import rotation_matrices
-from gof.evaluate.expectation import expected_velocity
-from gof.evaluate.quadrature import CHUNK_POINTS, ORDERS, product_rule
+from gof.evaluate.expectation import CHUNK_POINTS, expected_velocity
+from gof.evaluate.quadrature import ORDERS, product_rule
 from tests.evaluate.analytic import Analytic, covariance, make_gaussians, waves
 
 

@@ -9,7 +9,6 @@ from gof.dataset import Dataset
 from gof.footage.videos import chosen_frames, read_info, stated_fps, stated_frames, stored_frames
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
-from gof_benchmark.evidence.ordinary_footage import tagged_clockwise
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw
 from tests.videos import cut_off, number_of, numbered, set_steps, tag_rotation, write_video
 
@@ -63,14 +62,6 @@ def test_the_rotation_tag_makes_pictures_upright(tmp_path, degrees, corner):
     assert max(corners, key=corners.get) == corner and corners[corner] > 200
     as_stored = Footage.open(videos, "none", None, 50.0)
     assert as_stored.turn == "none", "--turn overrides the tag"
-
-
-def test_the_evidence_scripts_phones_have_the_tag(tmp_path):
-    video = files(tmp_path, as_it_is)[0]
-    video.write_bytes(tagged_clockwise(video.read_bytes()))
-    assert read_info(video).rotation_deg == 90
-    with pytest.raises(DataFormatError, match="lies as it is stored"):
-        tagged_clockwise(video.read_bytes())
 
 
 def test_rotation_tags_that_differ_are_refused_unless_overridden(tmp_path):

@@ -17,7 +17,7 @@ from gof.look.player.opened import Opened
 from gof.look.player.page import share_page
 from gof.look.player.quantise import pack, unpack
 from gof.render import render
-from gof_benchmark.evidence.browser import Browser, chromium, page_address
+from tests.browser import Browser, chromium, page_address
 from tests.conftest import arc, random_gaussians, write_dataset
 
 pytestmark = [

@@ -7,7 +7,7 @@ from gof.core.datum import Datum
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
-from gof_benchmark.evidence.far_from_zero import moved_copy
+from tests.moved_dataset import moved_copy
 from tests.reconstruct.rising_flame import RISE, mean_velocity, reconstruct, write_flame
 
 FAR = Datum((498_000.0, 5_213_000.0, 431.0), 1_732_300_000.0)

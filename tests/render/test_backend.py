@@ -114,15 +114,35 @@ def test_dr_jit_takes_as_many_threads_as_asked_and_never_more(asked, expected):
 
 MORE_THREADS = """
 import drjit as dr
-from gof_benchmark.evidence.render_speed import Training
-training, most = Training(5000, 160, 90), dr.thread_count()
+import numpy as np
+from gof.render import Splats, Target, l1_ssim, render_splats
+from gof.render.adam import Adam
+from gof.render.backend import Array3f, Array4f, floats
+from gof.render.scene import columns
+from tests.render import scenes
+
+camera, g = scenes.camera(160, 90), scenes.gaussians(5000)
+kinds = {"position": Array3f, "rotation": Array4f, "scale": Array3f, "color": Array3f}
+raw = {name: columns(g[name], kind) for name, kind in kinds.items()} | {"opacity": floats(g["opacity"])}
+optimizer, target = Adam(lr=1e-4, params=raw), Target(np.random.default_rng(1).random((90, 160, 3)))
+
+def step():
+    p = optimizer
+    splats = Splats(p["position"], p["rotation"], dr.abs(p["scale"]), p["opacity"], list(p["color"]))
+    frame = render_splats(splats, camera)
+    dr.backward(l1_ssim(frame.color, target))
+    optimizer.step()
+    dr.sync_thread()
+    return frame
+
+most = dr.thread_count()
 dr.set_thread_count(1)
 for _ in range(3):
-    training.step()
+    step()
 dr.set_thread_count(most)
 for _ in range(20):
-    training.step()
-print(most, float(dr.sum(training.frame.color[0])[0]) > 0)
+    frame = step()
+print(most, float(dr.sum(frame.color[0])[0]) > 0)
 """
 
 

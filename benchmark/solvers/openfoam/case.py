@@ -197,7 +197,7 @@ def write_case(fire: FoamFire, folder: Path, level: Literal["coarse", "fine"]) -
             )
     system, constant = folder / "system", folder / "constant"
     write_dictionary(system / "blockMeshDict", block_mesh(fire, level))
-    write_dictionary(system / "topoSetDict", {"actions": unnamed([_burner_faces(fire, level, i) for i in _each(fire)])})
+    write_dictionary(system / "topoSetDict", {"actions": unnamed([_burner_faces(fire, i) for i in _each(fire)])})
     patches = [
         {
             "name": f"burner{i}",
@@ -249,7 +249,7 @@ def _each(fire: FoamFire) -> range:
     return range(len(fire.burners))
 
 
-def _burner_faces(fire: FoamFire, level: str, i: int) -> dict[str, Any]:
+def _burner_faces(fire: FoamFire, i: int) -> dict[str, Any]:
     """A set of the floor's faces whose centre lies on the burner; a circle becomes a staircase, its mass flow stays."""
     burner = fire.burners[i]
     (x, y), half = burner.center_m, _reach(burner)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gof.core.gaussians import TransientGaussians
-from gof.evaluate.weighted import weighted_quantile
+from gof.evaluate.intervals import weighted_quantile
 
 # Controls, in the order in which the page shows them
 CAMERA = "Camera"
