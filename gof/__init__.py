@@ -13,7 +13,6 @@ The front door; every name is loaded when it is first used, so that importing `g
 
 import sys as _sys
 from importlib import import_module as _import_module
-from types import ModuleType as _ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # for editors and type checkers; tests/test_front_door.py holds it to the table below
@@ -59,23 +58,6 @@ def __getattr__(name: str):
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-class CallablePackage(_ModuleType):
-    """A package that is called as its function of its own name: `gof.evaluate()` is `gof.evaluate.evaluate()`."""
-
-    def __call__(self, *args, **kwargs):
-        return self.__wrapped__(*args, **kwargs)
-
-    @property
-    def __wrapped__(self):
-        return getattr(self, self.__name__.rpartition(".")[2])
-
-    @property
-    def __signature__(self):
-        from inspect import signature
-
-        return signature(self.__wrapped__)
 
 
 # The old places of the names that others rely on work for one version, and say so.

@@ -2,7 +2,6 @@
 
 import sys
 
-from gof import CallablePackage
 from gof.evaluate.depth import rmse_depth
 from gof.evaluate.dve_frame import DVEResult, DVESequence, dve
 from gof.evaluate.image import psnr, ssim, temporal_l2
@@ -10,6 +9,7 @@ from gof.evaluate.perceptual import flip, lpips
 from gof.evaluate.scores import Scores
 from gof.evaluate.scoring import Extras, evaluate
 from gof.evaluate.sequence import dve_sequence
+from gof.host.callable_package import CallablePackage
 
 __all__ = [
     "DVEResult",

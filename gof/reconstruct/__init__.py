@@ -7,8 +7,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gof import CallablePackage
 from gof.core.errors import GofError
+from gof.host.callable_package import CallablePackage
 
 if TYPE_CHECKING:
     from gof.dataset import Dataset
