@@ -27,7 +27,7 @@ from gof.look.player.opened import newest, open_result
 from gof.look.player.page import share_page
 from gof.look.player.quantise import Column, Packed, unpack
 from gof.render import render
-from gof_benchmark.evidence.browser import Browser, chromium
+from tests.browser import Browser, chromium
 from tests.conftest import look_at, random_gaussians
 
 
