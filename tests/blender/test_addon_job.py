@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from gof.core.costs import StageLog
 from gof.dataset import Dataset
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.dataset_process import Job, JobError
@@ -33,7 +34,10 @@ def test_a_stopped_job_goes_on(tmp_path):
     assert process.poll() is not None and not layout.description.exists()
     assert fractions == sorted(fractions) and 0.2 < fractions[-1] < 1
     before = {path: path.stat().st_mtime_ns for path in layout.root.glob("cameras/*/exr/0*.exr")}
+    StageLog(layout.costs).record("finish", 50.0, 1.0, {"wall_s": 50.0})  # as an earlier run would have
     Job(TOY, layout, PYTHON).run()
+    finish = next(cost for cost in StageLog(layout.costs).stages() if cost.name == "finish")
+    assert 50 < finish.seconds < 150 and finish.settings["wall_s"] == pytest.approx(finish.seconds, abs=2e-3)
     assert all(path.stat().st_mtime_ns == then for path, then in before.items()), (
         "finished pictures were not made again"
     )
