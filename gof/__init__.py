@@ -12,6 +12,10 @@ __version__ = "0.2.0"
 _MOVED = {
     f"gof.{name}": f"gof.core.{name}"
     for name in ("cameras", "errors", "fields", "gaussians", "harmonics", "ply", "results", "rotations", "trajectory")
+} | {
+    "gof.evaluate.gradients": "gof.evaluate.emission",
+    "gof.evaluate.statistics": "gof.evaluate.intervals",
+    "gof.evaluate.weighted": "gof.evaluate.intervals",
 }
 
 
