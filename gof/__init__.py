@@ -64,6 +64,10 @@ def __dir__() -> list[str]:
 _MOVED = {
     f"gof.{name}": f"gof.core.{name}"
     for name in ("cameras", "errors", "fields", "gaussians", "harmonics", "ply", "results", "rotations", "trajectory")
+} | {
+    "gof.evaluate.gradients": "gof.evaluate.emission",
+    "gof.evaluate.statistics": "gof.evaluate.intervals",
+    "gof.evaluate.weighted": "gof.evaluate.intervals",
 }
 
 
