@@ -96,7 +96,8 @@ class TransientGaussians:
         for name, values in self.arrays().items():
             kind = bool if name == "dynamic" else np.float32
             try:
-                setattr(self, name, np.ascontiguousarray(values, kind))
+                with np.errstate(over="ignore"):  # the checks for finite values name what is too large
+                    setattr(self, name, np.ascontiguousarray(values, kind))
             except (TypeError, ValueError) as e:
                 raise DataFormatError(f"'{name}' does not hold numbers ({e})") from e
         n = len(self.position)
