@@ -3,9 +3,15 @@
 Plain `benchmark` at the top of a user's site-packages would shadow, or be shadowed by, a file of their own.
 """
 
+import os
+
 from setuptools import find_namespace_packages, setup
 
 FOLDERS = {"gof": "gof", "gof_benchmark": "benchmark", "gof_blender": "blender_addon"}
+
+# Where the project lives: GOF_HOME_URL fills it where it is packed. `gof --help` and `gof doctor` print the last one.
+HOME = os.environ.get("GOF_HOME_URL", "https://example.org/gaussians-on-fire").rstrip("/")
+URLS = {"Homepage": HOME, "Documentation": f"{HOME}/docs", "Issues": f"{HOME}/issues"}
 
 # What proves claims of the pages, and how the prior was learned: run from a checkout.
 NOT_INSTALLED = ("evidence", "training")
@@ -17,4 +23,4 @@ packages = [
     if "__pycache__" not in package and package.split(".")[1:2] not in [[part] for part in NOT_INSTALLED]
 ]
 files_not_installed = {"gof_benchmark": [f"{part}/{files}" for part in NOT_INSTALLED for files in ("*", "**/*")]}
-setup(packages=packages, package_dir=FOLDERS, exclude_package_data=files_not_installed)
+setup(packages=packages, package_dir=FOLDERS, exclude_package_data=files_not_installed, project_urls=URLS)

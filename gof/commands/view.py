@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from gof.commands.read import read_options
 from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.look.viewer import Viewer
@@ -15,7 +16,11 @@ from gof.look.viewer import Viewer
 
 @dataclass
 class ViewConfig:
-    """A result in the browser: 3D, with a time slider. Of a reconstruction that still runs, the latest snapshot."""
+    """A result in the browser: 3D, with a time slider. Of a reconstruction that still runs, the latest snapshot.
+
+    Examples:
+      gof view out/fire --dataset data/fire
+    """
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Result of `gof reconstruct` (file or folder, finished or not), or of any method that docs/importers.md lists."""
@@ -29,7 +34,7 @@ class ViewConfig:
 
 def main(argv: list[str]) -> int:
     """`gof view RESULT [--dataset D] [--port N]`; ends with Ctrl-C."""
-    config = tyro.cli(ViewConfig, prog="gof view", args=argv)
+    config = read_options(ViewConfig, "view", argv)
     require_number("--port", config.port, least=0, most=65535)
     dataset = None if config.dataset is None else Dataset.open(config.dataset)
     viewer = Viewer(config.result, dataset, config.host, config.port)

@@ -14,7 +14,7 @@ from gof.core.harmonics import plain_color
 from gof.core.rotations import quaternions_wxyz, rotation_matrices
 from gof.dataset import Dataset
 from gof.host import extras
-from gof.io.importers import ImportOptions, read_result
+from gof.io.importers import read_result
 from gof.look import legend
 from gof.look import switches as controls
 from gof.look.own_pages import only_own_pages
@@ -295,7 +295,7 @@ class Viewer:
     def _read(self) -> MovingGaussians:
         self._file = newest(self.path)
         self._stamp = _stamp(self._file)
-        gaussians = read_result(self._file, ImportOptions()).gaussians
+        gaussians = read_result(self._file).gaussians
         return gaussians if self.dataset is None else gaussians.measured_from(self.dataset.datum)
 
 
