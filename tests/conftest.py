@@ -12,7 +12,7 @@ from gof.core.fields import VelocityField, VelocitySequence
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import CameraEntry, DatasetDescription, Splits
 
-os.environ.setdefault("GOF_DEBUG", "1")  # a fault of ours shows where it is; tests of its words take this away
+os.environ.setdefault("GOF_DEBUG", "faults")  # a fault of ours shows where it is; tests of its words take this away
 
 
 def look_at(name: str, position, target, width=36, height=64, focal_px=80.0) -> Camera:

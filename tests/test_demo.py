@@ -29,7 +29,7 @@ def spec(folder):
 
 
 def command(folder, scene):
-    effort = ["--gaussians", "3000", "--iterations", "150"]
+    effort = ["--gaussians", "3000", "--steps", "150"]
     return [sys.executable, "-m", "gof", "demo", "--scene", str(scene), *effort, "--out", str(folder / "demo")]
 
 

@@ -18,7 +18,7 @@ from tests.reconstruct.rising_flame import reconstruct, write_flame
 
 pytestmark = pytest.mark.long
 
-OPTIONS = ("--gaussians", "800", "--iterations", "20", "--voxels", "24", "--no-flow-prior")
+OPTIONS = ("--gaussians", "800", "--steps", "20", "--voxels", "24", "--no-flow-prior")
 
 
 class Disk:
@@ -81,7 +81,7 @@ def test_read_only_folders_are_named(disk, flame):
     for command in (
         ("reconstruct", flame, "--out", disk.path / "out"),
         ("generate", "demo", "--preset", "toy", "--out", disk.path / "data"),
-        ("evaluate", disk.path / "none.npz", "--truth", flame, "--json", disk.path / "x.json"),
+        ("evaluate", disk.path / "none.npz", "--dataset", flame, "--json", disk.path / "x.json"),
     ):
         run = gof(*command)
         assert run.returncode == 1 and "Traceback" not in run.stderr, run.stderr

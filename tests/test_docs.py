@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gof.commands.cli import ALIASES, commands
+from gof.commands.cli import commands
+from gof.commands.renamed import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 EVIDENCE = ROOT / "benchmark/evidence"
@@ -46,7 +47,7 @@ def test_what_a_page_names_exists(page):
     for module in re.findall(r"python -m tests\.(\w+)", text):
         assert (ROOT / "tests" / module / "__main__.py").exists(), module
     for command in re.findall(r"(?:^|`)gof ([a-z]\w*)", text, re.MULTILINE):
-        assert command in commands() or command in ALIASES, f"gof {command}"
+        assert command in commands() or command in COMMANDS, f"gof {command}"
 
 
 def test_pictures_are_shown_somewhere():

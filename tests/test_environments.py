@@ -37,7 +37,7 @@ def is_named(done, *said):
         assert words in done.stderr, done.stderr
 
 
-SHARE = ("share", "result.npz", "--out", "s.html")
+SHARE = ("share", "result.npz", "--out", "s.html", "--overwrite")
 
 
 # ---------------------------------------------------------------- variables
@@ -227,8 +227,8 @@ def test_the_nearest_is_named_and_all():
 @pytest.mark.parametrize(
     "words",
     [
-        ["evaluate", "nothing.npz", "--truth", "tiny"],
-        ["evaluate", "result.npz", "--truth", "nothing"],
+        ["evaluate", "nothing.npz", "--dataset", "tiny"],
+        ["evaluate", "result.npz", "--dataset", "nothing"],
         ["share", "nothing.npz"],
         ["video", "nothing.npz"],
         ["report", "nothing", "--dataset", "tiny"],

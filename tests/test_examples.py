@@ -137,7 +137,7 @@ def test_every_option_that_an_example_names_exists():
             if name not in helps:
                 printed = io.StringIO()
                 with contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
-                    gof([*name.split(), "--help"])
+                    gof([*name.split(), "--help-all"])
                 helps[name] = printed.getvalue()
             for option in re.findall(r"(?<!\S)(--[a-z][\w-]*)", line.split("#")[0]):
                 assert option in helps[name], f"{page}: gof {name} has no {option}"
@@ -177,11 +177,11 @@ def world(tmp_path_factory) -> Path:
     flame.save(folder / "mine.npz")
     (folder / "out").mkdir()
     flame.save(folder / "out/other.ply")
-    run(folder, "bash", "gof reconstruct data/fire --iterations 20 --gaussians 300 --voxels 24 --out out/fire")
+    run(folder, "bash", "gof reconstruct data/fire --steps 20 --gaussians 300 --voxels 24 --out out/fire")
     (folder / "out/demo").mkdir()
     (folder / "out/demo/dataset").symlink_to(folder / "data/fire")
     (folder / "out/demo/reconstruct").symlink_to(folder / "out/fire")
-    run(folder, "bash", "gof evaluate mine.npz --truth data/fire --out boards/mine")
+    run(folder, "bash", "gof evaluate mine.npz --dataset data/fire --out boards/mine")
     return folder
 
 

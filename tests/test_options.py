@@ -17,61 +17,53 @@ from tests.conftest import random_gaussians
 
 NO = ("nan", "inf", "-inf", "-3", "0")
 WRONG = {  # command and what it needs, by option: values that it cannot have
-    "evaluate RESULT --truth DATASET": {"--time-unit": NO, "--time-zero": NO[:3]},
     "convert RESULT OUT.ftgs.ply": {
         "--frame-time": NO,
         "--time-unit": NO,
         "--time-zero": NO[:3],
-        "--start": NO[:3],
-        "--end": NO[:3],
+        "--clip": ("nan 1", "0 inf"),
     },
+    "convert RESULT": {"--frame-time": NO, "--time-unit": NO, "--time-zero": NO[:3]},
     "convert RESULT OUT.glb": {"--time": NO[:3]},
-    "share RESULT --out OUT.html": {
-        "--pictures": NO[:4],
-        "--frame-time": NO,
-        "--time-unit": NO,
-        "--time-zero": NO[:3],
-    },
+    "share RESULT --out OUT.html": {"--pictures": NO[:4]},
     "leaderboard RESULT": {"--time": NO[:3]},
-    "video RESULT --out OUT.webm": {
-        "--slow": NO,
-        "--seconds": NO,
-        "--stop": NO[:3],
-        "--degrees": NO[:3],
-        "--reduced": NO,
-        "--fps": NO,
-        "--frame-time": NO,
-        "--time-unit": NO,
-        "--time-zero": NO[:3],
+    "video RESULT --out OUT.webm": {"--fps": NO, "--max-size": ("-1", "0")},
+    "video RESULT --out OUT.webm --style": {
+        "slow": NO,
+        "seconds": NO,
+        "stop": NO[:3],
+        "degrees": NO[:3],
+        "reduced": NO,
     },
     "view RESULT": {"--port": ("-1", "65536", "1000000")},
-    "report DATASET --dataset DATASET": {"--camera": ("-1", "99")},
+    "report DATASET --dataset DATASET": {"--camera": ("-1", "99", "nobody")},
     "reconstruct DATASET --out OUT": {
         "--gaussians": ("-1", "0"),
-        "--iterations": ("-1", "0"),
+        "--steps": ("-1", "0"),
         "--voxels": ("-1", "0"),
-        "--longest-side": ("-1", "0"),
+        "--max-size": ("-1", "0"),
         "--seed": ("-1",),
     },
     "background DATASET --out OUT": {
         "--steps": ("-1", "0"),
         "--gaussians": ("-1", "0"),
-        "--longest-side": ("-1", "0"),
+        "--max-size": ("-1", "0"),
         "--seed": ("-1",),
     },
-    "ingest DATASET DATASET --out OUT --fps 30": {
+    "ingest DATASET DATASET --out OUT --times 30": {
         "--fov": (*NO, "180"),
-        "--marker-m": NO,
+        "--marker-mm": NO,
         "--baseline-m": NO,
-        "--width": ("-1", "0"),
+        "--max-size": ("-1", "0"),
+        "--plates": ("steady:0", "minimum:x"),
         "--frames": ("-1", "0"),
         "--start": ("-1",),
     },
-    "ingest DATASET DATASET --out OUT --fov 40": {"--fps": NO},
-    "capture sync DATASET --out OUT": {"--tick-us": NO, "--fps": NO, "--row-time-us": NO[:4]},
-    "capture draw OUT.svg": {"--marker-mm": NO},
-    "capture target OUT.svg": {"--square-mm": NO, "--marker-mm": NO, "--columns": ("-1", "0"), "--rows": ("-1", "0")},
-    "capture calibrate DATASET --out OUT.json": {"--views": ("-1", "0"), "--square-mm": NO, "--marker-mm": NO},
+    "ingest DATASET DATASET --out OUT --fov 40": {"--times": NO},
+    "capture sync DATASET --out OUT": {"--tick-us": NO, "--fps": NO, "--row-time": NO[:4]},
+    "capture draw --out OUT.svg": {"--marker-mm": NO},
+    "capture target --out OUT.svg": {"--square-mm": NO, "--charuco-mm": NO, "--squares": ("7", "-1x2", "0x5", "7x")},
+    "capture calibrate DATASET --out OUT.json": {"--views": ("-1", "0"), "--square-mm": NO, "--charuco-mm": NO},
     "capture board monitor": {"--seconds": NO[:4]},
     "generate demo --out OUT": {"--workers": ("-1", "0")},
 }
@@ -84,7 +76,8 @@ def test_numbers_that_cannot_be_are_refused_by_name(command, tiny_dataset, tmp_p
     base = [str(words.get(word, word)).replace("OUT", str(tmp_path / "out")) for word in command.split()]
     for option, values in WRONG[command].items():
         for value in values:
-            assert main([*base, f"{option}={value}"]) == 1, (option, value)
+            given = [option, *value.split()] if " " in value else [f"{option}={value}"]
+            assert main([*base, *given]) == 1, (option, value)
             said = capsys.readouterr().err
             known_otherwise = ("ChArUco", "scores.json", "cameras 0 to")  # sizes of a pattern; --camera of a report
             assert option in said or any(word in said for word in known_otherwise), (option, value, said)
@@ -105,8 +98,13 @@ def test_every_number_of_every_command_is_in_the_list():
             for config in vars(module).values():
                 if dataclasses.is_dataclass(config) and isinstance(config, type):
                     for field, kind in typing.get_type_hints(config).items():
-                        if float in (kind, *typing.get_args(kind)) and config.__module__.startswith("gof.commands"):
-                            assert (name, "--" + field.replace("_", "-")) in listed, (name, field)
+                        if float in kinds(kind) and config.__module__.startswith("gof.commands"):
+                            assert {(name, "--" + field.replace("_", "-")), (name, field)} & listed, (name, field)
+
+
+def kinds(hint) -> list:
+    """A type and all types in it."""
+    return [hint, *(kind for inner in typing.get_args(hint) for kind in kinds(inner))]
 
 
 def test_a_range_is_said():
@@ -120,10 +118,12 @@ def test_a_range_is_said():
 def test_options_that_would_be_ignored_are_refused(tiny_dataset, tmp_path, capsys):
     result = random_gaussians(30).save(tmp_path / "result.npz")
     for command, word in (
-        (["evaluate", result, "--truth", tiny_dataset, "--disparity", tmp_path], "--published"),
+        (["evaluate", result, "--dataset", tiny_dataset, "--published", tmp_path], "gof depth"),
         (["reconstruct", tiny_dataset, "--out", tmp_path / "o", "--flow-weights", tmp_path], "--flow memfof"),
-        (["convert", result, tmp_path / "a.npz", "--start", "0"], ".ftgs.ply and folders only"),
-        (["evaluate", result, "--truth", tiny_dataset, "--world", tmp_path / "nothing"], "--world"),
+        (["convert", result, tmp_path / "a.npz", "--clip", "0", "1"], ".ftgs.ply and folders only"),
+        (["convert", result, tmp_path / "a.npz", "--world", tmp_path / "nothing"], "--world"),
+        (["convert", result], "name a file to write"),
+        (["convert", result, "--time-unit", "2", "--time", "0"], "name it (OUT)"),
     ):
         assert main([str(part) for part in command]) == 1
         assert word in capsys.readouterr().err

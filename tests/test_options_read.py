@@ -1,4 +1,5 @@
-"""An option that nothing reads cannot exist: every field of every class given to `tyro.cli` is read somewhere.
+"""An option that nothing reads cannot exist: every field of every class given to `tyro.cli` or
+`read_options` is read somewhere.
 
 Read from the source, without running it: `NAME.field` of a name that is known to hold the options.
 """
@@ -77,8 +78,8 @@ class Source:
         """The classes of every call of `tyro.cli`, and those whose fields are among their options."""
         found, waiting = set(), set()
         for module, tree in self.trees.items():
-            for call in ast.walk(tree):
-                if isinstance(call, ast.Call) and ast.unparse(call.func) == "tyro.cli":
+            for call in ast.walk(tree) if module != "gof.commands.read" else ():  # which hands on what it is given
+                if isinstance(call, ast.Call) and ast.unparse(call.func) in ("tyro.cli", "read_options"):
                     named = self.named_in(module, call.args[0])
                     assert named, f"{module}: tyro.cli is given {ast.unparse(call.args[0])}, which is no class of ours"
                     waiting |= named

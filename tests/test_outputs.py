@@ -96,14 +96,14 @@ def test_a_folder_and_a_circle_are_named(result, tmp_path, capsys):
     assert main(["share", result, "--out", "z.html", "--json", "folder"]) == 1
     assert "folder: Is a directory" in capsys.readouterr().err
     (tmp_path / "circle.json").symlink_to("circle.json")
-    assert main(["share", result, "--out", "z.html", "--json", "circle.json"]) == 1
+    assert main(["share", result, "--out", "y.html", "--json", "circle.json"]) == 1
     assert "circle.json" in capsys.readouterr().err and (tmp_path / "circle.json").is_symlink()
 
 
 def test_a_blend_goes_to_no_device(result, tiny_dataset, tmp_path, capsys):
     """Blender puts a new file in the place of the old one, whatever that was."""
     os.mkfifo("x.blend")
-    assert main(["import", result, "--dataset", str(tiny_dataset), "--blend", "x.blend"]) == 1
+    assert main(["import", result, "--dataset", str(tiny_dataset), "--out", "x.blend"]) == 1
     assert "x.blend: is not a file but a device or a pipe" in capsys.readouterr().err
 
 

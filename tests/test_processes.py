@@ -69,7 +69,7 @@ def test_doctor(hostile, capsys):
 def test_import_and_generate(hostile, tiny_dataset, tmp_path):
     pytest.importorskip("bpy")
     result = random_gaussians(5).save(tmp_path / "result.npz")
-    assert main(["import", str(result), "--dataset", str(tiny_dataset), "--blend", str(tmp_path / "x.blend")]) == 0
+    assert main(["import", str(result), "--dataset", str(tiny_dataset), "--out", str(tmp_path / "x.blend")]) == 0
     from gof_benchmark.generator import blender_process
 
     with pytest.raises(GofError):

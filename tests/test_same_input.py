@@ -66,7 +66,7 @@ def test_a_moved_dataset_is_the_same(dataset, tmp_path):
 
 def test_a_finished_result_of_another_dataset_is_not_returned(dataset, tmp_path, capsys):
     """Two datasets of one folder name, as every `gof demo` makes: the second reconstruction is refused at once."""
-    out, options = tmp_path / "out", ["--gaussians", "20", "--iterations", "10", "--voxels", "30"]
+    out, options = tmp_path / "out", ["--gaussians", "20", "--steps", "10", "--voxels", "30"]
     settings = ReconstructionSettings.of(Dataset.open(dataset), Effort(10, 20, 30, 320))
     out.mkdir()
     settings.claim(out)

@@ -51,7 +51,7 @@ def main() -> int:
     run("reconstruct", sample / "fire", "--out", work / "result", "--gaussians", "10000")
     keep_result(work / "result", sample / "result")
     run("reconstruct", sample / "fire", "--out", work / "paper", "--method", "paper", "--scene", "plates",
-        "--iterations", "1500", "--gaussians", "5000", "--no-flow-prior")  # fmt: skip
+        "--steps", "1500", "--gaussians", "5000", "--no-flow-prior")  # fmt: skip
     keep_submission(work / "paper", sample)
     size = write_archive(sample, options.out)
     print(f"{options.out}: {size / 1e6:.2f} MB")

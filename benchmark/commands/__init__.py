@@ -3,29 +3,9 @@
 from gof.commands import Command
 
 COMMANDS = {
-    "demo": Command(
-        "gof_benchmark.commands.demo",
-        "make, reconstruct, score and show a small real fire (about 4 minutes on 2 cores)",
-        10,
-    ),
-    "generate": Command(
-        "gof_benchmark.commands.generate",
-        "scene spec -> simulated fire, three rendered videos, ground-truth velocity",
-        20,
-    ),
-    "benchmark": Command(
-        "gof_benchmark.commands.benchmark",
-        "GoF-Bench: frozen scenes that methods are compared on; submissions checked and ranked",
-        85,
-    ),
-    "study": Command(
-        "gof_benchmark.commands.study",
-        "accuracy against time: of the DVE, the generator, the reconstruction; ablations",
-        90,
-    ),
-    "import": Command(
-        "gof_benchmark.commands.import_result",
-        "result -> animated point cloud in a .blend, and a rendered preview",
-        100,
-    ),
+    "demo": Command("gof_benchmark.commands.demo", "make, reconstruct, score and show a small real fire", "make"),
+    "generate": Command("gof_benchmark.commands.generate", "scene -> fire, three videos, true velocity", "make"),
+    "study": Command("gof_benchmark.commands.study", "accuracy against time of each part; ablations", "score"),
+    "benchmark": Command("gof_benchmark.commands.benchmark", "GoF-Bench: enter it, check, rank", "score"),
+    "import": Command("gof_benchmark.commands.import_result", "result -> .blend, and a rendered preview", "show"),
 }

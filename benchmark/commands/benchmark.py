@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-from gof.commands import no_such
+from gof.commands import HELP_WORDS, no_such
 from gof.core.errors import GofError
 
 PARTS = {
@@ -26,14 +26,12 @@ GoF-Bench 1, a frozen list of scenes that methods are compared on (docs/benchmar
 {parts}
 
 to enter it:
-  gof benchmark make bench --size smoke                          three small scenes, some minutes
-  gof reconstruct bench/smoke/demo --out out/demo                or your own method's training
-  gof benchmark add out/demo bench/smoke/demo mine               a run into the submission 'mine'
+  gof benchmark make bench --size preview                        three small scenes, some minutes
+  gof reconstruct bench/preview/demo --out out/demo              or your own method's training
+  gof benchmark add out/demo mine --dataset bench/preview/demo   a run into the submission 'mine'
   (write mine/method.json)                                       gof benchmark check says what is missing
-  gof benchmark check mine bench/smoke
-  gof benchmark score mine others bench/smoke --out board        board/board.html
-
-Every part writes what it found with --json FILE.
+  gof benchmark check mine bench/preview
+  gof benchmark score mine others bench/preview --out board      board/board.html
 """
 
 
@@ -43,7 +41,7 @@ def main(argv: list[str]) -> int:
     Raises:
         GofError: no part of that name.
     """
-    if argv and argv[0] in ("-h", "--help", "help"):
+    if argv and argv[0] in HELP_WORDS:
         print(HELP.format(parts="\n".join(f"  {name:<7} {text}" for name, (_, text) in PARTS.items())))
         return 0
     if not argv or argv[0] not in PARTS:

@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from gof.commands.foreign_options import ForeignOptions
+from gof.commands.everywhere import figures_file
+from gof.commands.read import read_options
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import is_name, only_run_in
 from gof.dataset import Dataset
@@ -22,6 +23,8 @@ from gof.evaluate.submission import ADDING, PICTURES, SCORES, Run, write_picture
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.host.progress import progress_bar
+from gof.io.importers import ImportOptions
+from gof.io.importers.said import with_said
 from gof_benchmark.suite.made import MadeScene, scene_of
 
 BESIDE = (MADE_FROM, "costs.json")  # of a reconstruction of ours, and its plates
@@ -31,17 +34,19 @@ BESIDE = (MADE_FROM, "costs.json")  # of a reconstruction of ours, and its plate
 class AddConfig:
     """Put a result into a submission: copied, scored, with its held-out pictures and the frames that it was made from.
 
+    Examples:
+      gof benchmark add out/demo mine --dataset bench/preview/demo
+
     A result of ours is a folder with result.npz; its frames, costs and plates come along. Of another method give the
     file, say which frames it learned from, and give the pictures that its own renderer drew.
     """
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Folder of `gof reconstruct`, or file or folder of any method that docs/importers.md lists."""
-    scene: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
-    """The scene's dataset in the suite: WORK/standard/jet."""
     submission: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SUBMISSION")]]
     """Folder of the submission; made if it is not there."""
-    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    dataset: Path
+    """The scene's dataset in the suite: WORK/standard/jet."""
     run: str | None = None
     """Name of the run, where there are several (seed_0, seed_1, ...)."""
     trained_on: Literal["train", "all"] | None = None
@@ -50,18 +55,14 @@ class AddConfig:
     """Folder CAMERA/000004.png of the held-out frames, by the method's own renderer; without it ours draws them."""
     curve: Path | None = None
     """How the training went, as `gof baseline --curve` writes it; the board shows whether it had converged."""
-    flame_only: bool = False
-    """The result of another method is a flame alone, drawn over the dataset's fire-free plates."""
-    json: Path | None = None
-    """Also write the scores to this file."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof benchmark add`."""
-    config = tyro.cli(AddConfig, prog="gof benchmark add", args=argv)
+    config = read_options(AddConfig, "benchmark add", argv)
     if config.run is not None and not is_name(config.run):
         raise GofError(f"--run {config.run!r}: must be a plain name, as seed_0")
-    made = scene_of(config.scene)
+    made = scene_of(config.dataset)
     folder = config.submission / made.scene.name / (config.run or "")
     require_new(config.result, folder, config.submission / made.scene.name)
     if config.curve is not None:
@@ -81,8 +82,8 @@ def main(argv: list[str]) -> int:
             os.replace(draft, folder)  # whole or not at all
         finally:
             shutil.rmtree(draft, ignore_errors=True)
-    if config.json is not None:
-        Scores.read(folder / SCORES).write(config.json)
+    if (file := figures_file()) is not None:
+        Scores.read(folder / SCORES).write(file)
     print(f"{folder}: added")
     return 0
 
@@ -127,11 +128,11 @@ def put_together(config: AddConfig, made: MadeScene, folder: Path) -> None:
     if config.curve is not None:
         shutil.copyfile(config.curve, folder / CURVE)
     say_frames(config, folder, made.dataset)
-    options = config.other_method.options()
+    options, _ = with_said(config.result, ImportOptions())
     if options.world is not None:
         options = replace(options, world=_copied(options.world, folder))
     with progress_bar(made.scene.name) as progress:
-        scores = evaluate(result, made.dataset, progress=progress, foreign=options, flame_only=config.flame_only)
+        scores = evaluate(result, made.dataset, progress=progress, foreign=options, flame_only=options.flame_only)
     if config.pictures is not None:
         shutil.copytree(config.pictures, folder / PICTURES)
     else:

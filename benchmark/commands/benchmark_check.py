@@ -8,7 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from gof.core.files import write_json
+from gof.commands.everywhere import write_figures
+from gof.commands.read import read_options
 from gof.evaluate.submission import Submission
 from gof.evaluate.submission_check import Finding, check
 from gof.host.terminal import console
@@ -21,6 +22,9 @@ STYLES = {"ok": "green", "hint": "yellow", "refused": "bold red"}
 class CheckConfig:
     """Look at every claim of a submission that can be looked at; one cross refuses it (exit status 1).
 
+    Examples:
+      gof benchmark check mine bench/preview
+
     Files are there; the clock is the clip's; no held-out frame went in; the checkpoint draws the pictures that came
     with it; held-out frames look as unseen ones do; scores come out again. Everything is computed anew, which takes as
     long as `gof evaluate` for every run.
@@ -30,21 +34,18 @@ class CheckConfig:
     """Folder with method.json and one folder a scene (docs/benchmark.md)."""
     suite: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SUITE")]]
     """Folder of a size of the suite: WORK/standard."""
-    json: Path | None = None
-    """Also write the findings to this file."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof benchmark check`; 1 where the submission is refused."""
-    config = tyro.cli(CheckConfig, prog="gof benchmark check", args=argv)
+    config = read_options(CheckConfig, "benchmark check", argv)
     datasets = {name: made.dataset for name, made in made_scenes(config.suite).items()}
     out, findings = console(), []
     for finding in check(Submission.open(config.submission), datasets):
         findings.append(finding)
         out.print(str(finding), style=STYLES[finding.verdict], markup=False, highlight=False)
     out.print(verdict(findings), markup=False, highlight=False)
-    if config.json is not None:
-        write_json(config.json, {"findings": [asdict(finding) for finding in findings]})
+    write_figures({"findings": [asdict(finding) for finding in findings]})
     return 1 if any(finding.verdict == "refused" for finding in findings) else 0
 
 

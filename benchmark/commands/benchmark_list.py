@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Literal
+from typing import Annotated
 
 import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from gof.core.files import write_json
+from gof.commands.everywhere import write_figures
+from gof.commands.read import read_options
 from gof.host.terminal import console
-from gof_benchmark.suite import Size, SuiteScene, scenes_of, suite_name
+from gof_benchmark.suite import Size, SuiteScene, choose, suite_name
 from gof_blender.pure.cost_model import REFERENCE, duration, known_machine, predict
 
 WHOLE = ("scene", "split", "solver", "picture", "spec")  # columns that are not folded in a narrow window
@@ -20,14 +20,16 @@ WHOLE = ("scene", "split", "solver", "picture", "spec")  # columns that are not 
 
 @dataclass
 class ListConfig:
-    """The scenes of GoF-Bench 1: what burns, how it is seen, and what it takes to make."""
+    """The scenes of GoF-Bench 1: what burns, how it is seen, and what it takes to make.
+
+    Examples:
+      gof benchmark list --size preview
+    """
 
     size: Size = "standard"
-    """smoke: minutes; standard: hours; paper: a cluster."""
-    split: Literal["dev", "test", "all"] = "all"
-    """dev: for choosing and tuning. test: scored only."""
-    json: Path | None = None
-    """Also write the lines to this file."""
+    """preview: minutes; standard: hours; full: a cluster."""
+    scenes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="dev|test|NAME")] = ()
+    """Only these, or dev: for choosing and tuning, or test: scored only; default: all."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,8 @@ class Line:
 
 def main(argv: list[str]) -> int:
     """The command line of `gof benchmark list`."""
-    config = tyro.cli(ListConfig, prog="gof benchmark list", args=argv)
-    scenes = scenes_of(config.size, config.split)
+    config = read_options(ListConfig, "benchmark list", argv)
+    scenes = choose(config.size, config.scenes)
     lines = [asdict(Line.of(scene)) for scene in scenes]
     table = Table(title=f"{suite_name()}, {config.size}", title_justify="left", box=SIMPLE_HEAD, padding=0)
     for heading in Line.__dataclass_fields__:
@@ -78,6 +80,5 @@ def main(argv: list[str]) -> int:
     out.print(
         f"about {duration(seconds)} for those that Mantaflow makes; OpenFOAM's take half an hour of one core each"
     )
-    if config.json is not None:
-        write_json(config.json, {"suite": suite_name(), "size": config.size, "scenes": lines})
+    write_figures({"suite": suite_name(), "size": config.size, "scenes": lines})
     return 0

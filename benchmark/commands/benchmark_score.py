@@ -7,11 +7,13 @@ import json
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from gof import __version__
+from gof.commands.everywhere import require_writable, write_figures
+from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.core.files import atomic_path
 from gof.core.records import to_json, write_record
@@ -29,34 +31,35 @@ from gof.host.terminal import console
 from gof.look.comparison import Moment
 from gof.look.pages import PageGrid, side_by_side
 from gof.look.suite_page import to_html, to_markdown
-from gof_benchmark.suite import pick, scenes_of, suite_name
-from gof_benchmark.suite.made import MadeScene, made_scenes
+from gof_benchmark.suite import pick, scenes_of, split_of, suite_name
+from gof_benchmark.suite.made import MadeScene, made_scenes, size_of
 
 
 @dataclass
 class ScoreConfig:
     """Score submissions and write one page: means with intervals, ranks that are shared where nobody can tell, wins.
 
+    Examples:
+      gof benchmark score mine others bench/preview --out board
+
     Scores are computed from the results, whatever the submissions say, and kept in OUT/scores: the same result on the
     same dataset is scored once. What `gof benchmark check` refuses is shown with its reason and not ranked.
-    Development scenes are scored apart, with --split dev; no rank mixes the two.
+    Development scenes are scored apart, with --scenes dev; no rank mixes the two.
     """
 
     folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="SUBMISSION ... SUITE")]]
     """Submissions, and last the folder of a size of the suite: mine others WORK/standard."""
-    out: Path = Path("out/board")
-    """Folder for board.html, .md and .json; older ones are replaced."""
-    split: Literal["test", "dev"] = "test"
-    """Which scenes."""
-    scenes: tuple[str, ...] = ()
-    """Only these; default: all in which a submission has a result. Who lacks a result in one of them gets no rank."""
-    json: Path | None = None
-    """Another file to write the board to."""
+    out: Path | None = None
+    """Folder for board.html, .md and .json, and the scores that are kept. Default: "board" beside the first submission.
+    Older pages are replaced."""
+    scenes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="dev|NAME")] = ()
+    """Only these, of the scenes that are scored or, with "dev" before them, of those for development; default: all
+    scored ones in which a submission has a result. Who lacks a result in one of them gets no rank."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof benchmark score`."""
-    config = tyro.cli(ScoreConfig, prog="gof benchmark score", args=argv)
+    config = read_options(ScoreConfig, "benchmark score", argv)
     if len(config.folders) < 2:
         raise GofError("give one submission or more, and last the folder of the suite's size: mine WORK/standard")
     *folders, suite = config.folders
@@ -64,28 +67,29 @@ def main(argv: list[str]) -> int:
     names = [submission.name for submission in submissions]
     if len(set(names)) < len(names):
         raise GofError(f"two submissions have one name: {', '.join(sorted(names))}; change it in method.json")
-    there = made_scenes(suite, config.split)
-    chosen = pick([made.scene for made in there.values()], config.scenes)
+    split, names = split_of(config.scenes)
+    there = made_scenes(suite, split)
+    chosen = pick([made.scene for made in there.values()], names)
     here = [there[scene.name] for scene in chosen if any(scene.name in s.runs for s in submissions)]
     if not here:
-        raise GofError(f"no submission has a result of a {config.split} scene that is made in {suite}")
-    kept = config.out / "scores"
+        raise GofError(f"no submission has a result of a {split} scene that is made in {suite}")
+    out = config.out or require_writable(folders[0].absolute().parent) / "board"
+    kept = out / "scores"
     refused = {submission.name: crosses(submission, here, kept) for submission in submissions}
     scenes = [scored_scene(made, submissions, kept) for made in here]
     pictures = "; ".join(sorted({made.pictures for made in here}))
-    size = suite.resolve().name
-    share = f"{len(here)} of {len(scenes_of(size, config.split))} {config.split} scenes"
+    size = size_of(suite)
+    share = f"{len(here)} of {len(scenes_of(size, split))} {split} scenes"
     title = f"{suite_name()}, {size}, {share}, pictures {pictures}"
     found = board(title, {submission.name: submission.method for submission in submissions}, scenes, refused)
-    write_record(config.out / "board.json", found)
-    if config.json is not None:
-        write_record(config.json, found)
+    write_record(out / "board.json", found)
+    write_figures(found)
     grids = {made.scene.name: _pictures(made, scored) for made, scored in zip(here, scenes, strict=True)}
     for name, text in (("board.html", to_html(found, grids)), ("board.md", to_markdown(found))):
-        with atomic_path(config.out / name) as temporary:
+        with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     console().print(to_markdown(found), markup=False, highlight=False)
-    print(f"written to {config.out}/board.html, .md, .json")
+    print(f"written to {out}/board.html, .md, .json")
     return 0
 
 

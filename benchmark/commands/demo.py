@@ -10,8 +10,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import ClassVar
 
-import tyro
-
+from gof.commands.everywhere import write_figures
+from gof.commands.read import read_options
+from gof.commands.units import Preset
 from gof.core.cameras import in_words
 from gof.core.costs import StageCost, StageLog
 from gof.core.errors import GofError
@@ -20,13 +21,17 @@ from gof.core.records import claim, to_json
 from gof.evaluate.scores import Scores
 from gof.host.processes import python_command
 from gof.host.worker import run_worker
-from gof.reconstruct.presets import LEAST
+from gof.reconstruct.presets import FLAGS, LEAST
 from gof_benchmark.scenes import load_scene
 
 
 @dataclass
 class DemoConfig:
     """Make a real (small) fire with ground truth, reconstruct it from three videos, score it, bring it into Blender.
+
+    Examples:
+      gof demo
+      gof demo --out out/toy --preset toy --steps 20
 
     Everything lands in OUT; open OUT/report.html, send OUT/share.html. Stopped at any time, the same command goes on
     where it was.
@@ -36,14 +41,12 @@ class DemoConfig:
     """Folder for everything the demo makes."""
     scene: str = "demo"
     """Built-in scene or spec file to simulate."""
-    preset: str | None = None
-    """Cost preset of the scene (toy, preview, draft, standard, large, paper); default: the scene's own settings."""
+    preset: Preset | None = None
+    """Cost preset of the scene; default: the scene's own settings."""
+    steps: int | None = None
+    """Optimisation steps; default: those of `gof reconstruct`."""
     gaussians: int | None = None
     """Number of Gaussians; default: that of `gof reconstruct`."""
-    iterations: int | None = None
-    """Optimisation steps; default: that of `gof reconstruct`."""
-    json: Path | None = None
-    """Also write the scores to this file."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +63,12 @@ class DemoSettings:
     @classmethod
     def of(cls, config: DemoConfig) -> DemoSettings:
         """Raises GofError: there is no such scene, or an option is out of range."""
-        for name in ("gaussians", "iterations"):
-            if (given := getattr(config, name)) is not None and given < LEAST[name]:
-                raise GofError(f"--{name} {given}: must be {LEAST[name]} or more")
+        for name, given in (("gaussians", config.gaussians), ("iterations", config.steps)):
+            if given is not None and given < LEAST[name]:
+                raise GofError(f"{FLAGS[name]} {given}: must be {LEAST[name]} or more")
         spec = load_scene(config.scene, config.preset)
         digits = hashlib.sha256(json.dumps(spec.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
-        return cls(f"{spec.name} {digits}", config.gaussians, config.iterations)
+        return cls(f"{spec.name} {digits}", config.gaussians, config.steps)
 
 
 @dataclass(frozen=True)
@@ -92,8 +95,8 @@ def stages_of(config: DemoConfig) -> list[Stage]:
     out, dataset = config.out, config.out / "dataset"
     made, result, preview = dataset / "dataset.json", out / "reconstruct" / "result.npz", out / "preview.png"
     preset = ["--preset", config.preset] if config.preset else []
-    effort = [x for name in ("gaussians", "iterations") if (n := getattr(config, name)) for x in (f"--{name}", n)]
-    into_blender = ["--dataset", dataset, "--blend", out / "result.blend", "--preview", preview, "--samples", 8]
+    effort = [x for name in ("gaussians", "steps") if (n := getattr(config, name)) for x in (f"--{name}", n)]
+    into_blender = ["--dataset", dataset, "--out", out / "result.blend", "--preview", preview, "--samples", 8]
     return [
         Stage(
             "generate",
@@ -111,7 +114,7 @@ def stages_of(config: DemoConfig) -> list[Stage]:
         ),
         Stage(
             "evaluate",
-            ["evaluate", result, "--truth", dataset, "--json", evaluation(config)],
+            ["evaluate", result, "--dataset", dataset, "--json", evaluation(config)],
             [made, result],
             [evaluation(config)],
         ),
@@ -119,7 +122,7 @@ def stages_of(config: DemoConfig) -> list[Stage]:
         Stage("report", ["report", out, "--dataset", dataset], [evaluation(config), preview], [out / "report.html"]),
         Stage(
             "share",
-            ["share", result.parent, "--names", "reconstruction", "--dataset", dataset, "--out", out / "share.html"],
+            ["share", f"reconstruction={result.parent}", "--dataset", dataset, "--out", out / "share.html"],
             [made, result],
             [out / "share.html"],
         ),
@@ -133,15 +136,14 @@ def evaluation(config: DemoConfig) -> Path:
 
 def main(argv: list[str]) -> int:
     """`gof demo [--out DIR]`; see --help."""
-    config = tyro.cli(DemoConfig, prog="gof demo", args=argv)
+    config = read_options(DemoConfig, "demo", argv)
     claim(config.out / "demo.json", DemoSettings.of(config), config.out / "dataset" / "spec.json")
     start = time.perf_counter()
     run_stages(config)
     scores = Scores.read(evaluation(config))
     content = to_json(scores) | {"stages": [asdict(cost) for cost in stage_costs(config)]}
     write_json(config.out / "scores.json", content)
-    if config.json:
-        write_json(config.json, content)
+    write_figures(content)
     summarise(scores)
     print(f"total of this run {time.perf_counter() - start:.0f} s; open {config.out / 'report.html'}")
     print(f"{config.out / 'share.html'} is the flame itself, in one file to send")

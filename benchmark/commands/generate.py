@@ -8,9 +8,11 @@ from typing import Annotated, Literal
 
 import tyro
 
+from gof.commands.everywhere import require_writable, write_figures
+from gof.commands.read import read_options
+from gof.commands.units import Preset
 from gof.core.costs import Costs, StageLog
 from gof.core.errors import GofError
-from gof.core.files import write_json
 from gof.host.terminal import console
 from gof_benchmark.generator import graph
 from gof_benchmark.generator.looks import require_look
@@ -28,15 +30,20 @@ from gof_blender.pure.spec import SceneSpec
 class GenerateConfig:
     """Simulate and render a fire scene: pictures, cameras and the exact velocity of the gas, in one dataset folder.
 
+    Examples:
+      gof generate demo --out data/fire
+      gof generate demo --estimate
+
     Stopped at any time, the same command goes on where it was; no finished frame is made twice.
     """
 
     scene: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SCENE")]]
     """Spec file (.json), or the name of a built-in scene."""
-    out: Path
-    """Dataset folder to make or to finish."""
-    preset: str | None = None
-    """Cost preset instead of the scene's own settings: toy, preview, draft, standard, large or paper."""
+    out: Path | None = None
+    """Dataset folder to make or to finish. Default: beside the spec file, named as the scene; of a built-in scene
+    data/NAME."""
+    preset: Preset | None = None
+    """Cost preset instead of the scene's own settings."""
     views: tuple[
         Literal[
             "nerfstudio",
@@ -62,23 +69,21 @@ class GenerateConfig:
     run programs as you (docs/cluster.md)."""
     estimate: bool = False
     """Only predict time, memory and disk for this machine."""
-    json: Path | None = None
-    """Also write what each stage cost to this file."""
 
 
 def main(argv: list[str]) -> int:
-    """`gof generate SPEC_OR_SCENE --out DIR`; see --help."""
-    config = tyro.cli(GenerateConfig, prog="gof generate", args=argv)
+    """`gof generate SPEC_OR_SCENE [--out DIR]`; see --help."""
+    config = read_options(GenerateConfig, "generate", argv)
     if config.workers < 1:
         raise GofError(f"--workers {config.workers}: must be 1 or more")
     require_certificate(config.scheduler, config.tls)
     spec = load_scene(config.scene, config.preset)
-    layout = Layout(config.out)
+    layout = Layout(config.out or _default_out(config.scene, spec))
     if not layout.description.exists():
         for note in _checked(spec, layout, config.estimate):
             console().print("note:", note, style="yellow")
     if config.estimate:
-        _print_estimate(spec, layout, config.json)
+        _print_estimate(spec, layout)
         return 0
     log = StageLog(layout.costs)
     with claimed(layout, spec):
@@ -89,11 +94,16 @@ def main(argv: list[str]) -> int:
         print(_summary(log.costs()))
         for note in leaving(layout):
             console().print("note:", note, style="yellow")
-    if config.json:
-        costs = asdict(log.costs())
-        write_json(config.json, {"dataset": str(layout.root), "wall_s": costs["wall_s"], "stages": costs["stages"]})
+    costs = asdict(log.costs())
+    write_figures({"dataset": str(layout.root), "wall_s": costs["wall_s"], "stages": costs["stages"]})
     print(f"dataset: {layout.root}")
     return 0
+
+
+def _default_out(scene: str, spec: SceneSpec) -> Path:
+    """Beside the spec's file; of a built-in scene, which has no place of the user's, data/NAME."""
+    path = Path(scene)
+    return require_writable(path.absolute().parent) / spec.name if path.is_file() else Path("data") / spec.name
 
 
 def _checked(spec: SceneSpec, layout: Layout, estimate: bool) -> list[str]:
@@ -122,13 +132,12 @@ def _in_its_scene(spec: SceneSpec) -> list[str]:
         raise GofError(f"{spec.name}: {error}") from error
 
 
-def _print_estimate(spec: SceneSpec, layout: Layout, json: Path | None) -> None:
+def _print_estimate(spec: SceneSpec, layout: Layout) -> None:
     from gof_benchmark.generator import machine
 
     prediction = machine.predict(spec, machine.this_machine())
     print(prediction, flush=True)
-    if json:
-        write_json(json, asdict(prediction))
+    write_figures(asdict(prediction))
     machine.refuse(spec, layout.root)
 
 

@@ -8,7 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from gof.core.files import require_replaceable, write_json
+from gof.commands.everywhere import beside, require_free, write_figures
+from gof.commands.read import read_options
+from gof.core.files import require_replaceable
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.host import extras
@@ -19,16 +21,20 @@ from gof.look.preview import Preview
 
 @dataclass
 class ImportConfig:
-    """Result -> animated point cloud in a .blend that also holds the dataset's scene, and a rendered preview frame."""
+    """Result -> animated point cloud in a .blend that also holds the dataset's scene, and a rendered preview frame.
+
+    Examples:
+      gof import out/fire --dataset data/fire
+    """
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
-    """result.npz or result.ply of a reconstruction."""
+    """Folder of a reconstruction, or its result.npz or result.ply."""
     dataset: Path
     """The dataset it was made from: its scene and cameras go into the .blend."""
-    blend: Path = Path("out/result.blend")
-    """The .blend to write."""
+    out: Path | None = None
+    """The .blend to write. Default: result.blend beside the result, where an older one is replaced."""
     preview: Path | None = None
-    """Rendered picture of the cloud (PNG); default: beside the .blend."""
+    """Rendered picture of the cloud (PNG). Default: beside the .blend."""
     frame: int | None = None
     """Frame to render; default: the middle of the clip."""
     camera: str | None = None
@@ -38,25 +44,27 @@ class ImportConfig:
     time)."""
     samples: int = 16
     """Cycles samples per pixel of the preview."""
-    json: Path | None = None
-    """Also write the files' names and the cost to this file."""
 
 
 def main(argv: list[str]) -> int:
-    """`gof import RESULT --dataset DATASET --blend FILE`; see --help."""
-    config = tyro.cli(ImportConfig, prog="gof import", args=argv)
+    """`gof import RESULT --dataset DATASET [--out FILE]`; see --help."""
+    config = read_options(ImportConfig, "import", argv)
     dataset = Dataset.open(config.dataset)
-    TransientGaussians.load(config.result)  # a bad file is named here, before Blender starts
-    preview = config.preview or config.blend.with_suffix(".png")
-    for path in (config.blend, preview):
+    result = config.result / "result.npz" if config.result.is_dir() else config.result
+    TransientGaussians.load(result)  # a bad file is named here, before Blender starts
+    if config.out is not None:
+        require_free(config.out)
+    blend = config.out or beside(result.absolute(), "result.blend")
+    preview = config.preview or blend.with_suffix(".png")
+    for path in (blend, preview):
         require_replaceable(path)
     frame = len(dataset.times_s) // 2 if config.frame is None else config.frame
     camera = config.camera or dataset.cameras[len(dataset.cameras) // 2].name
-    config.blend.parent.mkdir(parents=True, exist_ok=True)
+    blend.parent.mkdir(parents=True, exist_ok=True)
     options = {
-        "result": config.result,
+        "result": result,
         "dataset": config.dataset,
-        "blend": config.blend,
+        "blend": blend,
         "preview": preview,
         "frame": frame,
         "camera": camera,
@@ -70,8 +78,7 @@ def main(argv: list[str]) -> int:
     names = [c.name for c in dataset.cameras]
     # Which truth the preview belongs to, for `gof report`.
     Preview(preview.name, names.index(camera), frame).write(preview.with_suffix(".json"))
-    if config.json:
-        files = {"blend": str(config.blend), "preview": str(preview)}
-        write_json(config.json, files | {"seconds": cost.seconds, "peak_mb": cost.peak_mb})
-    print(f"{config.blend} and {preview} ({cost.seconds:.1f} s): open the .blend and press play")
+    files = {"blend": str(blend), "preview": str(preview)}
+    write_figures(files | {"seconds": cost.seconds, "peak_mb": cost.peak_mb})
+    print(f"{blend} and {preview} ({cost.seconds:.1f} s): open the .blend and press play")
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 
-from gof.commands import no_such
+from gof.commands import HELP_WORDS, no_such
 from gof.core.errors import GofError
 
 
@@ -22,7 +22,12 @@ STUDIES = {
     "dve": Study(
         "gof_benchmark.studies.dve",
         "the score: quadrature order, grid resolution, precision, Monte Carlo, against closed forms",
-        "gof study dve --out out/study",
+        "gof study dve",
+    ),
+    "score": Study(
+        "gof_benchmark.studies.score",
+        "the score of one result: orders of quadrature, weights of Gaussians",
+        "gof study score out/fire --dataset data/fire --order 3 5",
     ),
     "generate": Study(
         "gof_benchmark.studies.generator",
@@ -31,7 +36,7 @@ STUDIES = {
     ),
     "reconstruct": Study(
         "gof_benchmark.studies.reconstruction",
-        "a reconstruction: presets, iterations, Gaussians and picture size, in DVE and PSNR",
+        "a reconstruction: presets, steps, Gaussians and picture size, in DVE and PSNR",
         "gof study reconstruct data/fire --out out/settings",
     ),
     "ablations": Study(
@@ -61,7 +66,7 @@ def main(argv: list[str]) -> int:
     Raises:
         GofError: no study of that name.
     """
-    if argv and argv[0] in ("-h", "--help", "help"):
+    if argv and argv[0] in HELP_WORDS:
         studies = "\n".join(f"  {name:<12} {study.help}" for name, study in STUDIES.items())
         examples = "\n".join(f"  {study.example}" for study in STUDIES.values())
         print(HELP.format(studies=studies, examples=examples))

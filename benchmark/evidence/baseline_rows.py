@@ -80,12 +80,13 @@ class BaselineRows:
 class Training:
     """Command lines, run in turn, of which the one with `--curve` trains; what comes out, and how it is added.
 
-    `result`: where several files match its name, the one of the last step.   `options`: of `gof benchmark add`.
+    `result`: where several files match its name, the one of the last step.   `said`: what its files do not say, as
+    options of `gof convert`.
     """
 
     commands: tuple[tuple[str, ...], ...]
     result: Path
-    options: tuple[str, ...] = ("--trained-on", "train")
+    said: tuple[str, ...] = ()
     settings: dict[Path, str] = field(default_factory=dict)
 
 
@@ -149,8 +150,8 @@ OptimizationParams: {{iterations: {steps}, position_lr_init: 0.00016, position_t
 """
     train = ("-m", "gof", "baseline", "--method", "yang", "--curve", f"{out}/curve.csv", f"{config.yang}/train.py")
     train += ("--config", f"{out}/settings.yaml", "--test_iterations", "-1", "--save_iterations", f"{steps}")
-    options = ("--trained-on", "train", "--time-unit", f"{duration(data)}")
-    return Training((train,), out / f"model/chkpnt{steps}.pth", options, {out / "settings.yaml": settings})
+    said = ("--time-unit", f"{duration(data)}")
+    return Training((train,), out / f"model/chkpnt{steps}.pth", said, {out / "settings.yaml": settings})
 
 
 def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
@@ -168,8 +169,8 @@ def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
     train += ("--start-frame", "0", "--end-frame", f"{count}", "--max-steps", f"{steps}", "--save-steps")
     train += tuple(f"{step}" for step in range(steps - 7, steps + 1))
     train += ("--eval-steps", "10000000", "--lambda-perc", "0", "--disable-viewer", "--render-traj-n-frames", "2")
-    options = ("--trained-on", "train", "--time-unit", f"{duration(data)}", "--world", f"{view}/sparse/0")
-    return Training((start, train), out / "model/ckpts/ckpt_*.pt", options)
+    said = ("--time-unit", f"{duration(data)}", "--world", f"{view}/sparse/0")
+    return Training((start, train), out / "model/ckpts/ckpt_*.pt", said)
 
 
 OTHERS = {"wu": wu, "yang": yang, "freetime": freetime}
@@ -206,11 +207,14 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
     for path, text in training.settings.items():
         path.write_text(text)
     costs = [measured([f"{config.python}", *words], here / "log.txt") for words in training.commands]
+    result = last_of(training.result)
+    if training.said:
+        measured(python_command("-m", "gof", "convert", f"{result}", *training.said), here / "log.txt")
     add(
-        last_of(training.result),
+        result,
         data,
         folder,
-        (*training.options, "--curve", f"{here}/curve.csv"),
+        ("--trained-on", "train", "--curve", f"{here}/curve.csv"),
         here / "log.txt",
         costs,
     )
@@ -241,7 +245,7 @@ def train_ours(config: BaselineRows, name: str, data: Path, out: Path, seed: int
     steps = config.steps if name != "gof_long" else equal_steps(config, data, out)
     here = fresh(out / name / data.name / f"seed_{seed}")
     words = python_command(*"-m gof reconstruct".split(), f"{data}", "--out", f"{here}/result", "--preset", "preview")
-    words += ["--iterations", f"{steps}", "--seed", f"{seed}", *options]
+    words += ["--steps", f"{steps}", "--seed", f"{seed}", *options]
     costs = [measured(words, here / "log.txt")]
     add(here / "result", data, folder, (), here / "log.txt", costs)
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
@@ -272,7 +276,7 @@ def add(result: Path, data: Path, run: Path, options: tuple[str, ...], log: Path
     """`gof benchmark add`; costs.json then says processor seconds, which others on the machine do not change."""
     shutil.rmtree(run, ignore_errors=True)
     submission, words = (run.parent, ()) if run.name == data.name else (run.parent.parent, ("--run", run.name))
-    command = python_command("-m", "gof", "benchmark", "add", f"{result}", f"{data}", f"{submission}")
+    command = python_command("-m", "gof", "benchmark", "add", f"{result}", f"{submission}", "--dataset", f"{data}")
     measured([*command, *words, *options], log)
     peak = max(cost.peak_mb for cost in costs)
     total = StageCost("processor", sum(cost.seconds for cost in costs), peak)

@@ -73,8 +73,8 @@ def main(argv: list[str] | None = None) -> None:
             make_video(video, c, config)
         cameras_file(work / "cameras.json", config)
         made = work / "set"
-        words = ["ingest", *map(str, videos), "--out", str(made), "--fps", "60", "--board", "none", "--width", "480"]
-        words += ["--cameras", str(work / "cameras.json"), "--plate", config.plate]
+        words = ["ingest", *map(str, videos), "--out", str(made), "--times", "60", "--board", "none"]
+        words += ["--max-size", "480", "--cameras", str(work / "cameras.json"), "--plates", config.plate]
         subprocess.run(python_command("-m", "gof", *words), check=True, stdout=sys.stderr)
         raw = CAMERAS * config.frames * config.width * config.height * 3 / 2**20
         print(f"{CAMERAS} cameras, {config.frames} frames of {config.width}x{config.height}: {raw:.0f} MB as pictures")

@@ -38,7 +38,7 @@ class OpenSockets:
 def commands(out: Path) -> Iterator[tuple[str, list[str]]]:
     """A command's name and its arguments, in the order of the work; what needs files of ours finds them written."""
     data, work, packed = str(out / "data"), str(out / "work"), str(out / "packed")
-    result, effort = f"{work}/result.npz", ["--iterations", "20", "--gaussians", "500", "--voxels", "16"]
+    result, effort = f"{work}/result.npz", ["--steps", "20", "--gaussians", "500", "--voxels", "16"]
     yield "generate", ["demo", "--preset", "toy", "--out", data, "--views", "nerfstudio", "dynerf"]
     filmed = Dataset.open(data)
     cameras = [
@@ -47,25 +47,25 @@ def commands(out: Path) -> Iterator[tuple[str, list[str]]]:
     write_json(out / "cameras.json", {"cameras": json.loads(json.dumps(cameras, default=np.ndarray.tolist))})
     pictures = [f"{data}/cameras/{camera.name}/rgb" for camera in filmed.cameras]
     fps = str(1 / (filmed.times_s[1] - filmed.times_s[0]))
-    known = ["--cameras", str(out / "cameras.json"), "--plates", f"{data}/static", "--board", "none", "--fps", fps]
+    known = ["--cameras", str(out / "cameras.json"), "--plates", f"{data}/static", "--board", "none", "--times", fps]
     yield "ingest", [*pictures, "--out", str(out / "filmed"), *known]
     yield "background", [data, "--out", str(out / "background"), "--steps", "5", "--gaussians", "1000"]
     yield "reconstruct", [data, "--out", work, *effort]
     yield "depth", [data, "--out", str(out / "depth"), "--all-frames"]
-    yield "evaluate", [result, "--truth", data, "--out", work]
+    yield "evaluate", [result, "--dataset", data, "--out", work]
     yield "convert", [result, str(out / "converted.ply")]
     yield "share", [work, "--dataset", data]
-    yield "video", [work, "--dataset", data, "--seconds", "1", "--fps", "5"]
-    yield "leaderboard", [work, "--truth", data, "--out", str(out / "board")]
-    yield "import", [result, "--dataset", data, "--blend", str(out / "scene.blend"), "--samples", "1"]
+    yield "video", [work, "--dataset", data, "--style", "seconds=1", "--fps", "5"]
+    yield "leaderboard", [work, "--dataset", data, "--out", str(out / "board")]
+    yield "import", [result, "--dataset", data, "--out", str(out / "scene.blend"), "--samples", "1"]
     yield "report", [work, "--dataset", data]
     yield "view", [result, "--dataset", data, "--port", "0"]
     yield "pack", [data, "--licence", "CC0-1.0", "--authors", "nobody", "--out", packed]
     yield "unpack", [f"{packed}/data.tar", "--out", str(out / "unpacked")]
     yield "study dve", ["--gaussians", "200", "--out", str(out / "study")]
     yield "benchmark list", []
-    yield "capture target", [str(out / "charuco.svg")]
-    yield "capture draw", [str(out / "board.svg")]
+    yield "capture target", ["--out", str(out / "charuco.svg")]
+    yield "capture draw", ["--out", str(out / "board.svg")]
     (out / "script.py").write_text("import torch\nprint(torch.zeros(3, device='cuda').sum())\n", encoding="utf-8")
     yield "baseline", ["--method", "3dgs", str(out / "script.py")]
     yield "demo", ["--preset", "toy", "--out", str(out / "demo"), *effort[:4]]

@@ -29,7 +29,7 @@ from gof.host.processes import python_command
 CAMERAS = ("cam_0", "cam_1", "cam_2")
 LOOK_UP = (48, 85)  # px: size at which pictures are looked up
 GONE = "not(eq(n,20)+eq(n,21)+eq(n,60))"  # three frames are missing
-QUICK = ("--width", "120", "--plate", "minimum")
+QUICK = ("--max-size", "214", "--plates", "minimum")
 SLOWING = "(N/30+0.004*N*N/100)/TB"  # from 30 to about 24 frames a second
 LYING = ["-vf", "transpose=2"]  # as a phone stores an upright video
 
@@ -77,8 +77,8 @@ class Variant:
 def variants(config: OrdinaryFootage) -> list[Variant]:
     """The rows of the table."""
     rate, half = f"{config.fps:g}", f"{config.fps / 2:g}"
-    fov, board = ("--fov", f"{config.fov:g}"), ("--marker-m", f"{config.marker_m:g}")
-    usual = ("--fps", rate, *fov, *board)
+    fov, board = ("--fov", f"{config.fov:g}"), ("--marker-mm", f"{1000 * config.marker_m:g}")
+    usual = ("--times", rate, *fov, *board)
     halved = {"cam_1": ["-vf", "select='not(mod(n,2))',setpts=N/(15*TB)", "-r", "15"]}
     gone = {"cam_1": ["-vf", f"select='{GONE}'", "-fps_mode", "vfr"]}
     late = {"cam_1": ["-vf", "select='gte(n,7)',setpts=N/(30*TB)"]}
@@ -92,7 +92,7 @@ def variants(config: OrdinaryFootage) -> list[Variant]:
     lying_fov = np.rad2deg(2 * np.arctan(np.tan(np.deg2rad(config.fov) / 2) * 854 / 480))
     return [
         Variant("as filmed", usual),
-        Variant("no board in the pictures", ("--fps", rate, *fov, "--board", "none")),
+        Variant("no board in the pictures", ("--times", rate, *fov, "--board", "none")),
         Variant("2 cameras", usual, given=(0, 1)),
         Variant("1 camera", usual, given=(0,)),
         Variant("cam_0's file twice", usual, given=(0, 0, 2)),
@@ -102,30 +102,30 @@ def variants(config: OrdinaryFootage) -> list[Variant]:
         Variant("cam_1 has 60 of 100 frames", usual, {"cam_1": ["-frames:v", "60"]}, all_frames=True),
         Variant("the same, `--frames 24`", usual, {"cam_1": ["-frames:v", "60"]}),
         Variant("cam_1's file is cut off", usual, after={"cam_1": "cut"}, all_frames=True),
-        Variant("cam_1 at half the rate, one --fps", usual, halved, all_frames=True),
-        Variant(f"the same, `--fps {rate} {half} {rate}`", ("--fps", rate, half, rate, *usual[2:]), halved),
+        Variant("cam_1 at half the rate, one rate for all", usual, halved, all_frames=True),
+        Variant(f"the same, `--times {rate} {half} {rate}`", ("--times", rate, half, rate, *usual[2:]), halved),
         Variant("the same, times.json", ("TIMES", *usual[2:]), halved),
         Variant("cam_1 lacks 3 frames (variable rate)", usual, gone),
         Variant("the same, times.json", ("TIMES", *usual[2:]), gone),
         Variant("all slow down (variable rate)", usual, slow, all_frames=True),
-        Variant("the same, `--stamps`", ("--stamps", *usual[2:]), slow),
+        Variant("the same, `--times stamps`", ("--times", "stamps", *usual[2:]), slow),
         Variant("cam_1 smaller", usual, {"cam_1": ["-vf", "scale=320:570"]}),
         Variant("HEVC, 10 bits", usual, {c: hevc for c in CAMERAS}),
-        Variant("phones: lying, with rotation tag", ("--fps", rate, "--fov", f"{lying_fov:.4g}", *board), lying, tag),
+        Variant("phones: lying, with rotation tag", ("--times", rate, "--fov", f"{lying_fov:.4g}", *board), lying, tag),
         Variant(
             "the same, cam_1's tag is lost",
-            ("--fps", rate, "--fov", f"{lying_fov:.4g}", *board),
+            ("--times", rate, "--fov", f"{lying_fov:.4g}", *board),
             lying,
             {"cam_0": "tag", "cam_2": "tag"},
         ),
         Variant(
             "the same, `--turn clockwise`",
-            ("--fps", rate, "--fov", f"{lying_fov:.4g}", *board, "--turn", "clockwise"),
+            ("--times", rate, "--fov", f"{lying_fov:.4g}", *board, "--turn", "clockwise"),
             lying,
             {"cam_0": "tag", "cam_2": "tag"},
         ),
-        Variant("wrong --fov, board", ("--fps", rate, "--fov", "60", *board)),
-        Variant("wrong --fov, no board", ("--fps", rate, "--fov", "60", "--board", "none")),
+        Variant("wrong --fov, board", ("--times", rate, "--fov", "60", *board)),
+        Variant("wrong --fov, no board", ("--times", rate, "--fov", "60", "--board", "none")),
     ]
 
 

@@ -3,7 +3,7 @@
     python -m gof_benchmark.evidence.plate_window DATASET [--start 12] [--frames 12] [--windows 12 18 24 36]
 
 DATASET is generated, so that its true fire-free pictures are known. A clip of FRAMES frames is taken from it, and its
-plates are made as `gof ingest --plate-frames` makes them, of windows of growing length. Held-out frames are left out.
+plates are made as `gof ingest --plates steady:N` makes them, of windows of growing length, without held-out frames.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ class Config:
 def measured_bytes(dataset: Path, side: int, gaussians: int, voxels: int) -> int:
     """Peak resident size of one run. Raises RuntimeError: it failed."""
     with tempfile.TemporaryDirectory() as out:
-        command = python_command("-m", "gof", "reconstruct", str(dataset), "--out", out, "--iterations", str(STEPS))
-        command += ["--longest-side", str(side), "--gaussians", str(gaussians), "--voxels", str(voxels)]
+        command = python_command("-m", "gof", "reconstruct", str(dataset), "--out", out, "--steps", str(STEPS))
+        command += ["--max-size", str(side), "--gaussians", str(gaussians), "--voxels", str(voxels)]
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         _, status, used = os.wait4(child.pid, 0)
     if status:

@@ -22,9 +22,9 @@ import numpy as np
 import tyro
 
 from gof.commands.reconstruct import ReconstructConfig
+from gof.commands.units import Preset
 from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.reconstruct.presets import PresetName
 from gof.reconstruct.settings import ReconstructionSettings
 from gof_benchmark.evidence.render_kernels import drawn_by
 
@@ -43,7 +43,7 @@ class TrainingStep:
 
     dataset: tyro.conf.Positional[Path]
     """Dataset folder."""
-    preset: PresetName = "preview"
+    preset: Preset = "preview"
     """Whose Gaussians, voxels and picture size."""
     gaussians: int | None = None
     """Instead of the preset's."""
@@ -62,7 +62,7 @@ def main(argv: list[str] | None = None) -> None:
     from gof.reconstruct.pipeline import reconstruct
 
     dataset = Dataset.open(config.dataset)
-    given = {"preset": config.preset, "gaussians": config.gaussians, "longest_side": config.longest_side}
+    given = {"preset": config.preset, "gaussians": config.gaussians, "max_size": config.longest_side}
     settings = ReconstructionSettings.of(dataset, ReconstructConfig(config.dataset, **given).effort())
     figures: dict[str, Any] = {}
 

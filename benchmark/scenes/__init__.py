@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from gof.core import ladder
 from gof.core.errors import GofError
 from gof.core.files import only_run_in
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.layout import Layout
+from gof_blender.pure.presets import FORMER, PRESETS
 from gof_blender.pure.spec import SceneSpec, SpecError
 
 FOLDER = Path(__file__).parent
@@ -31,11 +33,16 @@ def load_scene(scene: str, preset: str | None = None) -> SceneSpec:
         raise GofError(f"'{scene}' is neither a spec file nor a built-in scene ({', '.join(built_in_scenes())})")
     try:
         spec = scene_spec.load(path)
-        spec = spec.with_preset(preset) if preset else spec
+        spec = spec.with_preset(_today(preset)) if preset else spec
         _ = spec.box  # opens what it burns
         return spec
     except SpecError as error:
         raise GofError(str(error)) from error
+
+
+def _today(preset: str) -> str:
+    """The name of a preset; says so where it is an old one. Raises GofError: there is none of that name."""
+    return ladder.preset(preset, {name: name for name in PRESETS}, {name: name for name in FORMER})
 
 
 def claim(layout: Layout, spec: SceneSpec) -> None:

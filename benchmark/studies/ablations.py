@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import tyro
-
+from gof.commands.read import read_options
 from gof.dataset import Dataset
 from gof.reconstruct.methods import MethodName
 from gof_benchmark.studies.variants import Row, VariantStudy, run_one, table, write_page
@@ -31,6 +30,9 @@ PICTURES = {
 class AblationStudy(VariantStudy):
     """Reconstruct a dataset with a part of the method left out at a time: velocity (DVE) and held-out pictures.
 
+    Examples:
+      gof study ablations data/fire --out out/ablations
+
     The full method and the paper's NoSync, RandFlow, JointOpt and NoMask, of ours or of the paper's method; and the
     other method beside them. Every reconstruction has a folder in OUT; finished ones are kept, so a stopped study goes
     on where it was.
@@ -42,7 +44,7 @@ class AblationStudy(VariantStudy):
 
 def main(argv: list[str]) -> int:
     """`gof study ablations DATASET`; see --help."""
-    study = tyro.cli(AblationStudy, prog="gof study ablations", args=argv)
+    study = read_options(AblationStudy, "study ablations", argv)
     dataset = Dataset.open(study.dataset)
     base = study.settings()
     variants = _variants(study.method)
@@ -50,7 +52,7 @@ def main(argv: list[str]) -> int:
     title = f"{dataset.description.name}: " + ", ".join(f"{key} {value}" for key, value in base.items())
     parts = [title, "## Velocity", _table(variants, rows, VELOCITY)]
     parts += ["## Held-out pictures", _table(variants, rows, PICTURES)]
-    write_page(study.out / "ablations.md", parts)
+    write_page(study.folder / "ablations.md", parts)
     study.finish("ablations", rows)
     return 0
 

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-import tyro
 
+from gof.commands.everywhere import require_free, write_figures
+from gof.commands.read import read_options
 from gof.core.fields import VelocityField
 from gof.core.files import write_json
 from gof.core.records import to_json
@@ -35,16 +36,18 @@ FEW_SAMPLES = 100  # of Monte Carlo; each further row has ten times as many
 
 @dataclass
 class DveStudy:
-    """Accuracy against time: quadrature order, grid resolution and precision, against closed forms and Monte Carlo."""
+    """Accuracy against time: quadrature order, grid resolution and precision, against closed forms and Monte Carlo.
 
-    out: Path = Path("out/study")
-    """Folder for study_dve.json and a chart per flow; older ones are replaced."""
+    Examples:
+      gof study dve --gaussians 2000
+    """
+
+    out: Path | None = None
+    """Folder for study_dve.json and a chart per flow. Default: out/study_dve, where older ones are replaced."""
     gaussians: int = 20_000
     """Gaussians per measurement."""
     samples: int = 1_000_000
     """Largest number of Monte Carlo samples per Gaussian."""
-    json: Path | None = None
-    """Another file to write the rows to."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,10 @@ def main(argv: list[str]) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    config = tyro.cli(DveStudy, prog="gof study dve", args=argv)
+    config = read_options(DveStudy, "study dve", argv)
+    if config.out is not None:
+        require_free(config.out / "study_dve.json")
+    out = config.out or Path("out/study_dve")
     with progress_bar("study") as progress:
         rows = run(config.gaussians, config.samples, lambda done, total: progress(done, total, stage="DVE"))
     table = Table(title="Expected velocity against closed forms", title_justify="left")
@@ -85,11 +91,10 @@ def main(argv: list[str]) -> int:
     console = Console()
     console.print(table)
     content = to_json(Rows(tuple(rows)))
-    write_json(config.out / "study_dve.json", content)
-    if config.json:
-        write_json(config.json, content)
-    charts = write_charts(rows, config.out)
-    console.print(f"written to {config.out}/study_dve.json, {', '.join(path.name for path in charts)}")
+    write_json(out / "study_dve.json", content)
+    write_figures(content)
+    charts = write_charts(rows, out)
+    console.print(f"written to {out}/study_dve.json, {', '.join(path.name for path in charts)}")
     return 0
 
 

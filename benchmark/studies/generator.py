@@ -13,8 +13,10 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-import tyro
 
+from gof.commands.everywhere import write_figures
+from gof.commands.read import read_options
+from gof.commands.units import Seconds
 from gof.core.fields import VelocitySequence
 from gof.core.files import atomic_path, read_json, write_json
 from gof.core.zarr_array import ZarrArray
@@ -28,10 +30,14 @@ from gof_blender.pure.spec import SceneSpec
 
 @dataclass
 class GeneratorStudy:
-    """Accuracy against time of simulation resolution, render samples, and storage of the velocity."""
+    """Accuracy against time of simulation resolution, render samples, and storage of the velocity.
+
+    Examples:
+      gof study generate --out out/study_generate
+    """
 
     out: Path = Path("out/study_generate")
-    """Folder for tables, plots and the runs behind them."""
+    """Folder for tables, plots and the runs behind them; finished ones are kept."""
     scene: str = "demo"
     """Built-in scene or spec file."""
     resolutions: tuple[int, ...] = (24, 32, 40, 64, 96)
@@ -40,10 +46,8 @@ class GeneratorStudy:
     """Paths per pixel; the last one is the reference."""
     frames: int = 12
     """Frames compared."""
-    warm_up_s: float = 0.6
-    """Simulated before the first of them, seconds."""
-    json: Path | None = None
-    """Also write all figures to this file."""
+    warm_up_s: Seconds = 0.6
+    """Simulated before the first of them."""
 
 
 @dataclass(frozen=True)
@@ -97,14 +101,13 @@ class Figures:
 
 def main(argv: list[str]) -> int:
     """`gof study generate`; see --help."""
-    config = tyro.cli(GeneratorStudy, prog="gof study generate", args=argv)
+    config = read_options(GeneratorStudy, "study generate", argv)
     spec = load_scene(config.scene)
     warm_up = round(config.warm_up_s * spec.clip.fps)
     spec = replace(spec, clip=replace(spec.clip, frames=config.frames, warm_up_frames=warm_up))
     figures = Figures(study_resolution(spec, config), study_samples(spec, config), study_storage(config))
     write_json(config.out / "study.json", asdict(figures))
-    if config.json:
-        write_json(config.json, asdict(figures))
+    write_figures(asdict(figures))
     _report(figures, config.out)
     print((config.out / "study.md").read_text(encoding="utf-8"))
     return 0

@@ -6,16 +6,17 @@ from dataclasses import asdict, dataclass
 from typing import Literal, get_args
 
 import numpy as np
-import tyro
 
+from gof.commands.read import read_options
 from gof.dataset import Dataset
 from gof.look.charts import Point, line_chart
-from gof.reconstruct.presets import PRESETS
+from gof.reconstruct.presets import PRESETS, effort_of
 from gof_benchmark.studies.variants import Row, Setting, VariantStudy, run_one, table, write_page
 
-FACTORS = (0.25, 0.5, 1, 2)  # of the preset's iterations, Gaussians and picture size
+FACTORS = (0.25, 0.5, 1, 2)  # of the preset's steps, Gaussians and picture size
 VOXELS = (0.5, 1, 1.5)  # of the preset's
-VARIED = ("iterations", "gaussians", "longest_side", "voxels")
+VARIED = {"steps": "iterations", "gaussians": "gaussians", "max-size": "longest_side", "voxels": "voxels"}
+"""What is varied, and its name in the settings and the tables."""
 CHOICES: dict[str, dict[str, Setting]] = {
     "no flow prior": {"flow_prior": False},
     "scene of Gaussians": {"scene": "gaussians"},
@@ -23,10 +24,10 @@ CHOICES: dict[str, dict[str, Setting]] = {
     "flow by TV-L1": {"flow": "tvl1"},
     "the paper's method": {"method": "paper"},
 }
-Group = Literal["presets", "iterations", "gaussians", "longest_side", "voxels", "choices"]
+Group = Literal["presets", "steps", "gaussians", "max-size", "voxels", "choices"]
 CHARTS = {"l2": "DVE L2", "cos_sim": "DVE CosSim", "psnr_flame": "held-out flame PSNR, dB"}
 SCORES = ("l2", "cos_sim", "psnr_flame", "ssim_flame", "psnr_flame_novel")
-COLUMNS = [*VARIED, "seconds", *(column for score in SCORES for column in (score, f"{score}_sd"))]
+COLUMNS = [*VARIED.values(), "seconds", *(column for score in SCORES for column in (score, f"{score}_sd"))]
 Series = dict[str, dict[str, dict[str, Setting]]]
 
 
@@ -35,7 +36,10 @@ class SettingsStudy(VariantStudy):
     """Reconstruct a dataset with more and less work, and with other choices: velocity (DVE) and held-out pictures
     against seconds.
 
-    The presets up to --preset, then that preset with 1/4, 1/2, 1 and 2 times its iterations, Gaussians and picture
+    Examples:
+      gof study reconstruct data/fire --out out/settings
+
+    The presets up to --preset, then that preset with 1/4, 1/2, 1 and 2 times its steps, Gaussians and picture
     size, with 1/2 and 1.5 times its voxels, and with one choice of the method changed. Every reconstruction has a
     folder in OUT; finished ones are kept, so a stopped study goes on where it was.
     """
@@ -48,14 +52,14 @@ class SettingsStudy(VariantStudy):
 
 def main(argv: list[str]) -> int:
     """`gof study reconstruct DATASET`; see --help."""
-    study = tyro.cli(SettingsStudy, prog="gof study reconstruct", args=argv)
+    study = read_options(SettingsStudy, "study reconstruct", argv)
     dataset = Dataset.open(study.dataset)
     groups = run_all(study, dataset)
     _draw_charts(study, groups)
     parts = [f"![{label}]({key}.svg)" for key, label in CHARTS.items()]
     for group, rows in groups.items():
         parts += [f"## {group}", table(["run", *COLUMNS], [row["name"] for row in rows], rows, COLUMNS)]
-    write_page(study.out / "reconstruct.md", parts)
+    write_page(study.folder / "reconstruct.md", parts)
     study.finish("reconstruct", [{"group": group} | row for group, rows in groups.items() for row in rows])
     return 0
 
@@ -98,11 +102,11 @@ def series(study: VariantStudy, dataset: Dataset) -> Series:
     largest = max(max(camera.width, camera.height) for camera in dataset.cameras)
     base = study.settings()
     base["longest_side"] = min(base["longest_side"], largest)
-    presets = list(PRESETS)[: list(PRESETS).index(study.preset) + 1]
-    found: Series = {"presets": {name: asdict(PRESETS[name]) for name in presets}}
-    for key in VARIED:
+    most = effort_of(study.preset).iterations
+    found: Series = {"presets": {name: asdict(e) for name, e in PRESETS.items() if e.iterations <= most}}
+    for group, key in VARIED.items():
         values = [round(base[key] * factor) for factor in (VOXELS if key == "voxels" else FACTORS)]
-        found[key] = {f"{key}-{v}": base | {key: v} for v in values if key != "longest_side" or v <= largest}
+        found[group] = {f"{group}-{v}": base | {key: v} for v in values if key != "longest_side" or v <= largest}
     return found | {"choices": {name: base | choice for name, choice in CHOICES.items()}}
 
 
@@ -119,4 +123,4 @@ def _draw_charts(study: VariantStudy, groups: dict[str, list[Row]]) -> None:
                 line = row["name"] if group == "choices" else group
                 lines.setdefault(line, []).append(Point(*place, words, row.get(f"{key}_sd", 0.0)))
         title = f"{label} against time"
-        line_chart(title, "seconds of the reconstruction", label, lines, log="x").write(study.out / f"{key}.svg")
+        line_chart(title, "seconds of the reconstruction", label, lines, log="x").write(study.folder / f"{key}.svg")

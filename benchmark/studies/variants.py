@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from gof.commands.everywhere import next_to, write_figures
+from gof.commands.units import Pixels, Preset
 from gof.core.costs import StageLog
 from gof.core.files import atomic_path, read_json, write_json
 from gof.dataset import Dataset
@@ -15,7 +17,7 @@ from gof.evaluate import evaluate
 from gof.host.processes import python_command
 from gof.host.worker import run_worker
 from gof.reconstruct.curve import Curve
-from gof.reconstruct.presets import PRESETS, Effort, PresetName
+from gof.reconstruct.presets import FLAGS, effort_of
 
 Setting = int | str | bool
 Row = dict[str, Any]
@@ -28,42 +30,45 @@ class VariantStudy:
 
     dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder, with true velocity."""
-    out: Path = Path("out/study")
-    """Folder for the reconstructions, the tables (Markdown) and the charts."""
-    preset: PresetName = "preview"
+    out: Path | None = None
+    """Folder for the reconstructions, the tables (Markdown) and the charts. Default: beside the dataset,
+    DATASET_study."""
+    preset: Preset = "preview"
     """How much work every reconstruction is, before a setting is varied."""
+    steps: int | None = None
+    """Instead of the preset's."""
     gaussians: int | None = None
     """Instead of the preset's."""
-    iterations: int | None = None
+    max_size: Pixels | None = None
     """Instead of the preset's."""
-    longest_side: int | None = None
-    """Instead of the preset's."""
-    json: Path | None = None
-    """Also write the figures to this file."""
 
     def settings(self) -> dict[str, int]:
         """Of every reconstruction, before something is varied: options of `gof reconstruct` by name."""
-        preset: Effort = PRESETS[self.preset]
-        given = {name: getattr(self, name, None) for name in asdict(preset)}
+        preset = effort_of(self.preset)
+        given = {"iterations": self.steps, "gaussians": self.gaussians, "longest_side": self.max_size}
         return asdict(preset) | {name: value for name, value in given.items() if value is not None}
+
+    @property
+    def folder(self) -> Path:
+        """Where everything goes."""
+        return self.out or next_to(self.dataset, "_study")
 
     def finish(self, name: str, rows: list[Row]) -> None:
         """Write the figures, and show the tables in OUT/NAME.md."""
-        write_json(self.out / f"{name}.json", rows)
-        if self.json:
-            write_json(self.json, rows)
-        print((self.out / f"{name}.md").read_text(encoding="utf-8"))
+        write_json(self.folder / f"{name}.json", rows)
+        write_figures(rows)
+        print((self.folder / f"{name}.md").read_text(encoding="utf-8"))
 
 
 def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, Setting]) -> Row:
     """One reconstruction in OUT/NAME and its scores; one of the same dataset and settings is kept."""
-    folder = study.out / name
+    folder = study.folder / name
     known = _known_row(study, dataset, name, settings)
     if known is None:
         options = [word for key, value in settings.items() for word in _option(key, value)]
-        study.out.mkdir(parents=True, exist_ok=True)
+        study.folder.mkdir(parents=True, exist_ok=True)
         command = python_command("-m", "gof", "reconstruct", str(study.dataset), "--out", str(folder), *options)
-        run_worker(command, name, study.out / f"{name}.log")
+        run_worker(command, name, study.folder / f"{name}.log")
         velocity = evaluate(folder / "result.npz", dataset, images=False).dve
         seconds = sum(stage.seconds for stage in StageLog(folder / "costs.json").stages())
         row = {"name": name, **settings, "seconds": round(seconds, 1)}
@@ -75,20 +80,19 @@ def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str
 
 def _option(name: str, value: Setting) -> list[str]:
     """A setting in the words of the command line."""
-    name = name.replace("_", "-")
     if isinstance(value, bool):
-        return [f"--{name}" if value else f"--no-{name}"]
-    return [f"--{name}", str(value)]
+        return [f"--{name.replace('_', '-')}" if value else f"--no-{name.replace('_', '-')}"]
+    return [FLAGS.get(name, f"--{name.replace('_', '-')}"), str(value)]
 
 
 def write_row(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, Setting], row: Row) -> None:
     """Keep a row in OUT/NAME/study.json, with what it was made from."""
     made_from = {"dataset": dataset.identity(), "settings": settings}
-    write_json(study.out / name / "study.json", {"made_from": made_from, "row": row})
+    write_json(study.folder / name / "study.json", {"made_from": made_from, "row": row})
 
 
 def _known_row(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, Setting]) -> Row | None:
-    path = study.out / name / "study.json"
+    path = study.folder / name / "study.json"
     kept = read_json(path) if path.exists() else {}
     made_from = {"dataset": dataset.identity(), "settings": settings}
     return kept["row"] if kept.get("made_from") == made_from else None

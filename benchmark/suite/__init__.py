@@ -24,7 +24,9 @@ from gof_blender.pure.spec import SceneSpec
 
 FOLDER = Path(__file__).parent
 FILE = FOLDER / "gof_bench_1.json"
-Size = Literal["smoke", "standard", "paper"]
+Size = Literal["preview", "standard", "full"]  # rungs of gof.core.ladder
+SEALED: dict[Size, str] = {"preview": "smoke", "standard": "standard", "full": "paper"}
+"""What the sealed list and truth.json call a size; folders of the version before have these names, too."""
 
 
 @dataclass(frozen=True)
@@ -103,13 +105,24 @@ def scenes_of(size: Size, split: Split | Literal["all"] = "all") -> list[SuiteSc
     """
     check_seal(FOLDER)
     listed = read_record(SuiteList, FILE)
-    chosen = listed.sizes[size]
+    chosen = listed.sizes[SEALED[size]]
     burning = _specs()
     return [
         _scene(line, listed, chosen.preset, *burning[line.fire])
         for line in listed.scenes
         if (chosen.scenes is None or line.name in chosen.scenes) and split in (line.split, "all")
     ]
+
+
+def split_of(words: tuple[str, ...], default: str = "test") -> tuple[str, tuple[str, ...]]:
+    """The split that a first word "dev", "test" or "all" names, and the names of scenes that follow."""
+    return (words[0], words[1:]) if words[:1] in (("dev",), ("test",), ("all",)) else (default, words)
+
+
+def choose(size: Size, words: tuple[str, ...]) -> list[SuiteScene]:
+    """The scenes of a size that words name, see `split_of`; all without any. Raises GofError: one is not there."""
+    split, names = split_of(words, "all")
+    return pick(scenes_of(size, split), names)
 
 
 def pick(scenes: list[SuiteScene], names: tuple[str, ...]) -> list[SuiteScene]:

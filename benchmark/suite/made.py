@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 from gof.core.errors import DataFormatError
 from gof.core.files import read_json
 from gof.dataset import Dataset
-from gof_benchmark.suite import Size, SuiteScene, scenes_of
+from gof_benchmark.suite import SEALED, Size, SuiteScene, scenes_of
 from gof_benchmark.views.shrunk import SHRUNK
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
-SIZES: tuple[Size, ...] = ("smoke", "standard", "paper")
+SIZES: tuple[Size, ...] = get_args(Size)
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ def made_scenes(folder: Path, split: str = "all") -> dict[str, MadeScene]:
     Raises:
         DataFormatError: not a size's folder, nothing finished in it, or a scene there was made from another spec.
     """
-    size = next((size for size in SIZES if folder.resolve().name == size), None)
+    size = size_of(folder)
     if size is None:
         raise DataFormatError(f"{folder}: not the folder of a size ({', '.join(SIZES)}) that 'gof benchmark make' made")
     found = {}
@@ -50,6 +51,18 @@ def made_scenes(folder: Path, split: str = "all") -> dict[str, MadeScene]:
     if not found:
         raise DataFormatError(f"{folder}: no finished scene; make them with: gof benchmark make {folder.parent}")
     return found
+
+
+def size_of(folder: Path) -> Size | None:
+    """The size whose scenes a folder holds, by its name; None where it is none."""
+    name = folder.resolve().name
+    return next((size for size in SIZES if name in (size, SEALED[size])), None)
+
+
+def folder_of(work: Path, size: Size) -> Path:
+    """Where the scenes of a size are made: WORK/SIZE, or the folder that the version before has begun."""
+    former = work / SEALED[size]
+    return former if former.is_dir() and not (work / size).is_dir() else work / size
 
 
 def scene_of(dataset: Path) -> MadeScene:

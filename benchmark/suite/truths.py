@@ -12,7 +12,7 @@ from typing import ClassVar, Literal
 from gof.core.records import read_record
 from gof.dataset import Dataset
 from gof.dataset.truth import Truth
-from gof_benchmark.suite import FOLDER, Size, SuiteScene
+from gof_benchmark.suite import FOLDER, SEALED, Size, SuiteScene
 
 FILE = FOLDER / "truth.json"
 
@@ -21,7 +21,7 @@ Verdict = Literal["same", "not to the bit", "unknown"]
 
 @dataclass(frozen=True)
 class SuiteTruths:
-    """truth.json: `fires[FIRE][SIZE]`; `made_with`: the programs that made them."""
+    """truth.json: `fires[FIRE][SIZE]`, sizes as in SEALED; `made_with`: the programs that made them."""
 
     SCHEMA: ClassVar[str] = "gof-suite-truth"
     VERSION: ClassVar[int] = 1
@@ -33,7 +33,7 @@ class SuiteTruths:
 def compare(scene: SuiteScene, size: Size, dataset: Dataset) -> tuple[Verdict, str]:
     """A made scene's truth against the recorded one, and in words."""
     truths = read_record(SuiteTruths, FILE)
-    recorded = truths.fires.get(scene.fire, {}).get(size)
+    recorded = truths.fires.get(scene.fire, {}).get(SEALED[size])
     if recorded is None:
         return "unknown", f"no truth of {scene.fire} is recorded in this size: nobody has made it yet"
     differs = Truth.of(dataset).differs(recorded)

@@ -1,4 +1,4 @@
-"""Cost presets: points on the accuracy/time curves of docs/costs.md."""
+"""Cost presets: points on the accuracy/time curves of docs/costs.md, one for each rung of gof.core.ladder."""
 
 from __future__ import annotations
 
@@ -13,11 +13,6 @@ PRESETS: dict[str, dict[str, dict]] = {
         "domain": {"resolution": 40},
         "render": {"percentage": 12, "samples": 4, "plate_samples": 16},
     },
-    "draft": {
-        "clip": {"frames": 36},
-        "domain": {"resolution": 64},
-        "render": {"percentage": 25, "samples": 6, "plate_samples": 32},
-    },
     "standard": {
         "clip": {"frames": 50},
         "domain": {"resolution": 128},
@@ -28,10 +23,21 @@ PRESETS: dict[str, dict[str, dict]] = {
         "domain": {"resolution": 128},
         "render": {"percentage": 100, "samples": 2, "plate_samples": 16, "volume_step_rate": 4.0},
     },
-    "paper": {
+    "full": {
         "clip": {"frames": 50},
         "domain": {"resolution": 640},
         "render": {"percentage": 100, "samples": 32, "plate_samples": 256},
     },
 }
 """What each preset changes in a spec: cost, never content. ``toy`` is for tests."""
+
+FORMER: dict[str, dict[str, dict]] = {
+    "draft": {
+        "clip": {"frames": 36},
+        "domain": {"resolution": 64},
+        "render": {"percentage": 25, "samples": 6, "plate_samples": 32},
+    },
+}
+"""Presets that are no rung of the ladder any more; they go with the next version."""
+NEW_NAMES = {"paper": "full"}
+"""Old name -> rung, for one version."""

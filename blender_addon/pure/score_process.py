@@ -19,6 +19,12 @@ INSTALL = (
 )
 
 
+ONE_AFTER_THE_OTHER = (
+    "import sys; from gof.commands.cli import main; words = sys.argv[1:]; k = words.index('then'); "
+    "sys.exit(main(words[:k]) or main(words[k + 1:]))"
+)
+
+
 class EvaluationError(JobError):
     """The scores could not be computed; the message says why and what to do."""
 
@@ -56,10 +62,14 @@ class Evaluation:
         folder = Path(tempfile.mkdtemp(prefix="gof-score-"))
         if len(python.parts) > 1:
             python = python.absolute()  # not resolved: a virtual environment's is a link
-        command = [str(python), "-m", "gof", "evaluate", str(result.absolute()), "--truth", str(dataset.absolute())]
-        command += ["--no-images", "--json", str(folder / "scores.json")]
-        command += ["--time-unit", repr(time_unit_s)] if time_unit_s else []
-        return cls("gof evaluate", command, folder)
+        result, written = result.absolute(), folder / "result.npz"
+        evaluate = ["evaluate", str(written if time_unit_s else result), "--dataset", str(dataset.absolute())]
+        evaluate += ["--no-images", "--json", str(folder / "scores.json")]
+        words = [str(python), "-m", "gof", *evaluate]
+        if time_unit_s:  # what the file does not say goes into a copy in our format, not into the user's folder
+            convert = ["convert", str(result), str(written), "--time-unit", repr(time_unit_s)]
+            words = [str(python), "-c", ONE_AFTER_THE_OTHER, *convert, "then", *evaluate]
+        return cls("gof evaluate", words, folder)
 
     @classmethod
     def by_addon(cls, blender: list[str], result: Path, dataset: Path, time_unit_s: float = 0.0) -> Evaluation:
@@ -115,5 +125,9 @@ class Evaluation:
         if "No module named gof" in text:
             return f"{self._program}: this Python has no gof; {INSTALL}"
         lines = text.splitlines()
-        said = [line for line in lines if line.startswith(("gof evaluate:", "score:"))] or lines[-3:] or ["no message"]
+        said = (
+            [line for line in lines if line.startswith(("gof evaluate:", "gof convert:", "score:"))]
+            or lines[-3:]
+            or ["no message"]
+        )
         return "\n".join(said)

@@ -21,7 +21,7 @@ from . import effects as effect_modules
 from .clip import Clip
 from .fires import Domain, Fire, GridFire
 from .fuels import FUELS, Fuel
-from .presets import PRESETS
+from .presets import FORMER, NEW_NAMES, PRESETS
 from .rig import Rig
 from .similarity import Constants, scaled, unscaled
 from .spec_versions import from_version_1
@@ -251,14 +251,15 @@ class SceneSpec:
         return sorted(name for name in mine if mine[name] != theirs[name])
 
     def with_preset(self, preset: str) -> SceneSpec:
-        """This spec with the cost-related fields of a preset in PRESETS; a fire of grids keeps its cells.
+        """This spec with the cost-related fields of a preset; a fire of grids keeps its cells.
 
         Raises SpecError for an unknown name.
         """
-        require(preset in PRESETS, "preset", f"one of {sorted(PRESETS)}", preset)
+        preset, known = NEW_NAMES.get(preset, preset), PRESETS | FORMER
+        require(preset in known, "preset", f"one of {', '.join(PRESETS)}", preset)
         sections = {
             name: dataclasses.replace(getattr(self, name), **values)
-            for name, values in PRESETS[preset].items()
+            for name, values in known[preset].items()
             if getattr(self, name) is not None
         }
         return dataclasses.replace(self, **sections)

@@ -27,10 +27,9 @@ from .panel import SidebarPanel, number, show_text, write_lines
 PURPOSE = {
     "toy": "Seconds, to see whether it works",
     "preview": "A look at the scene",
-    "draft": "For trying out code",
     "standard": "Motion worth scoring",
     "large": "Pictures of the whole sensor, few paths for each pixel",
-    "paper": "A job for a cluster",
+    "full": "A job for a cluster",
 }
 BACKGROUNDS = ("studio", "workshop", "classroom", "cloister", "ground")
 

@@ -191,7 +191,7 @@ def _find_corners(
         raise GofError(
             f"{len(views)} of {seen} pictures show at least {MINIMUM_CORNERS} corners of the {target.columns} x "
             f"{target.rows} target, {MINIMUM_VIEWS} are needed. Show it whole, sharp and evenly lit, from many angles; "
-            f"{target.looks_like(few) or 'check --columns and --rows'}"
+            f"{target.looks_like(few) or 'check --squares'}"
         )
     return views, size, old_layout
 

@@ -84,7 +84,7 @@ class Charuco:
         """What a target that is not found looks like, as a remedy in words; "" where nothing is recognised."""
         turned = replace(self, columns=self.rows, rows=self.columns)
         if any(turned.corners(p, old) for p in pictures for old in {False, turned.has_old_layout}):
-            return f"it looks like --columns {turned.columns} --rows {turned.rows}"
+            return f"it looks like --squares {turned.columns}x{turned.rows}"
         seen = {name: _markers(pictures, name) for name in DICTIONARIES}
         name = max(seen, key=lambda name: len(seen[name]))
         if len(seen[name]) < FEWEST_MARKERS:

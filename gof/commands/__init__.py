@@ -1,4 +1,4 @@
-"""The commands: what each is asked and what it prints. The work is done by the rooms they call.
+"""The commands: their options, and their output. The work is done by the rooms they call.
 
 A package adds commands of its own by an entry point of the group `gof.commands` that names a table like `COMMANDS`.
 """
@@ -7,15 +7,34 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+HELP_WORDS = ("-h", "--help", "--help-all", "help")  # of a command line that asks for help
+
+GROUPS = {
+    "make": "a fire to start from, or one with ground truth",
+    "film": "your own fire",
+    "reconstruct": "",
+    "score": "and compare",
+    "show": "",
+    "publish": "and pass on",
+    "help": "",
+}
+
 
 @dataclass(frozen=True)
 class Command:
-    """One `gof NAME`: where its `main(argv) -> exit status` is, what `gof --help` says, and where it says it."""
+    """One `gof NAME`: where its `main(argv) -> exit status` is, its line in `gof --help`, and where that stands.
+
+    Attributes:
+        group: one of GROUPS.
+        figures: whether it writes figures with --json.
+        foreign: whether all words behind its name are another program's: options of ours stand before it.
+    """
 
     module: str
     help: str
-    place: int
-    """Commands are listed in this order, which is that of the work."""
+    group: str
+    figures: bool = True
+    foreign: bool = False
 
 
 def no_such(kind: str, name: str, known: Iterable[str]) -> str:
@@ -25,56 +44,27 @@ def no_such(kind: str, name: str, known: Iterable[str]) -> str:
 
 
 COMMANDS = {
-    "sample": Command(
-        "gof.commands.sample", "a small fire, a result, a submission and three films to start from, without Blender", 5
-    ),
-    "ingest": Command(
-        "gof.commands.ingest", "videos of a fire -> dataset: fire-free plates, camera poses, frame times", 30
-    ),
-    "background": Command(
-        "gof.commands.background", "the scene without fire as static Gaussians, for views no camera took", 40
-    ),
-    "reconstruct": Command("gof.commands.reconstruct", "three videos -> transient flame Gaussians with velocities", 50),
-    "depth": Command(
-        "gof.commands.depth", "depth maps of a dataset's frames, for the scores of depth of gof evaluate", 55
-    ),
-    "evaluate": Command(
-        "gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and controls to compare with", 60
-    ),
-    "convert": Command(
-        "gof.commands.convert",
-        "any method's result -> .npz, .ply, .ftgs.ply, .glb, .spz, .sog or PLYs by frame, in metres, seconds and m/s",
-        70,
-    ),
+    "sample": Command("gof.commands.sample", "a small fire, a result, a submission, three films: no Blender", "make"),
+    "capture": Command("gof.commands.capture", "the camera rig: LED board, frame times, calibration, masks", "film"),
+    "ingest": Command("gof.commands.ingest", "videos of a fire -> dataset: plates, camera poses, frame times", "film"),
+    "reconstruct": Command("gof.commands.reconstruct", "three videos -> flame Gaussians that move", "reconstruct"),
+    "background": Command("gof.commands.background", "the scene without fire as static Gaussians", "reconstruct"),
     "baseline": Command(
-        "gof.commands.baseline", "other methods' own training code, unmodified, without CUDA: for their rows", 75
+        "gof.commands.baseline", "other methods' own training code, without CUDA", "reconstruct", False, True
     ),
-    "leaderboard": Command(
-        "gof.commands.leaderboard", "evaluated results side by side: table, stream plots, accuracy against time", 80
+    "evaluate": Command("gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and controls", "score"),
+    "leaderboard": Command("gof.commands.leaderboard", "evaluated results side by side on one page", "score"),
+    "depth": Command("gof.commands.depth", "depth maps of frames, for the scores of depth", "score"),
+    "report": Command("gof.commands.report", "pictures, scores and costs of a result on one page", "show"),
+    "share": Command("gof.commands.share", "results in one HTML file that plays anywhere", "show"),
+    "view": Command("gof.commands.view", "a result in the browser, also while it is being made", "show", False),
+    "video": Command("gof.commands.video", "results as a film from any view", "show"),
+    "figure": Command("gof.commands.figure", "figures for papers, as PDF, SVG or PNG", "show"),
+    "convert": Command(
+        "gof.commands.convert", "any method's result -> another format; what its files do not say", "publish"
     ),
-    "view": Command(
-        "gof.commands.view", "result in the browser, in 3D with a time slider; also while it is being optimised", 110
-    ),
-    "share": Command(
-        "gof.commands.share", "results in one HTML file that plays anywhere, to send to somebody; side by side", 105
-    ),
-    "video": Command(
-        "gof.commands.video", "results as a film from any view: picture, depth, velocity, side by side", 108
-    ),
-    "figure": Command(
-        "gof.commands.figure",
-        "figures for papers, of your own data: what a method sees and makes, as PDF, SVG or PNG",
-        109,
-    ),
-    "capture": Command(
-        "gof.commands.capture", "the camera rig: LED board, frame times from footage, calibration, board masks", 120
-    ),
-    "pack": Command("gof.commands.pack", "datasets -> archives for a data host: checksums, a card, a licence", 125),
-    "unpack": Command("gof.commands.unpack", "archives of gof pack -> datasets, every file compared", 126),
-    "report": Command(
-        "gof.commands.report", "pictures, animation, scores and costs on one self-contained HTML page", 130
-    ),
-    "doctor": Command(
-        "gof.commands.doctor", "check this machine: Blender, Mantaflow, Dr.Jit, CUDA, OpenEXR, disk, weights", 140
-    ),
+    "pack": Command("gof.commands.pack", "datasets -> archives for a data host", "publish"),
+    "unpack": Command("gof.commands.unpack", "archives of gof pack -> datasets", "publish"),
+    "doctor": Command("gof.commands.doctor", "check this machine", "help"),
+    "completion": Command("gof.commands.completion", "completion of commands and options in a shell", "help", False),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-from gof.commands import no_such
+from gof.commands import HELP_WORDS, no_such
 
 PARTS = {
     "board": ("gof.commands.capture_board", "find, set, start, stop, test and monitor the LED board"),
@@ -27,7 +27,7 @@ usage: gof capture PART [OPTIONS]        gof capture PART --help explains one pa
 {parts}
 
 a session:
-  gof capture target charuco.pdf                              print at 100 %, glue on something flat
+  gof capture target --out charuco.pdf                        print at 100 %, glue on something flat
   gof capture calibrate c0.mp4 c1.mp4 c2.mp4 --out cameras.json
   gof capture board find
   gof capture board start                                     the board runs; film it with every camera
@@ -35,14 +35,12 @@ a session:
   gof ingest cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json --out data/fire
   gof capture annotate data/fire --footage cam_0.mp4 cam_1.mp4 cam_2.mp4 --cameras cameras.json
   gof reconstruct data/fire --out out/fire
-
-Every part writes its figures with --json FILE.
 """
 
 
 def main(argv: list[str]) -> int:
     """Run one part of `gof capture`."""
-    if not argv or argv[0] in ("-h", "--help", "help"):
+    if not argv or argv[0] in HELP_WORDS:
         print(HELP.format(parts="\n".join(f"  {name:<10} {text}" for name, (_, text) in PARTS.items())))
         return 0
     if argv[0] not in PARTS:

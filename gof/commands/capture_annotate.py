@@ -11,9 +11,10 @@ import tyro
 from gof.capture.annotate import annotate, training_frames
 from gof.capture.board_points import read_board_points
 from gof.capture.recognise import recognise, require_strips
-from gof.commands.board_option import first_frames, renamed
+from gof.commands.everywhere import write_figures
+from gof.commands.first_frames import first_frames
+from gof.commands.read import read_options
 from gof.core.errors import GofError
-from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.footage.videos import distinct_names
 
@@ -21,6 +22,9 @@ from gof.footage.videos import distinct_names
 @dataclass(frozen=True)
 class AnnotateConfig:
     """Add soft masks of the LED board to a dataset of `gof ingest`.
+
+    Examples:
+      gof capture annotate data/fire --footage cam_0.mp4 cam_1.mp4 cam_2.mp4 --cameras cameras.json
 
     Every camera in which the board is found gets "board_mask", an 8-bit picture (255 = board), so that scores and
     losses leave its flicker out.
@@ -38,13 +42,11 @@ class AnnotateConfig:
     board: str = "auto"
     """Board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig); or its name, or the JSON file of
     your own."""
-    json: Path | None = None
-    """Also write what was added to this file."""
 
 
 def main(argv: list[str]) -> int:
     """Annotate a dataset and say what was added."""
-    config = tyro.cli(AnnotateConfig, prog="gof capture annotate", args=renamed(argv))
+    config = read_options(AnnotateConfig, "capture annotate", argv)
     dataset, points = Dataset.open(config.dataset), {}
     if config.board_points is not None and not config.footage:
         raise GofError("--board-points: are pixels of the videos as stored; give these with --footage")
@@ -62,6 +64,5 @@ def main(argv: list[str]) -> int:
     notes = annotate(dataset, template, config.footage, config.cameras, points)
     for name, note in notes.items():
         print(f"{name}: {note}")
-    if config.json:
-        write_json(config.json, notes)
+    write_figures(notes)
     return 0

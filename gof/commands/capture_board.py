@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from gof.capture.controller import RESET_SAID, Board, BoardError, ask_ports, candidate_ports, only_board
 from gof.capture.protocol import State, Status
-from gof.core.files import write_json
+from gof.commands.everywhere import write_figures
+from gof.commands.read import read_options
+from gof.commands.units import Seconds
 from gof.host.options import require_number
 
 MOST_JITTER_US = 20.0  # of a tick: the order of what cameras' times are read to
@@ -22,34 +23,33 @@ MOST_DAMAGED = 10
 class BoardConfig:
     """Talk to the LED board over USB.
 
+    Examples:
+      gof capture board find
+      gof capture board start
+
     find: list boards.  set: write --tick-us and --count.  start, stop: the clock (stop goes dark).  monitor: watch
-    counter and jitter until Ctrl-C.  test: light --pattern.  self-test: name stuck and bridged outputs.
+    counter and jitter until Ctrl-C.  test: light --light.  self-test: name stuck and bridged outputs.
     """
 
     action: tyro.conf.Positional[Literal["find", "set", "start", "stop", "monitor", "test", "self-test"]]
     port: str | None = None
     """Serial port; found by itself when one board is plugged in."""
-    tick_us: int | None = None
-    """set: length of a tick in microseconds (a period is 10 ticks; 400 suits 400 fps)."""
+    tick_us: Annotated[int | None, tyro.conf.arg(metavar="US")] = None
+    """set: length of a tick (a period is 10 ticks; 400 suits 400 fps)."""
     count: int | None = None
     """set: where the counter starts."""
-    pattern: Literal["all_off", "all_on", "one"] = "all_on"
-    """test: which outputs to light."""
-    output: int = 0
-    """test --pattern one: logical output, strips 0-4, Gray bits 5-19, disambiguation LED 20."""
-    seconds: float | None = None
+    light: Annotated[str, tyro.conf.arg(metavar="all|none|N")] = "all"
+    """test: which outputs to light; one alone by its number: strips 0-4, Gray bits 5-19, disambiguation LED 20."""
+    seconds: Seconds | None = None
     """monitor: stop after this long instead of at Ctrl-C."""
-    json: Path | None = None
-    """Also write the outcome to this file."""
 
 
 def main(argv: list[str]) -> int:
     """Run one board action. Raises BoardError or ProtocolError with what to do."""
-    config = tyro.cli(BoardConfig, prog="gof capture board", args=argv)
+    config = read_options(BoardConfig, "capture board", argv)
     require_number("--seconds", config.seconds, least=0)
     outcome = _find() if config.action == "find" and config.port is None else _act(config)
-    if config.json:
-        write_json(config.json, outcome)
+    write_figures(outcome)
     return 1 if outcome.get("bad_outputs") else 0
 
 
@@ -91,7 +91,7 @@ def _act(config: BoardConfig) -> dict:
             case "stop":
                 board.stop()
             case "test":
-                board.show_test(config.pattern, config.output)
+                board.show_test(*pattern(config.light))
             case "self-test":
                 outcome["bad_outputs"] = bad = board.self_test()
                 print("all outputs follow" if not bad else "these outputs do not follow: " + ", ".join(bad))
@@ -104,6 +104,15 @@ def _act(config: BoardConfig) -> dict:
         for text in judge(status):
             print(f"warning: {text}")
     return outcome
+
+
+def pattern(light: str) -> tuple[Literal["all_off", "all_on", "one"], int]:
+    """The pattern and the output of --light. Raises BoardError: it is neither a word nor a number."""
+    if light in ("all", "none"):
+        return ("all_on" if light == "all" else "all_off"), 0
+    if not light.isdecimal():
+        raise BoardError(f"--light {light}: give all, none, or the number of an output")
+    return "one", int(light)
 
 
 def judge(status: Status) -> list[str]:

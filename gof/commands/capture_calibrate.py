@@ -10,17 +10,23 @@ import tyro
 
 from gof.capture.calibration import Calibration, calibrate, sharpest
 from gof.capture.charuco import Charuco
+from gof.commands.charuco_options import CharucoOptions
+from gof.commands.everywhere import require_free, require_writable, write_figures
+from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.core.records import write_record
 from gof.footage.lens import CamerasFile
 from gof.footage.videos import distinct_names, stated_frames, stored_frames
-from gof.host.options import require_number, require_positive
+from gof.host.options import require_number
 from gof.host.progress import progress_bar
 
 
 @dataclass(frozen=True)
 class CalibrateConfig:
     """Intrinsics of every camera from footage of the ChArUco target (`gof capture target` draws it).
+
+    Examples:
+      gof capture calibrate c0.mp4 c1.mp4 c2.mp4 --out cameras.json
 
     Film in the mode the fire will be filmed in: same resolution, rate, zoom and stabilisation off. Move the target
     slowly for about 20 seconds: near, far, tilted all ways, out to the corners of the picture. The file goes to
@@ -29,38 +35,34 @@ class CalibrateConfig:
 
     footage: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]
     """One video or folder of photos per camera, in the order of the fire's videos."""
-    out: Path
-    """JSON file to write."""
-    target: tyro.conf.OmitArgPrefixes[Charuco] = field(default_factory=Charuco)
+    out: Path | None = None
+    """JSON file to write. Default: cameras.json beside the first video; one that is there is kept."""
+    charuco: tyro.conf.OmitArgPrefixes[CharucoOptions] = field(default_factory=CharucoOptions)
     views: int = 40
     """Frames of a video to use, up to twice as many: the sharpest one of each stretch. Photos are all used."""
-    json: Path | None = None
-    """Also write the figures to this file."""
 
 
 def main(argv: list[str]) -> int:
     """Calibrate every camera and write the file."""
-    config = tyro.cli(CalibrateConfig, prog="gof capture calibrate", args=argv)
-    if config.out.exists():
-        raise GofError(f"{config.out}: exists; remove it or choose another --out")
+    config = read_options(CalibrateConfig, "capture calibrate", argv)
     if not config.footage:
         raise GofError("name the footage of the target, one video or folder of photos per camera")
+    out = config.out or require_writable(config.footage[0].absolute().parent) / "cameras.json"
+    require_free(out)
     require_number("--views", config.views, least=1)
-    require_positive("--square-mm", config.target.square_mm)
-    require_positive("--marker-mm", config.target.marker_mm)
-    config.target.pattern()  # impossible sizes are said before anything is read
+    target = config.charuco.target()
+    target.pattern()  # impossible sizes are said before anything is read
     cameras = []
     for name, path in zip(distinct_names(config.footage), config.footage, strict=True):
-        found = calibrate_footage(name, path, config.target, config.views)
+        found = calibrate_footage(name, path, target, config.views)
         print(describe(name, found))
         for warning in found.warnings():
             print(f"warning: {name}: {warning}")
         cameras.append(found.camera(name))
     file = CamerasFile(tuple(cameras))
-    write_record(config.out, file)
-    print(f"wrote {config.out}; next: gof ingest VIDEO... --cameras {config.out}")
-    if config.json:
-        write_record(config.json, file)
+    write_record(out, file)
+    print(f"wrote {out}; next: gof ingest VIDEO... --cameras {out}")
+    write_figures(file)
     return 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 import tyro
 
@@ -15,10 +15,13 @@ from gof.capture.decode import DecodeOptions
 from gof.capture.doubts import missing_frames
 from gof.capture.recognise import AUTO, recognise
 from gof.capture.ring_board import RingBoard
-from gof.capture.sensors import sensor
+from gof.capture.sensors import Sensor, sensor
 from gof.capture.sync import synchronise
 from gof.capture.times import FILE, FrameTimesFile, Readout, SyncedVideo
-from gof.commands.board_option import first_frames, renamed
+from gof.commands.everywhere import require_free, require_writable, write_figures
+from gof.commands.first_frames import first_frames
+from gof.commands.read import read_options
+from gof.commands.units import Microseconds, Rate
 from gof.core.errors import GofError
 from gof.core.records import write_record
 from gof.footage.videos import distinct_names, require_different
@@ -32,7 +35,7 @@ NO_MARKER = (
 )
 WAYS_OUT = (
     "Without a board, give gof ingest the cameras' rate, and a frame of each that shows one moment: "
-    "--fps 240 --start 0 7 0"
+    "--times 240 --start 0 7 0"
 )
 
 
@@ -40,60 +43,59 @@ WAYS_OUT = (
 class SyncConfig:
     """Read the time of every frame from footage of the LED board, for any number of cameras on one clock.
 
+    Examples:
+      gof capture sync cam_0.mp4 cam_1.mp4 cam_2.mp4 --out sync
+
     Writes OUT/times.json and one residual plot per camera.
     """
 
+    FIRST: ClassVar = ("out", "board", "board_points", "tick_us", "fps", "clock", "row_time")
+
     videos: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]
     """The cameras' own files of one take, in the order gof ingest gets them."""
-    out: Path
-    """Folder for times.json and the plots."""
-    overwrite: bool = False
-    """Replace the times.json that is in the folder already."""
+    out: Path | None = None
+    """Folder for times.json and the plots; a times.json that is there is kept. Default: "sync" beside the first
+    video."""
     board: str = "auto"
     """Board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig, rocsync); or its name, or the JSON
     file of your own. A board that the pictures speak against is refused."""
     board_points: Path | None = None
     """JSON of points of the board marked by hand, for cameras in which its marker is partly hidden or cut off:
     {"cam_1": {"corners": {"0": [x, y]}, "leds": {"5": [x, y]}}}, four or more in all; see docs/capture.md."""
-    tick_us: float = 400.0
+    tick_us: Microseconds = 400.0
     """Tick the board was set to; its period is 10 ticks. A RocSync board has one speed and needs none."""
-    fps: list[float] | None = None
+    fps: list[Rate] | None = None
     """True capture rate, one for all or one per video; read from the counter when not given."""
-    row_time_us: float | None = None
-    """Delay from one image line to the next; measured when not given."""
-    sensor: str | None = None
-    """Take the row time from the sensor table instead (gopro_hero13_720p400): footage that shows all sensor rows."""
+    row_time: Annotated[str | None, tyro.conf.arg(metavar="US|SENSOR")] = None
+    """Delay from one image line to the next in microseconds, or a sensor of the table (gopro_hero13_720p400) where the
+    footage shows all sensor rows; measured when not given."""
     readout: Readout | None = None
     """Direction in which lines are read later, as the picture is stored; measured when not given."""
     clock: Literal["steady", "free"] = "steady"
     """steady: frames come at equal distances (action cameras, machine cameras); free: phones with a varying rate."""
     estimate: bool = True
-    """Where a camera does not show the board: estimate its clock from the flame, against the cameras that do. Good to
-    about a frame, and marked so."""
+    """Do not estimate the clock of a camera that does not show the board from the flame, against the cameras that do:
+    such a clock is good to about a frame, and marked so."""
     report: bool = True
-    """Write OUT/report.html: crops of all cameras at one moment, before and after, and how sure the times are."""
-    write_videos: Layout | None = None
+    """Do not write OUT/report.html: crops of all cameras at one moment, before and after, and how sure the times
+    are."""
+    write_videos: Annotated[str | None, tyro.conf.arg(metavar="LAYOUT[:mpeg4]")] = None
     """Also write aligned videos, in which equal frame numbers are equal times, into OUT/aligned, where the named
-    program looks for them (pose2sim, freemocap, opencap), or plainly. Whole frames are chosen, never blended."""
-    video_codec: Codec = "lossless"
-    """Of aligned videos: lossless (FFV1, .avi) or mpeg4 (.mp4, a twentieth of the size, 37 dB PSNR)."""
-    json: Path | None = None
-    """Also write the figures (without the frames) to this file."""
+    program looks for them (pose2sim, freemocap, opencap), or plainly (plain). Whole frames are chosen, never blended.
+    Lossless (FFV1, .avi), or with plain:mpeg4 a twentieth of the size (.mp4, 37 dB PSNR)."""
 
 
 def main(argv: list[str]) -> int:
     """Decode all videos; fails, and writes nothing, only when no camera can be decoded."""
-    config = tyro.cli(SyncConfig, prog="gof capture sync", args=renamed(argv))
+    config = read_options(SyncConfig, "capture sync", argv)
     require_positive("--tick-us", config.tick_us)
     require_all_positive("--fps", config.fps)
-    require_number("--row-time-us", config.row_time_us, least=0)
-    target = config.out / FILE
-    if target.exists() and not config.overwrite:
-        raise GofError(f"{target}: already there; choose another --out, or replace it with --overwrite")
-    if config.sensor and config.row_time_us is not None:
-        raise GofError("give either --sensor or --row-time-us")
-    known = sensor(config.sensor) if config.sensor else None
-    decoding = options(config)
+    known, row_time_us = row_time(config)
+    written = layout_and_codec(config.write_videos)
+    folder = config.out or require_writable(config.videos[0].absolute().parent) / "sync"
+    target = folder / FILE
+    require_free(target)
+    decoding = options(config, row_time_us)
     names = distinct_names(config.videos)
     require_different(config.videos)
     board = recognise(config.board, first_frames(config.videos))
@@ -117,7 +119,7 @@ def main(argv: list[str]) -> int:
         raise GofError(f"no camera could be decoded with board '{board.name}': {said_once(result)} {WAYS_OUT}")
     write_record(target, result)
     for name, chart in charts.items():
-        chart.write(config.out / f"residuals_{name}.png")
+        chart.write(folder / f"residuals_{name}.png")
     if config.board == AUTO:
         print(f"board: {board.name}, recognised from the pictures")
     for camera in result.cameras:
@@ -125,9 +127,8 @@ def main(argv: list[str]) -> int:
     for warning in result.warnings:
         print(f"warning: {warning}")
     print(f"wrote {target}")
-    write_beside(config, result, charts)
-    if config.json:
-        write_record(config.json, replace(result, cameras=tuple(map(without_frames, result.cameras))))
+    write_beside(folder, config.report, written, result, charts)
+    write_figures(replace(result, cameras=tuple(map(without_frames, result.cameras))))
     return 0
 
 
@@ -139,26 +140,51 @@ def said_once(take: FrameTimesFile) -> str:
     return " ".join(f"{', '.join(names)}: {reason.rstrip('.?')}." for reason, names in cameras.items())
 
 
-def write_beside(config: SyncConfig, take: FrameTimesFile, charts: Mapping[str, Chart]) -> None:
+def write_beside(
+    out: Path, report: bool, videos: tuple[Layout, Codec] | None, take: FrameTimesFile, charts: Mapping[str, Chart]
+) -> None:
     """The report and the aligned videos, as asked for; one camera alone has neither."""
     together = sum(camera.times is not None for camera in take.cameras) > 1
-    if config.report and together:
-        print(write_report(config.out / "report.html", take, charts))
-        print(f"wrote {config.out / 'report.html'}")
-    if config.write_videos:
-        folder = config.out / "aligned"
-        alignment = write_aligned(folder, take, config.write_videos, config.video_codec, trial=config.out.name)
+    if report and together:
+        print(write_report(out / "report.html", take, charts))
+        print(f"wrote {out / 'report.html'}")
+    if videos is not None:
+        folder = out / "aligned"
+        alignment = write_aligned(folder, take, *videos, trial=out.name)
         apart = f"up to {alignment.worst_us / 1000:.2f} ms apart"
         print(f"wrote {len(alignment.time_s)} aligned frames per camera, {apart} -> {folder}")
 
 
-def options(config: SyncConfig) -> list[DecodeOptions]:
+def row_time(config: SyncConfig) -> tuple[Sensor | None, float | None]:
+    """The sensor of --row-time, or its number in microseconds. Raises GofError: it is neither."""
+    if config.row_time is None:
+        return None, None
+    try:
+        value = float(config.row_time)
+    except ValueError:
+        return sensor(config.row_time), None
+    require_number("--row-time", value, least=0)
+    return None, value
+
+
+def layout_and_codec(asked: str | None) -> tuple[Layout, Codec] | None:
+    """What --write-videos says. Raises GofError: no such layout, or codec."""
+    if asked is None:
+        return None
+    layout, _, codec = asked.partition(":")
+    layouts, codecs = get_args(Layout), get_args(Codec)
+    if layout not in layouts or codec not in ("", *codecs):
+        raise GofError(f"--write-videos {asked}: give {', '.join(layouts)}, and behind a colon {' or '.join(codecs)}")
+    return layout, codec or "lossless"
+
+
+def options(config: SyncConfig, row_time_us: float | None) -> list[DecodeOptions]:
     """One per video. Raises GofError: another number of rates than videos."""
     count = len(config.videos)
     rates = config.fps or [None]
     if len(rates) not in (1, count):
         raise GofError(f"--fps: give one rate or one per video ({count}), got {len(rates)}")
-    common = DecodeOptions(10 * config.tick_us, None, config.row_time_us, config.readout, config.clock)
+    common = DecodeOptions(10 * config.tick_us, None, row_time_us, config.readout, config.clock)
     return [replace(common, fps=rate) for rate in (rates * count if len(rates) == 1 else rates)]
 
 

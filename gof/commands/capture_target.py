@@ -4,42 +4,47 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
-from gof.capture.charuco import Charuco, draw_pdf, draw_svg, page
+from gof.capture.charuco import draw_pdf, draw_svg, page
+from gof.commands.charuco_options import CharucoOptions
+from gof.commands.everywhere import require_free, write_figures
+from gof.commands.read import read_options
 from gof.core.errors import GofError
-from gof.core.files import atomic_path, write_json
-from gof.host.options import require_positive
+from gof.core.files import atomic_path
 
 
 @dataclass(frozen=True)
 class TargetConfig:
     """Draw the ChArUco calibration target as a PDF or SVG at true size.
 
+    Examples:
+      gof capture target
+      gof capture target --out charuco.svg --squares 9x6 --square-mm 25 --charuco-mm 19
+
     Print at 100 %, measure it with a ruler, glue it on something flat and stiff (glass, composite board).
     """
 
-    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """File to write, .pdf or .svg."""
-    target: tyro.conf.OmitArgPrefixes[Charuco] = field(default_factory=Charuco)
-    json: Path | None = None
-    """Also write the drawn size to this file."""
+    out: Path | None = None
+    """File to write, .pdf or .svg. Default: out/charuco.pdf, where an older one is replaced."""
+    charuco: tyro.conf.OmitArgPrefixes[CharucoOptions] = field(default_factory=CharucoOptions)
 
 
 def main(argv: list[str]) -> int:
     """Write the drawing."""
-    config = tyro.cli(TargetConfig, prog="gof capture target", args=argv)
-    require_positive("--square-mm", config.target.square_mm)
-    require_positive("--marker-mm", config.target.marker_mm)
-    kind = config.out.suffix.lower()
+    config = read_options(TargetConfig, "capture target", argv)
+    target = config.charuco.target()
+    target.pattern()  # impossible sizes are named first
+    out = config.out or Path("out/charuco.pdf")
+    kind = out.suffix.lower()
     if kind not in (".pdf", ".svg"):
-        raise GofError(f"{config.out}: the drawing is a .pdf or an .svg file")
-    with atomic_path(config.out) as temporary:
-        temporary.write_bytes(draw_pdf(config.target) if kind == ".pdf" else draw_svg(config.target).encode())
-    name, width, height = page(config.target)
-    print(f"{config.out}: {name}, {width:g} x {height:g} mm; print at 100 % and measure it")
-    if config.json:
-        write_json(config.json, asdict(config.target) | {"paper": name, "width_mm": width, "height_mm": height})
+        raise GofError(f"{out}: the drawing is a .pdf or an .svg file")
+    if config.out is not None:
+        require_free(out)
+    with atomic_path(out) as temporary:
+        temporary.write_bytes(draw_pdf(target) if kind == ".pdf" else draw_svg(target).encode())
+    name, width, height = page(target)
+    print(f"{out}: {name}, {width:g} x {height:g} mm; print at 100 % and measure it")
+    write_figures({"out": str(out)} | asdict(target) | {"paper": name, "width_mm": width, "height_mm": height})
     return 0

@@ -10,19 +10,18 @@ import re
 import sys
 import traceback
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import PackageNotFoundError, entry_points, metadata
 
 from gof import __version__
-from gof.commands import COMMANDS, Command, no_such
+from gof.commands import COMMANDS, GROUPS, HELP_WORDS, Command, everywhere, no_such, renamed
+from gof.commands.everywhere import DEBUG_VARIABLE, FAULTS
 from gof.core.errors import GofError, printable
 from gof.core.files import follow_links_of
-
-ALIASES = {"static": "ingest"}  # old name -> new name, for one version
 
 # What a user's disk can do to a run.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
 
-DEBUG_VARIABLE, FAULT = "GOF_DEBUG", 70  # the exit status is sysexits.h's of an internal fault
+FAULT = 70  # the exit status is sysexits.h's of an internal fault
 
 # Libraries say it in their own ways where Python's MemoryError does not come through.
 NO_MEMORY = re.compile(
@@ -32,37 +31,63 @@ NO_MEMORY = re.compile(
 HELP = """\
 gof {version} - Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
 
-usage: gof COMMAND [OPTIONS]        gof COMMAND --help, or gof help COMMAND, explains one command
+usage: gof COMMAND [OPTIONS]        gof help COMMAND, or gof COMMAND --help, explains one command
 
+the loop, step by step (start without Blender: gof sample unpacks a fire with its truth, a result and three films):
+  gof generate demo --out data/fire                     a dataset: pictures, cameras, velocity in m/s
+  gof reconstruct data/fire --out out/fire              out/fire/result.ply and result.npz
+  gof evaluate out/fire --dataset data/fire             L2 and CosSim, and out/fire/scores.json
+  gof import out/fire --dataset data/fire               out/fire/result.blend, and a rendered preview
+  gof report out/fire --dataset data/fire               out/fire/report.html
+
+commands:
 {commands}
 
-start without Blender: gof sample unpacks a fire with its truth, a result, a submission and three films.
+for every command, before or after its name:
+{everywhere}
 
-the whole loop, step by step:
-  gof generate demo --out data/fire                 a dataset: pictures, cameras, velocity in m/s
-  gof reconstruct data/fire --out out/fire          out/fire/result.ply and result.npz
-  gof evaluate out/fire/result.npz --truth data/fire    L2 and CosSim, and out/fire/scores.json
-  gof import out/fire/result.npz --dataset data/fire --blend out/fire/result.blend
-  gof report out/fire --dataset data/fire           out/fire/report.html
-
-Every command resumes what it finds half done, and all but view and baseline write their figures with --json FILE.
+Work that was stopped goes on with the same command. A finished file that you named is kept, unless --overwrite.
 Pages that texts name as docs/NAME.md are in the folder docs of the source, which packages do not hold.
+{ask}
 """
+PROJECT = "gaussians-on-fire"
 
 
 @cache
 def commands() -> dict[str, Command]:
-    """Every command by name, in the order of the work: gof's own, and those of installed packages (`gof.commands`)."""
+    """Every command by name, by groups: gof's own, and those of installed packages (`gof.commands`)."""
     found = dict(COMMANDS)
     for table in entry_points(group="gof.commands"):
         found |= table.load()
-    return dict(sorted(found.items(), key=lambda item: item[1].place))
+    order = list(GROUPS)
+    return dict(sorted(found.items(), key=lambda item: order.index(item[1].group)))
+
+
+def where_to_ask() -> str:
+    """A line with the address for questions; "" where the package names none."""
+    try:
+        urls = metadata(PROJECT).get_all("Project-URL") or []
+    except PackageNotFoundError:
+        return ""
+    found = dict(url.split(", ", 1) for url in urls)
+    return f"Questions and faults: {found['Issues']}" if "Issues" in found else ""
+
+
+def overview() -> str:
+    """`gof --help`."""
+    lines = []
+    for group, more in GROUPS.items():
+        members = {name: command for name, command in commands().items() if command.group == group}
+        lines += [f" {group}{more and ', ' + more}"]
+        lines += [f"  {name:<12} {command.help}" for name, command in members.items()]
+    options = "\n".join(f"  {option:<12} {text}" for option, text in everywhere.OPTIONS.items())
+    return HELP.format(version=__version__, commands="\n".join(lines), everywhere=options, ask=where_to_ask()).rstrip()
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command. Returns the exit status: 0 done, 1 a named error, 2 wrong usage, 70 a fault of ours, 130 Ctrl-C.
 
-    $GOF_DEBUG shows the traceback of a fault.
+    --verbose and $GOF_DEBUG show the traceback of an error, and raise a fault.
     """
     argv = sys.argv[1:] if argv is None else argv
     try:
@@ -83,7 +108,7 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except Exception as e:
-        if os.environ.get(DEBUG_VARIABLE):
+        if os.environ.get(DEBUG_VARIABLE) or "--verbose" in argv:
             raise
         print(_fault(e, argv), file=sys.stderr)
         return FAULT
@@ -140,7 +165,7 @@ def _main(argv: list[str]) -> int:
     try:
         here = os.getcwd()
     except OSError:
-        if argv and not {"-h", "--help", "help", "--version"} & set(argv):
+        if argv and not {"-h", "--help", "--help-all", "help", "--version"} & set(argv):
             print("gof: the current folder has been deleted; cd to one that exists", file=sys.stderr)
             return 1
         here = ""
@@ -150,24 +175,46 @@ def _main(argv: list[str]) -> int:
             f"gof: {printable(odd)!r} is not UTF-8; rename that file or folder, or set LC_ALL=C.UTF-8", file=sys.stderr
         )
         return 2
+    try:
+        argv, given = _without_everywhere(argv)
+    except GofError as e:
+        print(f"gof: {e}", file=sys.stderr)
+        return 2
     if argv[:1] == ["help"] and argv[1:]:
         argv = [*argv[1:], "--help"]
-    if not argv or argv[0] in ("-h", "--help", "help"):
-        lines = "\n".join(f"  {name:<12} {command.help}" for name, command in commands().items())
-        print(HELP.format(version=__version__, commands=lines))
+    if not argv or argv[0] in HELP_WORDS:
+        print(overview())
         return 0
     if argv[0] == "--version":
-        print(f"gof {__version__}")
+        print("\n".join(line for line in (f"gof {__version__}", where_to_ask()) if line))
         return 0
     name, *rest = argv
-    if name in ALIASES:
-        print(f"gof {name} is now called gof {ALIASES[name]}; the old name goes with the next version", file=sys.stderr)
-        name = ALIASES[name]
+    if name in renamed.COMMANDS:
+        new = renamed.COMMANDS[name]
+        print(f"gof {name} is now gof {new}; the old name goes with the next version", file=sys.stderr)
+        name = new
     if name not in commands():
         print(f"gof: {no_such('command', name, commands())}", file=sys.stderr)
         return 2
-    follow_links_of(rest)
-    return run(name, rest)
+    if given.json is not None and not commands()[name].figures:
+        print(f"gof {name}: writes no figures; leave out --json", file=sys.stderr)
+        return 2
+    follow_links_of([*rest, *([str(given.json)] if given.json else [])])
+    with everywhere.of_main(given):
+        status = run(name, rest)
+        if status == 0 and (file := everywhere.figures_left_out()) is not None:
+            print(f"gof {name}: has no figures to write to {file}", file=sys.stderr)
+    return status
+
+
+def _without_everywhere(argv: list[str]) -> tuple[list[str], everywhere.Everywhere]:
+    """The command line without the options that every command understands, and these.
+
+    Of a command whose words are another program's, those before its name alone are ours.
+    """
+    name = next((k for k, word in enumerate(argv) if word in commands() and commands()[word].foreign), len(argv))
+    words, given = everywhere.split(argv[:name])
+    return [*words, *argv[name:]], given
 
 
 def _is_not_utf8(word: str) -> bool:
@@ -180,6 +227,8 @@ def run(name: str, argv: list[str]) -> int:
     try:
         return importlib.import_module(commands()[name].module).main(argv) or 0
     except GofError as e:
+        if os.environ.get(DEBUG_VARIABLE, FAULTS) != FAULTS:
+            traceback.print_exc()
         print(f"gof {name}: {e}", file=sys.stderr)
         return 1
     except MemoryError as e:

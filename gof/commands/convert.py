@@ -1,77 +1,97 @@
-"""`gof convert`: any known result to our formats, or to those of other programs."""
+"""`gof convert`: any known result to our formats, or to those of other programs; and what its files do not say."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
-from gof.commands.foreign_options import ForeignOptions
+from gof.commands.everywhere import may_overwrite, write_figures
+from gof.commands.read import read_options
+from gof.commands.units import Seconds
 from gof.core.errors import GofError
-from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.host.terminal import console
 from gof.io.convert import convert
-from gof.io.importers import Imported, read_result
+from gof.io.importers import Imported, ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
+from gof.io.importers.said import FIELDS, with_said, write_said
+from gof.io.importers.source import WorldBy
 
 
 @dataclass
 class ConvertConfig:
-    """Read a result of any known method and write it for gof or for another program.
+    """Read a result of any known method, and write it for gof or for another program.
+
+    Examples:
+      gof convert out/fire/result.npz fire.glb --time 0.15
+      gof convert out/fire/result.npz frames --frame-time 0.01 --clip 0 0.35
+      gof convert chkpnt30000.pth mine.npz --time-unit 0.35 --align sparse/0 --dataset data/fire
+      gof convert chkpnt30000.pth --time-unit 0.35
 
     The suffix of OUT chooses: .npz (exact), .ply (3DGS attributes, time and velocity), .ftgs.ply (FreeTimeGS players),
     .glb (glTF with KHR_gaussian_splatting at one instant, with velocities); .spz and .sog (one instant, compressed); a
     name without a suffix is a folder of 3DGS PLYs, one for each frame.
 
-    What people type:
-      gof convert out/fire/result.npz fire.glb --time 0.15
-      gof convert out/fire/result.npz frames --frame-time 0.01 --start 0 --end 0.35
-      gof convert chkpnt30000.pth mine.npz --time-unit 0.35 --align sparse/0 --dataset data/fire
+    Without OUT, what the options say of another method's files is written down beside them, in RESULT.gof.json; every
+    command that reads RESULT reads it from there. docs/importers.md says which method needs what.
     """
+
+    FIRST: ClassVar = ("time", "clip", "frame_time", "time_unit", "time_zero", "world", "flame_only")
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """File or folder of any method that docs/importers.md lists."""
-    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """File or folder to write; the suffix says which format. What exists is not replaced."""
-    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
-    frame_time: float | None = None
-    """Seconds between two frames, for results that count frames and for a folder of PLYs."""
-    time: float | None = None
-    """Second of the instant in a .glb, .spz or .sog; default: the middle of the Gaussians' times."""
-    start: float | None = None
-    """First second of the clip in an .ftgs.ply (time 0) or a folder; default: when the first Gaussian appears."""
-    end: float | None = None
-    """Last second of the clip in an .ftgs.ply (time 1) or a folder; default: when the last Gaussian is gone."""
+    out: tyro.conf.Positional[Annotated[Path | None, tyro.conf.arg(metavar="OUT")]] = None
+    """File or folder to write; the suffix says which format."""
+    time: Seconds | None = None
+    """The instant in a .glb, .spz or .sog; default: the middle of the Gaussians' times."""
+    clip: tuple[Seconds, Seconds] | None = None
+    """First and last second of the clip in an .ftgs.ply (times 0 and 1) or a folder; default: when the first Gaussian
+    appears, and when the last one is gone."""
+    frame_time: Seconds | None = None
+    """From one frame to the next, for results that count frames and for a folder of PLYs."""
+    time_unit: Seconds | None = None
+    """Of one unit of the method's time (FreeTimeGS: the whole clip; PLY sequence: from one number to the next)."""
+    time_zero: Seconds = 0.0
+    """Dataset time at the method's time 0."""
+    world: Path | None = None
+    """COLMAP model (folder), or JSON with "training_to_world": the method's normalisation of that world is undone."""
+    world_by: WorldBy | None = None
+    """Whose normalisation that was: FreeTimeGsVanilla's own, or gsplat's; default: found out from the result."""
+    code_date: str | None = None
+    """Date, as 2024-09-15, of the code that trained it, where the meaning of its files has changed (4DGS of Yang)."""
+    flame_only: bool = False
+    """Another method's result is a flame without a room: it is drawn over the fire-free plates, as ours is."""
     align: Path | None = None
     """The method's own cameras (COLMAP folder, dataset.json, transforms.json, or JSON of name to 4x4
     world_to_camera): the result is moved by the similarity that maps them onto the cameras of --dataset."""
     dataset: Path | None = None
     """The dataset into whose world --align moves the result; its cameras have the same names."""
-    json: Path | None = None
-    """File to write what was read and written to."""
 
-
-def _moved(imported: Imported, cameras: Path, dataset: Dataset) -> Imported:
-    """A result in the dataset's world."""
-    found = align_cameras(read_cameras(cameras), {c.name: c.world_to_camera for c in dataset.cameras})
-    moved, notes = imported.gaussians.transformed(found.matrix), (*imported.notes, found.in_words(cameras))
-    return replace(imported, gaussians=moved, notes=notes)
+    def foreign(self) -> ImportOptions:
+        """What the options say of the result. Raises GofError: see `ImportOptions`."""
+        times = self.time_unit, self.time_zero, self.frame_time
+        return ImportOptions(*times, self.world, self.world_by, self.code_date, self.flame_only)
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof convert`."""
-    config = tyro.cli(ConvertConfig, prog="gof convert", args=argv)
+    config = read_options(ConvertConfig, "convert", argv)
     began = time.perf_counter()
     if (config.align is None) != (config.dataset is None):
         raise GofError("--align and --dataset go together: cameras of the method's world, and those to map them onto")
-    imported = read_result(config.result, config.other_method.options(config.frame_time))
+    if config.out is None:
+        return _write_down(config)
+    options, _ = with_said(config.result, config.foreign())
+    imported = read_result(config.result, options)
     if config.align is not None:
         imported = _moved(imported, config.align, Dataset.open(config.dataset))
-    made = convert(imported, config.out, config.start, config.end, config.frame_time, config.time)
+    made = convert(
+        imported, config.out, *(config.clip or (None, None)), options.frame_time_s, config.time, may_overwrite()
+    )
     seconds = time.perf_counter() - began
     count = len(imported.gaussians)
     out = console()
@@ -79,7 +99,34 @@ def main(argv: list[str]) -> int:
     notes = [*imported.notes, *made]
     for note in notes:
         out.print("note:", note, style="yellow")
-    if config.json:
-        done = {"method": imported.method, "gaussians": count, "notes": notes, "out": str(config.out)}
-        write_json(config.json, done | {"seconds": round(seconds, 3)})
+    done = {"method": imported.method, "gaussians": count, "notes": notes, "out": str(config.out)}
+    write_figures(done | {"seconds": round(seconds, 3)})
     return 0
+
+
+def _write_down(config: ConvertConfig) -> int:
+    """RESULT.gof.json. Raises GofError: nothing is said, or it is not about how the result is to be read."""
+    options = config.foreign()
+    if not any(getattr(options, name) for name in FIELDS):
+        raise GofError(
+            "name a file to write (OUT), or say something of RESULT that its files do not: --time-unit, --time-zero, "
+            "--frame-time, --world, --world-by, --code-date, --flame-only"
+        )
+    if (config.time, config.clip, config.align) != (None,) * 3:
+        raise GofError("--time, --clip and --align are for a file that is written; name it (OUT)")
+    imported = read_result(config.result, options)
+    path = write_said(config.result, options)
+    out = console()
+    out.print(f"{imported.method}: {len(imported.gaussians)} Gaussians in {imported.path}")
+    for note in imported.notes:
+        out.print("note:", note, style="yellow")
+    out.print(f"{path}: written; every command that reads {config.result} reads it")
+    write_figures({"method": imported.method, "notes": imported.notes, "out": str(path)})
+    return 0
+
+
+def _moved(imported: Imported, cameras: Path, dataset: Dataset) -> Imported:
+    """A result in the dataset's world."""
+    found = align_cameras(read_cameras(cameras), {c.name: c.world_to_camera for c in dataset.cameras})
+    moved, notes = imported.gaussians.transformed(found.matrix), (*imported.notes, found.in_words(cameras))
+    return replace(imported, gaussians=moved, notes=notes)

@@ -1,57 +1,82 @@
-"""`gof depth`: depth maps of a dataset's frames, for the scores of depth of `gof evaluate`."""
+"""`gof depth`: depth maps of a dataset's frames, or of its plates."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
+from gof.commands.everywhere import may_overwrite, next_to, write_figures
+from gof.commands.read import read_options
 from gof.core.errors import GofError
-from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.host.progress import progress_bar
 from gof.ingest.frame_depth import write_frame_depths
+from gof.ingest.plate_depth import write_plate_depths
 
 LITTLE = 0.05  # of the pixels; where stereo finds less the maps are mostly guessed
 
 
 @dataclass
 class DepthConfig:
-    """Depth maps of a dataset's held-out frames, which `gof evaluate` compares a result's depth with.
+    """Depth maps of a dataset's held-out frames, with which `gof evaluate --published` compares a result's depth.
 
-    OUT/depth/CAMERA/000000.npy, camera z in metres, is for `gof evaluate --depth OUT/depth`;
-    OUT/disparity/CAMERA/000000.npy, relative inverse depth, for `--published --disparity OUT/disparity`. With --weights
-    they are those of a monocular network, as the paper has them, else those of stereo between the cameras, completed
-    along the pictures' edges. No method may learn from them.
+    Examples:
+      gof depth data/fire
+      gof depth data/fire --plates
+
+    OUT/depth/CAMERA/000000.npy is camera z in metres, OUT/disparity/CAMERA/000000.npy relative inverse depth. With
+    --weights they are those of a monocular network, as the paper has them, else those of stereo between the cameras,
+    completed along the pictures' edges. No method may learn from them.
+
+    With --plates the maps are those of the scene without fire, for `gof background`: DATASET/depth/CAMERA.npy and
+    DATASET/points.ply, by semi-global stereo on the plates (the paper: by COLMAP's PatchMatch, which needs CUDA and is
+    not here), completed along the plates' edges or by the network of --weights.
     """
+
+    FIRST: ClassVar = ("out", "weights", "all_frames", "plates")
 
     dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder."""
-    out: Path
-    """Folder for the maps; maps of the same dataset that are there are kept."""
+    out: Path | None = None
+    """Folder for the maps; maps of the same dataset that are there are kept. Default: beside the dataset,
+    DATASET_depth."""
     weights: Path | None = None
-    """Folder of a Depth-Anything-V2 checkpoint in Hugging Face form; never downloaded. Needs torch and transformers."""
+    """Folder of a Depth-Anything-V2 checkpoint in Hugging Face form; never downloaded, and never run with published
+    weights. Needs torch and transformers."""
     all_frames: bool = False
-    """Of all frames, not of the held-out ones alone."""
-    json: Path | None = None
-    """Also write the summary to this file."""
+    """Maps of all frames, not of the held-out ones alone."""
+    plates: bool = False
+    """Maps of the plates instead, written into the dataset."""
 
 
 def main(argv: list[str]) -> int:
-    """`gof depth DATASET --out DIR`; see --help."""
-    config = tyro.cli(DepthConfig, prog="gof depth", args=argv)
+    """`gof depth DATASET [--out DIR]`; see --help."""
+    config = read_options(DepthConfig, "depth", argv)
     dataset = Dataset.open(config.dataset)
+    if config.plates:
+        return _plates(config, dataset)
     frames = list(range(len(dataset.times_s))) if config.all_frames else dataset.test_frames
     if not frames:
         raise GofError(f"{config.dataset}: no frame is held out; give --all-frames")
+    out = config.out or next_to(config.dataset, "_depth")
     with progress_bar("depth") as progress:
-        share = write_frame_depths(dataset, frames, config.out, config.weights, progress)
+        share = write_frame_depths(dataset, frames, out, config.weights, progress)
     if share is not None and share < LITTLE:
         print(f"note: stereo found {share:.1%} of the pixels only: the rest is guessed from them")
-    print(f"{len(frames)} frames of {len(dataset.cameras)} cameras -> {config.out}; next:")
-    print(f"gof evaluate RESULT --truth {config.dataset} --depth {config.out / 'depth'}")
-    if config.json:
-        write_json(config.json, {"out": str(config.out), "frames": frames, "stereo_share": share})
+    print(f"{len(frames)} frames of {len(dataset.cameras)} cameras -> {out}; next:")
+    print(f"gof evaluate RESULT --dataset {config.dataset} --published {out}")
+    write_figures({"out": str(out), "frames": frames, "stereo_share": share})
+    return 0
+
+
+def _plates(config: DepthConfig, dataset: Dataset) -> int:
+    """Raises GofError: options that say nothing about plates; the maps are there already."""
+    if config.out is not None or config.all_frames:
+        raise GofError("--plates: writes into the dataset, and of no frame; leave out --out and --all-frames")
+    files = write_plate_depths(dataset, config.weights, may_overwrite())
+    print(f"{', '.join(map(str, files))}; next: gof background {config.dataset}")
+    write_figures({"files": [str(file) for file in files]})
     return 0

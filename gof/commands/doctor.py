@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
-import tyro
-
+from gof.commands.cli import where_to_ask
+from gof.commands.everywhere import write_figures
+from gof.commands.read import read_options
 from gof.core.errors import GofError, printable
-from gof.core.files import write_json
 from gof.host.checks import checks, examine
 from gof.host.terminal import console
 
@@ -21,17 +20,17 @@ class DoctorConfig:
     """Check this machine: Python, Blender and its Mantaflow (a real 3-frame bake), Dr.Jit, CUDA, OpenEXR, disk,
     weights.
 
+    Examples:
+      gof doctor
+
     Exit status 0: what is installed works. 1: something is broken (the table says how to mend it). What is missing is
         optional. The whole table belongs into a bug report.
     """
 
-    json: Path | None = None
-    """Also write the findings to this file."""
-
 
 def main(argv: list[str]) -> int:
     """Run the checks, print one line each. Raises GofError: something needed is broken."""
-    config = tyro.cli(DoctorConfig, prog="gof doctor", args=argv)
+    read_options(DoctorConfig, "doctor", argv)
     from rich.text import Text
 
     out = console()
@@ -40,9 +39,10 @@ def main(argv: list[str]) -> int:
     for finding in findings:
         status = (f"{finding.status:<8}", STYLES[finding.status])
         out.print(Text.assemble(status, (finding.name, "bold"), printable(f" ({finding.purpose}): {finding.detail}")))
-    if config.json:
-        write_json(config.json, {"checks": [asdict(finding) for finding in findings]})
+    write_figures({"checks": [asdict(finding) for finding in findings]})
     broken = [finding.name for finding in findings if finding.status == "broken"]
+    if where := where_to_ask():
+        out.print(where)
     if broken:
         raise GofError(f"not ready: {', '.join(broken)}")
     absent = [finding.name for finding in findings if finding.status == "missing" and finding.name in DEMO]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.table import Table
 from rich.text import Text
 
-from gof.commands.foreign_options import ForeignOptions
+from gof.commands.everywhere import beside, figures_file, may_overwrite, require_free
+from gof.commands.read import read_options
 from gof.core.cameras import in_words
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
@@ -20,7 +21,10 @@ from gof.evaluate.published import THEIRS
 from gof.evaluate.scores import VelocityScore
 from gof.host.progress import progress_bar
 from gof.host.terminal import console
+from gof.ingest.frame_depth import KINDS, write_frame_depths
 from gof.reconstruct.optical_flow import dis
+
+FILE, MAPS = "scores.json", "depth_maps"
 
 PICTURE_ROWS = (
     ("psnr_flame", "PSNR flame (dB)", 2),
@@ -45,59 +49,52 @@ PUBLISHED_ROWS = (
 
 @dataclass
 class EvaluateConfig:
-    """Score a reconstruction against a dataset: DVE (L2, CosSim) with controls, PSNR and SSIM on held-out frames."""
+    """Score a reconstruction against a dataset: DVE (L2, CosSim) with controls, PSNR and SSIM on held-out frames.
+
+    Examples:
+      gof evaluate out/fire --dataset data/fire
+      gof evaluate out/other.ply --dataset data/fire --out boards/other
+
+    Units of time, worlds and dates that another method's files lack are written down once by `gof convert RESULT`.
+    Higher orders of quadrature, and weights by peak opacity: `gof study score`.
+    """
+
+    BARE: ClassVar = {"--published": "none"}
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Result of a reconstruction: ours, or any method's that docs/importers.md lists."""
-    truth: Path
-    """Dataset folder with the true pictures and velocities."""
-    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    dataset: Path
+    """Dataset folder: its pictures and, where it has them, true velocities."""
+    out: Path | None = None
+    """Folder to write scores.json to. Default, without --json: beside the result, where older scores of the same result
+    are replaced."""
     align: Path | None = None
     """Cameras of the method's own world (COLMAP folder, dataset.json, transforms.json, or JSON name -> 4x4
     world_to_camera), to move it into ours."""
-    out: Path | None = None
-    """Folder to write scores.json to; an older scores.json there is replaced. Default, without --json: beside the
-    result, where only older scores of the same result are replaced."""
-    json: Path | None = None
-    """File to write the scores to."""
-    order: Literal[1, 3, 5, 7] = 3
-    """Gauss-Hermite nodes per axis for the expected true velocity."""
-    opacity: Literal["temporal", "base"] = "temporal"
-    """Weight Gaussians by their opacity at each time, or by their peak opacity at all times."""
     weights: Path | None = None
     """Folder with the weight file of LPIPS (docs/leaderboard.md); without it that score is left out and named."""
-    depth: Path | None = None
-    """Folder of predicted or true depth maps CAMERA/FRAME.npy, for RMSE_depth."""
-    flame_only: bool = False
-    """Say that another method's result is a flame without a room: it is drawn over the fire-free plates, as ours is."""
-    published: bool = False
-    """Also the six picture figures that the paper's authors publish, by their definitions (docs/leaderboard.md)."""
-    disparity: Path | None = None
-    """Folder of maps of relative inverse depth CAMERA/FRAME.npy, for --published's error of depth."""
+    published: Annotated[str | None, tyro.conf.arg(metavar="[none|make|FOLDER]")] = None
+    """Also the six picture figures that the paper's authors publish, by their definitions (docs/leaderboard.md), and
+    errors of depth, against maps in a FOLDER of `gof depth` or CAMERA/FRAME.npy in metres; "make": maps that are made
+    now, as by `gof depth`, beside the scores; without a value or "none": without errors of depth."""
     images: bool = True
-    """Also render the held-out frames and score them."""
+    """Do not render and score the held-out frames."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof evaluate`."""
-    config = tyro.cli(EvaluateConfig, prog="gof evaluate", args=argv)
-    if config.disparity is not None and not config.published:
-        raise GofError("--disparity is for --published's error of depth; give --published too, or leave it out")
+    config = read_options(EvaluateConfig, "evaluate", argv)
     files = _files(config)
-    foreign = config.other_method.options()  # numbers that are none are named before anything is read
-    dataset = Dataset.open(config.truth)
+    dataset = Dataset.open(config.dataset)
+    depth, disparity = _depth_maps(config.published, dataset, files[0].parent)
     with progress_bar("evaluate") as progress:
         scores = evaluate(
             config.result,
             dataset,
-            order=config.order,
-            opacity=config.opacity,
             images=config.images,
             progress=progress,
-            foreign=foreign,
             align=config.align,
-            extras=Extras(config.weights, config.depth, dis if config.published else None, config.disparity),
-            flame_only=config.flame_only,
+            extras=Extras(config.weights, depth, dis if config.published else None, disparity),
         )
     out = console()
     for table in (velocity_table(scores), picture_table(scores), published_table(scores)):
@@ -118,23 +115,24 @@ def main(argv: list[str]) -> int:
 
 
 def _files(config: EvaluateConfig) -> list[Path]:
-    """Where the scores go: beside the result, where nothing else was asked for.
+    """Where the scores go: to --out, to --json, or beside the result.
 
     Raises:
-        GofError: what is beside it would be lost.
+        GofError: the result or its folder is not there, or something in the way would be lost.
     """
-    if config.out is None and config.json is None:
-        return [_beside(config.result)]
-    files = [] if config.out is None else [config.out / "scores.json"]
-    if config.json is not None and config.json not in files:
-        files.append(config.json)
-    return files
+    if not config.result.exists():
+        raise DataFormatError(f"{config.result}: no such file or folder")
+    more = figures_file()
+    if config.out is None:
+        return [_beside(config.result) if more is None else more]
+    require_free(config.out / FILE)
+    return [config.out / FILE] if more in (None, config.out / FILE) else [config.out / FILE, more]
 
 
 def _beside(result: Path) -> Path:
     """scores.json beside a result, or in the folder of a reconstruction. Raises GofError: it is of another result."""
-    path = (result if (result / "result.npz").is_file() else result.absolute().parent) / "scores.json"
-    if not path.exists():
+    path = beside(result if (result / "result.npz").is_file() else result.absolute(), FILE)
+    if not path.exists() or may_overwrite():
         return path
     try:
         of = Scores.read(path).import_.path
@@ -143,6 +141,28 @@ def _beside(result: Path) -> Path:
     if of is None or Path(of).resolve() not in (result.resolve(), (result / "result.npz").resolve()):
         raise GofError(f"{path}: holds the scores of another result ({of or 'unknown'}); give --out FOLDER")
     return path
+
+
+def _depth_maps(published: str | None, dataset: Dataset, out: Path) -> tuple[Path | None, Path | None]:
+    """Folders of depth in metres and of relative inverse depth, as --published names them; None where there is none.
+
+    Raises:
+        GofError: the folder holds no maps; with "make", see `write_frame_depths`.
+    """
+    if published in (None, "none"):
+        return None, None
+    if published == "make":
+        folder = out / MAPS
+        with progress_bar("depth") as progress:
+            write_frame_depths(dataset, dataset.test_frames, folder, None, progress)
+    else:
+        folder = Path(published)
+    depth, disparity = (folder / kind if (folder / kind).is_dir() else None for kind in KINDS)
+    if (depth, disparity) != (None, None):
+        return depth, disparity
+    if not any((folder / camera.name).is_dir() for camera in dataset.cameras):
+        raise GofError(f"--published {folder}: holds neither depth/ nor CAMERA/ of this dataset; gof depth writes them")
+    return folder, None
 
 
 def velocity_table(scores: Scores) -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-from gof.commands import no_such
+from gof.commands import HELP_WORDS, no_such
 
 PARTS = {
     "modalities": (
@@ -26,18 +26,18 @@ usage: gof figure PART [OPTIONS]        gof figure PART --help explains one part
 
 {parts}
 
-what people type:
+examples:
   gof figure modalities out/fire --dataset data/fire --out modalities.pdf
-  gof figure compare out/fire out/other.ply --names ours theirs --dataset data/fire --out compare.pdf
+  gof figure compare ours=out/fire theirs=out/other.ply --dataset data/fire --out compare.pdf
   gof figure removal data/fire --out removal.pdf
 
-Every part writes what its tiles show with --json FILE. Films and single panels: gof video.
+With --json FILE every part writes what its tiles show. Films and single panels: gof video.
 """
 
 
 def main(argv: list[str]) -> int:
     """Make one figure."""
-    if not argv or argv[0] in ("-h", "--help", "help"):
+    if not argv or argv[0] in HELP_WORDS:
         print(HELP.format(parts="\n".join(f"  {name:<11} {text}" for name, (_, text) in PARTS.items())))
         return 0
     if argv[0] not in PARTS:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
+from gof.commands.everywhere import beside, require_free, write_figures
+from gof.commands.read import read_options
+from gof.commands.units import Inches, Seconds
 from gof.commands.video import camera_number
 from gof.core.errors import GofError
-from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.host.progress import progress_bar
@@ -30,58 +32,59 @@ PORTRAIT, LANDSCAPE = 6, 4  # tiles in a row
 class ModalitiesConfig:
     """Draw what a method sees and makes of one camera's picture: the paper's figure of modalities, of your own data.
 
-    Picture, plate, flame mask, depth (stereo; monocular with --depth-weights; maps of gof ingest and gof depth where
-    there are such), optical flow, fused flow field, seeds, result, its velocity and, of a simulated fire, the true one.
-    What is seen before any Gaussian is computed again by the run's own settings: seconds to minutes. What cannot be
-    made is left out, and the command says why.
-
-    What people type:
+    Examples:
       gof figure modalities out/demo                                       a demo's, modalities.pdf beside its result
       gof figure modalities out/fire --dataset data/fire --camera cam_1 --time 0.11 --out modalities.png
+
+    Picture, plate, flame mask, depth (stereo; monocular with a checkpoint; maps of gof depth where there are
+    such), optical flow, fused flow field, seeds, result, its velocity and, of a simulated fire, the true one.
+    What is seen before any Gaussian is computed again by the run's own settings: seconds to minutes. What cannot be
+    made is left out, and the command says why.
     """
+
+    FIRST: ClassVar = ("dataset", "out", "camera", "time", "depth", "columns", "width_in")
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Folder of a `gof reconstruct`, finished or not, or of a `gof demo`."""
     dataset: Path | None = None
     """Dataset folder it is of; default: the one in a demo's folder."""
     out: tuple[Path, ...] = ()
-    """Files to write (.pdf, .svg, .png); default: modalities.pdf in the folder of the reconstruction."""
+    """Files to write (.pdf, .svg, .png). Default: modalities.pdf in the folder of the reconstruction, where an older
+    one is replaced."""
     camera: str | None = None
     """Name of the camera; default: the middle one."""
-    time: float | None = None
-    """Seconds on the dataset clock, of which the nearest training frame is taken; default: the brightest one."""
-    depth_weights: Path | None = None
-    """Folder of a Depth-Anything-V2 checkpoint, for monocular depth; never downloaded."""
-    depth: Path | None = None
-    """Folder of `gof depth --all-frames`, for the depth of this very frame."""
+    time: Seconds | None = None
+    """On the dataset clock, of which the nearest training frame is taken; default: the brightest one."""
+    depth: tuple[Path, ...] = ()
+    """Folders of `gof depth --all-frames`, for the depth of this very frame, and of a Depth-Anything-V2 checkpoint, for
+    monocular depth; never downloaded."""
     flow_weights: Path | None = None
     """Folder of the MEMFOF checkpoint, where the run had --flow memfof."""
     columns: int | None = None
     """Tiles in a row; default at most 6 of upright pictures, else 4."""
-    width: float = WIDTH_IN
-    """Inches of the page."""
-    json: Path | None = None
-    """Also write camera, frame and tiles, with what their colours mean, to this file."""
+    width_in: Inches = WIDTH_IN
+    """Width of the page."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof figure modalities`."""
-    config = tyro.cli(ModalitiesConfig, prog="gof figure modalities", args=argv)
+    config = read_options(ModalitiesConfig, "figure modalities", argv)
     require_number("--time", config.time)
     require_number("--columns", config.columns, least=1, most=12)
-    require_number("--width", config.width, least=1, most=100)
+    require_number("--width-in", config.width_in, least=1, most=100)
     run = run_folder(config.result)
     folder = config.dataset or dataset_beside(run)
     if folder is None:
         raise GofError(f"{run}: name the dataset it was made of (--dataset)")
-    files = config.out or (run / "modalities.pdf",)
+    require_free(*config.out)
+    files = config.out or (beside(run, "modalities.pdf"),)
     require_figure(*files)
     dataset = Dataset.open(folder)
     camera = camera_number(config.camera, dataset)
     frame = training_frame(dataset, camera, config.time)
     with progress_bar("modalities") as progress:
         seen = see_again(dataset, run, config.flow_weights, progress)
-    found = modalities(dataset, seen, Sources(run, config.depth_weights, config.depth), camera, frame)
+    found = modalities(dataset, seen, Sources(run, *depth_sources(config.depth)), camera, frame)
     view = dataset.cameras[camera]
     columns = config.columns or even(len(found.tiles), PORTRAIT if view.height > view.width else LANDSCAPE)
     rows = [found.tiles[k : k + columns] for k in range(0, len(found.tiles), columns)]
@@ -90,11 +93,21 @@ def main(argv: list[str]) -> int:
     for name, why in found.missing.items():
         out.print(f"left out: {name} ({why})")
     for file in files:
-        write_sheet(file, rows, config.width)
+        write_sheet(file, rows, config.width_in)
         out.print(f"{file}: {len(found.tiles)} pictures")
-    if config.json:
-        write_json(config.json, {"camera": view.name, "frame": frame} | facts(rows) | {"left_out": found.missing})
+    write_figures({"camera": view.name, "frame": frame} | facts(rows) | {"left_out": found.missing})
     return 0
+
+
+def depth_sources(folders: tuple[Path, ...]) -> tuple[Path | None, Path | None]:
+    """The folder of a checkpoint, and that of `gof depth`. Raises GofError: a folder is neither, or two are one."""
+    found: dict[str, Path] = {}
+    for folder in folders:
+        kinds = [k for k, name in (("weights", "model.safetensors"), ("maps", "depth")) if (folder / name).exists()]
+        if len(kinds) != 1 or kinds[0] in found:
+            raise GofError(f"--depth {folder}: give one folder of gof depth (depth/ in it), and one with a checkpoint")
+        found[kinds[0]] = folder
+    return found.get("weights"), found.get("maps")
 
 
 def even(count: int, most: int) -> int:

@@ -8,8 +8,10 @@ from typing import Annotated
 
 import tyro
 
+from gof.commands.everywhere import next_to, require_free, write_figures
+from gof.commands.read import read_options
+from gof.commands.units import Inches, Seconds
 from gof.commands.video import camera_number
-from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.host.terminal import console
@@ -25,36 +27,37 @@ from gof.look.tiles import facts
 class RemovalConfig:
     """Draw how the fire was removed: picture, plate, the light above the plate, and the difference.
 
+    Examples:
+      gof figure removal data/fire
+      gof figure removal data/fire --result out/fire --camera cam_1 --time 0.11 --out removal.png
+
     The plate is the dataset's: of `gof ingest` the one it made of the clip, of `gof generate` the scene rendered
     without fire. With --result also the plate in the fire's light, which that reconstruction made of it.
-
-    What people type:
-      gof figure removal data/fire --out removal.pdf
-      gof figure removal data/fire --result out/fire --camera cam_1 --time 0.11 --out removal.png
     """
 
     dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder."""
     result: Path | None = None
     """Folder of a `gof reconstruct` of it."""
-    out: tuple[Path, ...] = (Path("removal.pdf"),)
-    """Files to write (.pdf, .svg, .png)."""
+    out: tuple[Path, ...] = ()
+    """Files to write (.pdf, .svg, .png). Default: DATASET_removal.pdf beside the dataset, where an older one is
+    replaced."""
     camera: str | None = None
     """Name of a camera; default: all, a row each."""
-    time: float | None = None
-    """Seconds on the dataset clock, of which the nearest frame is taken; default: the held-out one with most flame."""
-    width: float = WIDTH_IN
-    """Inches of the page."""
-    json: Path | None = None
-    """Also write frame and tiles, with their figures, to this file."""
+    time: Seconds | None = None
+    """On the dataset clock, of which the nearest frame is taken; default: the held-out one with most flame."""
+    width_in: Inches = WIDTH_IN
+    """Width of the page."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof figure removal`."""
-    config = tyro.cli(RemovalConfig, prog="gof figure removal", args=argv)
+    config = read_options(RemovalConfig, "figure removal", argv)
     require_number("--time", config.time)
-    require_number("--width", config.width, least=1, most=100)
-    require_figure(*config.out)
+    require_number("--width-in", config.width_in, least=1, most=100)
+    require_free(*config.out)
+    files = config.out or (next_to(config.dataset, "_removal.pdf"),)
+    require_figure(*files)
     dataset = Dataset.open(config.dataset)
     everyone = range(len(dataset.cameras))
     cameras = list(everyone) if config.camera is None else [camera_number(config.camera, dataset)]
@@ -63,9 +66,8 @@ def main(argv: list[str]) -> int:
     rows = fire_removal(dataset, moment.frame, cameras, result)
     out = console()
     out.print(f"frame {moment.frame} at {moment.time_s:.4f} s")
-    for file in config.out:
-        write_sheet(file, rows, config.width)
+    for file in files:
+        write_sheet(file, rows, config.width_in)
         out.print(f"{file}: {len(cameras)} cameras")
-    if config.json:
-        write_json(config.json, {"frame": moment.frame} | facts(rows))
+    write_figures({"frame": moment.frame} | facts(rows))
     return 0

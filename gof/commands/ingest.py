@@ -6,16 +6,18 @@ import shlex
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 import tyro
 
 from gof.capture.recognise import BoardUnclear, recognise, require_strips
 from gof.capture.template import BoardTemplate
-from gof.commands.board_option import first_frames
+from gof.commands.everywhere import require_writable, write_figures
+from gof.commands.first_frames import first_frames
+from gof.commands.read import read_options
+from gof.commands.units import Degrees, Metres, Millimetres, Pixels
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
-from gof.core.files import write_json
 from gof.dataset.poses import UpReport
 from gof.footage.lens import Turn
 from gof.footage.videos import require_different, stated_fps
@@ -39,49 +41,50 @@ TAGGED = ("auto", "accelerometer")  # ways up that ask the files' sensors
 class IngestConfig:
     """Videos of a fire by fixed cameras -> a dataset folder: pictures, fire-free plates, camera poses, frame times.
 
+    Examples:
+      gof ingest cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json
+      gof ingest a.mp4 b.mp4 c.mp4 --times 240 --start 0 7 0 --fov 65 --baseline-m 1.2 --out data/mine
+
     Poses come from the plates by structure from motion; where that fails or contradicts the board, from the sync
     board's marker or from points given with --points. Frames are paired by time: cameras may differ in rate and drop
     frames.
     """
 
+    FIRST: ClassVar = ("out", "times", "cameras", "fov", "start", "plates", "max_size", "marker_mm")
+
     videos: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]
     """One video or folder of pictures per camera, of one fire, at least two; or one scenes/ID folder of the authors'
     public data set (fire_actioncam), which brings its own cameras and times."""
-    out: Path
-    """Folder of the dataset to write."""
+    out: Path | None = None
+    """Folder of the dataset to write. Default: beside the first video, named after it: cam_0_dataset."""
+    times: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE|FPS|stamps")] = ()
+    """When the frames were taken: times.json of `gof capture sync` for the same videos in the same order; or the true
+    capture rate of all cameras, or one each; or "stamps": the files' own time stamps are true seconds (a phone's
+    variable rate, not slow motion)."""
     cameras: Path | None = None
     """JSON: {"cameras": [{"width", "height", "K", "distortion"?, "world_to_camera"?}, ...]} of the pictures as stored,
     in the videos' order, or one entry for all. With world_to_camera (of the upright picture, metres) for all, poses are
     not solved."""
-    fov: float | None = None
-    """Horizontal field of view of the stored pictures in degrees, for all cameras, when there is no --cameras. A phone
-    stores an upright video lying, with a rotation tag: then it is along the long side."""
+    fov: Degrees | None = None
+    """Horizontal field of view of the stored pictures, for all cameras, when there is no --cameras. A phone stores an
+    upright video lying, with a rotation tag: then it is along the long side."""
     turn: Turn | Literal["auto"] = "auto"
     """How to turn the stored pictures upright; "auto": as the files' rotation tags say (phones write them)."""
-    times: Path | None = None
-    """times.json of `gof capture sync` for the same videos in the same order."""
-    fps: tuple[float, ...] = ()
-    """True capture rate of all cameras, or one each, when there is no --times."""
-    stamps: bool = False
-    """The files' own time stamps are true seconds (a phone's variable rate, not slow motion): take the times from
-    them."""
-    plates: Path | None = None
-    """Folder with a fire-free picture or film of each camera, cam_0.png or cam_0.mp4 ..., as stored; else made from
-    the footage."""
-    plate: PlateKind = "steady"
-    """How a plate is made: "minimum" over time, or "steady": that where fire passed, the temporal median elsewhere."""
-    plate_frames: int | None = None
-    """Make each plate from so many frames around the clip (--start, --frames), not from the clip's own alone: what
-    the fire hides all through the clip may be seen before or after it. Held-out frames are never used."""
+    plates: Annotated[str, tyro.conf.arg(metavar="steady|minimum|FOLDER")] = "steady"
+    """The fire-free picture of each camera: "steady", its minimum over time where fire passed and the temporal median
+    elsewhere; "minimum" everywhere; steady:200 or minimum:200 of so many frames around the clip (--start, --frames),
+    not of the clip's own alone, as what the fire hides all through the clip may be seen before or after it; or a folder
+    with a fire-free picture or film of each camera, cam_0.png or cam_0.mp4 ..., as stored. Held-out frames are never
+    used."""
     points: Path | None = None
     """JSON of correspondences by hand, see docs/ingest.md; points with xyz also give the scale."""
     board: str = "auto"
     """Sync board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig); or its name, or the JSON
     file of your own; "none" does not look."""
-    marker_m: float | None = None
-    """Side of the board's marker in metres: gives the scale."""
-    baseline_m: float | None = None
-    """Distance between the first and the last camera in metres: gives the scale."""
+    marker_mm: Millimetres | None = None
+    """Side of the board's marker: gives the scale."""
+    baseline_m: Metres | None = None
+    """Distance between the first and the last camera: gives the scale."""
     poses: Solver = "auto"
     """"features": structure from motion; "points": board or --points, refined with features; "auto": the first that
     holds."""
@@ -95,63 +98,90 @@ class IngestConfig:
     """What Z follows: "points" of --points that say what is upright or level, the cameras' "accelerometer" (GoPro),
     "edges" of upright things (posts, walls), the sync "board" standing upright, the "cameras" held level on average;
     "auto": the first of points, accelerometers (two that agree), edges (if they agree) and cameras that says it."""
-    width: int | None = None
-    """Width of the dataset's pictures in pixels; poses are always solved at full size."""
+    max_size: Pixels | None = None
+    """The dataset's pictures with a longer side are shrunk to it; poses are always solved at full size."""
+    start: tuple[int, ...] = (0,)
+    """First frame of the first camera to use; or, where no times.json is given, a frame of each camera that was taken
+    at the same moment, as --start 0 7 0."""
     frames: int | None = None
     """Use only so many frames."""
-    depth: bool = False
-    """Also write depth/cam_0.npy ... (H, W, camera depth in metres), by semi-global stereo on the plates (the paper: by
-    COLMAP's PatchMatch, which needs CUDA and is not here), and points.ply."""
-    depth_weights: Path | None = None
-    """Folder of a Depth-Anything-V2 checkpoint that completes the stereo depth; without it edges of the plate do.
-    Never downloaded, and never run with published weights."""
-    start: tuple[int, ...] = (0,)
-    """First frame of the first camera to use; or, without --times, a frame of each camera that was taken at the same
-    moment, as --start 0 7 0."""
-    json: Path | None = None
-    """Also write the summary to this file."""
+
+    def timing(self) -> Timing:
+        """What --times says, and the frames to use. Raises GofError: it is neither a file, nor rates, nor "stamps"."""
+        times, rates, stamps = read_times(self.times)
+        return Timing(times, rates, stamps, self.start, self.frames)
+
+    def plate_options(self) -> PlateOptions:
+        """What --plates says. Raises GofError: a number of frames that is none."""
+        kind, colon, frames = self.plates.partition(":")
+        if kind not in get_args(PlateKind):
+            return PlateOptions(folder=Path(self.plates))
+        if colon and not frames.isdecimal():
+            raise GofError(f"--plates {self.plates}: write a number of frames behind the colon, as {kind}:200")
+        require_number("--plates", int(frames) if colon else None, least=1)
+        return PlateOptions(kind, None, int(frames) if colon else None)
+
+
+def read_times(words: tuple[str, ...]) -> tuple[Path | None, tuple[float, ...], bool]:
+    """A file of times, rates in frames per second, and whether the files' own stamps hold: one of the three, or none.
+
+    Raises:
+        GofError: the words are none of these.
+    """
+    if words == ("stamps",):
+        return None, (), True
+    try:
+        return None, tuple(map(float, words)), False
+    except ValueError:
+        if len(words) == 1:
+            return Path(words[0]), (), False
+    raise GofError(
+        f"--times {' '.join(words)}: give one times.json of 'gof capture sync', rates in frames per second, or stamps"
+    )
 
 
 def ingest(config: IngestConfig) -> Ingested:
     """Make the dataset. Raises GofError as `make_dataset`, or for a number that is none."""
     require_number("--fov", config.fov, above=0, most=MOST_FOV_DEG)
-    for flag, value in (("--marker-m", config.marker_m), ("--baseline-m", config.baseline_m)):
+    for flag, value in (("--marker-mm", config.marker_mm), ("--baseline-m", config.baseline_m)):
         require_positive(flag, value)
-    require_all_positive("--fps", config.fps)
-    require_number("--width", config.width, least=16)
+    require_number("--max-size", config.max_size, least=16)
     require_number("--frames", config.frames, least=1)
-    require_number("--plate-frames", config.plate_frames, least=1)
     for start in config.start:
         require_number("--start", start, least=0)
-    require_new(config.out)
-    timing = Timing(config.times, config.fps, config.stamps, config.start, config.frames)
+    timing, plate = config.timing(), config.plate_options()
+    require_all_positive("--times", timing.fps)
+    out = config.out or _default_out(config.videos)
+    require_new(out)
     if not is_published(config.videos):
         timing.require_one_way()  # now: reading the footage may take minutes
-    plate = PlateOptions(config.plate, config.plates, config.plate_frames)
-    if config.plates is not None and not is_published(config.videos):  # now, as the times are
-        find_plates(config.plates, [f"cam_{c}" for c in range(len(config.videos))])
+    if plate.folder is not None and not is_published(config.videos):  # now, as the times are
+        find_plates(plate.folder, [f"cam_{c}" for c in range(len(config.videos))])
     footage = open_footage(config)
     pose_options = PoseOptions(
         solver=config.poses,
         by_hand=tuple(read_points(config.points, footage.names)) if config.points else (),
         board=board_in(config.board, footage.videos),
-        marker_m=config.marker_m,
+        marker_m=None if config.marker_mm is None else config.marker_mm / 1000,
         baseline_m=config.baseline_m,
         rig=Rig.read(config.rig, footage.upright_lenses) if config.rig else None,
         up=config.up,
         tilts=tuple(read_tilt(v, footage.turn) for v in footage.videos) if config.up in TAGGED else (),
     )
     return make_dataset(
-        config.out,
+        out,
         footage,
         timing,
         pose_options,
         plate,
-        width=config.width,
-        depth=config.depth,
-        depth_weights=config.depth_weights,
+        max_size=config.max_size,
         others=tuple(other_clip(footage, folder) for folder in config.with_clip),
     )
+
+
+def _default_out(videos: list[Path]) -> Path:
+    """Beside the first video, named after it."""
+    return require_writable(videos[0].absolute().parent) / f"{videos[0].stem}_dataset"
 
 
 def board_in(choice: str, videos: tuple[Path, ...]) -> BoardTemplate | None:
@@ -171,12 +201,12 @@ def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
     if is_published(config.videos):
         return
     missing, more = [], []
-    if config.times is None and not config.fps and not config.stamps:
+    if not config.times:
         missing.append(
-            "when the frames were taken: --fps with the true capture rate, --times times.json of 'gof capture sync', "
-            "or --stamps (the files' own time stamps, as phones write them)"
+            "when the frames were taken: --times with the true capture rate, with times.json of 'gof capture sync', or "
+            "with 'stamps' (the files' own time stamps, as phones write them)"
         )
-        more += ["--fps", f"{_stated_rate(config.videos[0]):.6g}"]
+        more += ["--times", f"{_stated_rate(config.videos[0]):.6g}"]
     if config.cameras is None and config.fov is None:
         missing.append(
             "through which lenses: --fov with the horizontal field of view in degrees, or --cameras cameras.json of "
@@ -200,7 +230,7 @@ def other_clip(footage: Footage, folder: Path) -> Footage:
     if any(video.exists() and video.samefile(own) for video, own in zip(videos, footage.videos, strict=True)):
         raise GofError(
             f"--with-clip {folder}: is this clip itself, whose held-out frames must not get into a plate; what its "
-            "videos have outside the clip is used by --plate-frames"
+            "videos have outside the clip is used by --plates steady:200"
         )
     if len(set(videos)) < len(videos):
         raise GofError("--with-clip: this clip's videos share a name; put each clip's videos into a folder of its own")
@@ -243,14 +273,14 @@ def fire_left_in_words(left: dict[str, float], by_clip: dict[str, float] | None 
         return words
     return (
         f"{words}; more than {MOST_FIRE_LEFT:.0%} of the picture never shows what is behind the fire: give plates "
-        "filmed without fire (--plates), a longer part of the videos (--plate-frames), or more clips of the same rig "
-        "(--with-clip)"
+        "filmed without fire (--plates FOLDER), a longer part of the videos (--plates steady:200), or more clips of "
+        "the same rig (--with-clip)"
     )
 
 
 def main(argv: list[str]) -> int:
-    """`gof ingest VIDEO... --out DATASET`; see --help."""
-    config = tyro.cli(IngestConfig, prog="gof ingest", args=argv)
+    """`gof ingest VIDEO... [--out DATASET]`; see --help."""
+    config = read_options(IngestConfig, "ingest", argv)
     require_what_no_file_says(config, argv)
     result = ingest(config)
     report = result.poses.report
@@ -265,13 +295,12 @@ def main(argv: list[str]) -> int:
     print(fire_left_in_words(result.fire_left, result.fire_left_by_clip))
     for note in (*result.notes, *report.notes):
         print(f"note: {note}")
-    print(f"dataset -> {result.folder}; next: gof reconstruct {result.folder} --out out/{result.folder.name}")
-    if config.json:
-        summary = {
-            "dataset": str(result.folder),
-            "notes": result.notes,
-            "poses": asdict(report),
-            "stages": [asdict(s) for s in stages],
-        }
-        write_json(config.json, summary)
+    print(f"dataset -> {result.folder}; next: gof reconstruct {result.folder}")
+    summary = {
+        "dataset": str(result.folder),
+        "notes": result.notes,
+        "poses": asdict(report),
+        "stages": [asdict(s) for s in stages],
+    }
+    write_figures(summary)
     return 0

@@ -10,6 +10,9 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from gof.commands.everywhere import require_free, require_writable, write_figures
+from gof.commands.read import read_options
+from gof.commands.units import Seconds
 from gof.core.files import atomic_path
 from gof.core.records import write_record
 from gof.dataset import Dataset
@@ -44,47 +47,52 @@ SHOWN = (
 
 @dataclass
 class LeaderboardConfig:
-    """Evaluated results side by side: table, pictures with errors, stream plots of velocity, accuracy against time."""
+    """Evaluated results side by side: table, pictures with errors, stream plots of velocity, accuracy against time.
+
+    Examples:
+      gof leaderboard boards/ours boards/theirs --dataset data/fire
+    """
 
     folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="FOLDER ...")]]
     """Folders with scores.json of gof evaluate; also method.json ("name", "train_seconds") and costs.json, if there."""
-    truth: Path | None = None
+    dataset: Path | None = None
     """Dataset folder: adds the results' pictures side by side, and stream plots with the truth beside each method."""
-    out: Path = Path("out/leaderboard")
-    """Folder for leaderboard.json, .csv, .md and .html; older ones are replaced."""
+    out: Path | None = None
+    """Folder for leaderboard.json, .csv, .md and .html. Default: "leaderboard" beside the first folder, where older
+    ones are replaced."""
     title: str = "Leaderboard"
     """Heading of the page."""
-    time: float | None = None
-    """Time of pictures and stream plots, s; default: the held-out frame with most flame, and the middle frame."""
+    time: Seconds | None = None
+    """Of pictures and stream plots; default: the held-out frame with most flame, and the middle frame."""
     figure: tuple[Kind, ...] = ()
     """Also write the charts of accuracy against time for print: OUT/accuracy_l2.pdf and so on."""
-    json: Path | None = None
-    """Another file to write the rows to."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof leaderboard`."""
-    config = tyro.cli(LeaderboardConfig, prog="gof leaderboard", args=argv)
+    config = read_options(LeaderboardConfig, "leaderboard", argv)
     require_number("--time", config.time)
     results = collect(config.folders)
+    if config.out is not None:
+        require_free(config.out / "leaderboard.json")
+    folder = config.out or require_writable(config.folders[0].absolute().parent) / "leaderboard"
     rows = rows_of(results)
-    dataset = Dataset.open(config.truth) if config.truth else None
+    dataset = Dataset.open(config.dataset) if config.dataset else None
     streams = stream_plots(results, dataset, config.time) if dataset else []
     charts = [
-        (chart, config.out / f"accuracy_{key}.{kind}")
+        (chart, folder / f"accuracy_{key}.{kind}")
         for key, chart in accuracy_charts(rows).items()
         for kind in config.figure
     ]
     require_figure(*(path for _, path in charts))
-    write_record(config.out / "leaderboard.json", Leaderboard(tuple(rows)))
-    if config.json is not None:
-        write_record(config.json, Leaderboard(tuple(rows)))
+    write_record(folder / "leaderboard.json", Leaderboard(tuple(rows)))
+    write_figures(Leaderboard(tuple(rows)))
     middle = Moment.near(dataset, len(dataset.cameras) // 2, config.time) if dataset else None
     grid = side_by_side(results, middle) if middle else None
     page = to_html(rows, streams, config.title, grid)
     pages = {"csv": to_csv(rows), "md": to_markdown(rows), "html": page}
     for suffix, text in pages.items():
-        with atomic_path(config.out / f"leaderboard.{suffix}") as temporary:
+        with atomic_path(folder / f"leaderboard.{suffix}") as temporary:
             temporary.write_text(text, encoding="utf-8")
     for chart, path in charts:
         chart.write(path)
@@ -98,7 +106,7 @@ def main(argv: list[str]) -> int:
         if stream.reason:
             note = f"note: no stream plot of {stream.name}: {stream.reason}"
             out.print(note, style="yellow")
-    out.print(f"written to {config.out}/leaderboard.html, .json, .csv, .md")
+    out.print(f"written to {folder}/leaderboard.html, .json, .csv, .md")
     if charts:
         out.print(f"for print: {', '.join(path.name for _, path in charts)}")
     return 0

@@ -9,8 +9,9 @@ from typing import Annotated
 
 import tyro
 
+from gof.commands.everywhere import require_free, require_writable, write_figures
+from gof.commands.read import read_options
 from gof.core.errors import GofError
-from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.dataset.pack import pack
 from gof.host.progress import progress_bar
@@ -19,6 +20,9 @@ from gof.host.progress import progress_bar
 @dataclass
 class PackConfig:
     """One archive per dataset, with checksums and a card that says what it is, who made it, and what others may do.
+
+    Examples:
+      gof pack data/fire --licence CC-BY-4.0 --authors "Your Name"
 
     Others open it with: gof unpack NAME.tar, or with tar and sha256sum.
     """
@@ -29,25 +33,24 @@ class PackConfig:
     """Must be given: what others may do with it, as data hosts name licences: CC-BY-4.0."""
     authors: tuple[str, ...] = ()
     """Must be given: who made it."""
-    out: Path = Path("packed")
-    """Folder for NAME.tar and NAME.tar.sha256; older ones are replaced."""
-    json: Path | None = None
-    """Also write names and sizes to this file."""
+    out: Path | None = None
+    """Folder for NAME.tar and NAME.tar.sha256; archives that are there are kept. Default: beside the first dataset."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof pack`."""
-    config = tyro.cli(PackConfig, prog="gof pack", args=argv)
+    config = read_options(PackConfig, "pack", argv)
     require_said(config)
     made = {}
     datasets = {folder: Dataset.open(folder) for folder in config.datasets}  # all of them, before any is packed
+    out = config.out or require_writable(config.datasets[0].absolute().parent)
+    require_free(*(out / f"{folder.absolute().name}.tar" for folder in datasets))
     for folder, dataset in datasets.items():
         with progress_bar(f"pack {folder.name}") as update:
-            archive = pack(dataset, config.out, config.licence, config.authors, update)
+            archive = pack(dataset, out, config.licence, config.authors, update)
         made[folder.name] = archive.stat().st_size
         print(f"{archive}: {archive.stat().st_size / 1e6:.1f} MB")
-    if config.json is not None:
-        write_json(config.json, {"archives": made})
+    write_figures({"archives": made})
     return 0
 
 
@@ -58,7 +61,7 @@ def require_said(config: PackConfig) -> None:
     if missing:
         words = ["gof", "pack", *map(str, config.datasets), "--licence", licence or "CC-BY-4.0"]
         words += ["--authors", *(authors or ["YOUR NAME"])]
-        words += [] if config.out == PackConfig.out else ["--out", str(config.out)]
+        words += [] if config.out is None else ["--out", str(config.out)]
         raise GofError(
             f"{' and '.join(missing)} missing: a packed dataset says what others may do with it and who made it. For "
             f"example: {shlex.join(words)}"

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
+from gof.commands.everywhere import next_to, write_figures
+from gof.commands.read import read_options
+from gof.commands.units import Pixels, Preset
 from gof.core.cameras import in_words, sizes_px
 from gof.core.errors import GofError
-from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.methods import MethodName, SceneName
 from gof.reconstruct.optical_flow import FlowName
-from gof.reconstruct.presets import PRESETS, Effort, PresetName
+from gof.reconstruct.presets import Effort, effort_of
 from gof.reconstruct.settings import ReconstructionSettings, Until
 
 
@@ -29,26 +31,33 @@ class ReconstructConfig:
 
     OUT/stages has pictures of every stage, OUT/costs.json the costs, OUT/curve.json the scores on held-out pictures
     along the way. `gof view OUT` shows the flame while it is being optimised.
+
+    Examples:
+      gof reconstruct data/fire
+      gof reconstruct data/fire --preset standard --out out/fire_standard
     """
+
+    FIRST: ClassVar = ("out", "preset", "steps", "gaussians", "max_size", "scene", "method", "until")
 
     dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder (holds dataset.json)."""
-    out: Path = Path("out/reconstruction")
-    """Folder for the result; a half-finished reconstruction there is resumed."""
-    preset: PresetName = "preview"
-    """How much work: sets the four options below, each of which can also be given by itself."""
-    gaussians: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """How many Gaussians in all frames together."""
-    iterations: int | None = None
+    out: Path | None = None
+    """Folder for the result; a half-finished reconstruction there is resumed. Default: beside the dataset,
+    DATASET_flame."""
+    preset: Preset = "preview"
+    """How much work: sets --steps, --gaussians, --voxels and --max-size, each of which can also be given by itself."""
+    steps: int | None = None
     """Optimisation steps, one training picture each."""
+    gaussians: int | None = None
+    """How many Gaussians in all frames together."""
     voxels: int | None = None
     """Voxels along the longest side of the flame's box: how finely light is told apart, and a bound of the Gaussians'
     size. The gas' velocity is always found on 72, from which the flow prior has learned."""
-    longest_side: int | None = None
-    """Pictures with a longer side, in pixels, are shrunk to it."""
+    max_size: Pixels | None = None
+    """Pictures with a longer side are shrunk to it."""
     method: MethodName = "gof"
     """Our choices, or the paper's wherever they differ (see gof.reconstruct.methods.METHODS). With `paper` three
-    things may still differ from the paper: the optical flow (give --flow memfof), the plates (`gof ingest --plate
+    things may still differ from the paper: the optical flow (give --flow memfof), the plates (`gof ingest --plates
     minimum`), and an exposure per camera, which is missing here."""
     scene: SceneName | None = None
     """What the flame is drawn in: `plates`, a picture without fire per camera (fast; the flame is in front of
@@ -59,8 +68,8 @@ class ReconstructConfig:
     flow_weights: Path | None = None
     """Folder with config.json and model.safetensors of a MEMFOF checkpoint; never downloaded."""
     flow_prior: bool = True
-    """Tell the gas' velocity, and how sure it is, from the motion that is seen, as learnt on simulated flames. The
-    paper does not do this; without it the motion that is seen is taken for the gas'."""
+    """Take the motion that is seen for the gas' velocity, as the paper does. Otherwise the gas' velocity, and how sure
+    it is, follow from what is seen as learnt on simulated flames."""
     until: Until = "result"
     """Stop after this stage, to look at its pictures; the same command without --until goes on from there."""
     ablation: Ablation = "none"
@@ -69,24 +78,28 @@ class ReconstructConfig:
     """Random seed of the seeding and of the order of pictures."""
     anyway: bool = False
     """Go on even if cameras, clocks, plates or this machine's memory look impossible."""
-    json: Path | None = None
-    """Also write the summary to this file."""
 
     def effort(self) -> Effort:
         """The preset's, where nothing else was given."""
-        preset = asdict(PRESETS[self.preset])
-        given = {name: getattr(self, name) for name in preset}
+        preset = asdict(effort_of(self.preset))
+        given = {
+            "iterations": self.steps,
+            "gaussians": self.gaussians,
+            "voxels": self.voxels,
+            "longest_side": self.max_size,
+        }
         return Effort(**(preset | {name: value for name, value in given.items() if value is not None}))
 
 
 def main(argv: list[str]) -> int:
     """`gof reconstruct DATASET [--out DIR] [--json FILE]`; see --help."""
-    config = tyro.cli(ReconstructConfig, prog="gof reconstruct", args=argv)
+    config = read_options(ReconstructConfig, "reconstruct", argv)
     from gof.reconstruct.pipeline import reconstruct  # after --help and mistyped options: loading Dr.Jit takes seconds
 
     if config.flow_weights is not None and config.flow != "memfof":
         raise GofError(f"--flow-weights are those of --flow memfof, not of {config.flow}; leave them out")
     dataset = Dataset.open(config.dataset)
+    out = config.out or next_to(config.dataset, "_flame")
     settings = ReconstructionSettings.of(
         dataset,
         config.effort(),
@@ -98,22 +111,22 @@ def main(argv: list[str]) -> int:
         ablation=config.ablation,
         seed=config.seed,
     )
-    result = reconstruct(dataset, settings, config.out, config.until, config.flow_weights, config.anyway)
+    result = reconstruct(dataset, settings, out, config.until, config.flow_weights, config.anyway)
     if result is None:
-        pictures = config.out / "stages"
+        pictures = out / "stages"
         print(f"stopped after {config.until}: pictures in {pictures}; the same command without --until goes on")
+        write_figures({"stopped_after": config.until, "pictures": str(pictures)})
         return 0
 
     scores = result.held_out.scores
-    if config.json:
-        held_out = {"step": result.held_out.step, "seconds": result.held_out.seconds} | asdict(scores)
-        summary = {
-            "result": str(result.path),
-            "gaussians": result.count,
-            "stages": [asdict(stage) for stage in result.stages],
-            "held_out": {name: value for name, value in held_out.items() if value is not None},
-        }
-        write_json(config.json, summary)
+    held_out = {"step": result.held_out.step, "seconds": result.held_out.seconds} | asdict(scores)
+    summary = {
+        "result": str(result.path),
+        "gaussians": result.count,
+        "stages": [asdict(stage) for stage in result.stages],
+        "held_out": {name: value for name, value in held_out.items() if value is not None},
+    }
+    write_figures(summary)
     for stage in result.stages:
         print(f"{stage.name:<12} {stage.seconds:8.1f} s {stage.peak_mb:8.0f} MB")
     if scores.psnr_flame is not None:

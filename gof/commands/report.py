@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from gof.commands.everywhere import write_figures
+from gof.commands.read import read_options
+from gof.commands.video import camera_number
 from gof.core.costs import StageCost, StageLog
-from gof.core.errors import GofError
-from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.evaluate.scores import Scores
 from gof.host.progress import progress_bar
@@ -26,7 +28,10 @@ from gof.look.report import build_report
 class ReportConfig:
     """Write OUT/report.html: pictures, animation, scores and costs of a reconstruction on one self-contained page.
 
-    Reads OUT/scores.json (of `gof evaluate --out OUT`), costs.json of the dataset, the result's folder and OUT, the
+    Examples:
+      gof report out/fire --dataset data/fire
+
+    Reads OUT/scores.json (of `gof evaluate`), costs.json of the dataset, the result's folder and OUT, the
     stage pictures beside the result, and OUT/preview.json of `gof import` when there is one.
     """
 
@@ -36,22 +41,19 @@ class ReportConfig:
     """Dataset folder; default OUT/dataset."""
     result: Path | None = None
     """Result file; default OUT/result.npz, or OUT/reconstruct/result.npz."""
-    camera: int | None = None
-    """Number of the camera of the animation; default the middle one."""
+    camera: str | None = None
+    """Name of the camera of the animation; default the middle one."""
     figure: tuple[Kind, ...] = ()
     """Also write the chart of L2 over time for print: OUT/pictures/l2.pdf and so on."""
-    json: Path | None = None
-    """Also write the page's name and size to this file."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof report`."""
-    config = tyro.cli(ReportConfig, prog="gof report", args=argv)
+    config = read_options(ReportConfig, "report", argv)
     out = config.out_dir
     scores = Scores.read(out / "scores.json")
     dataset = Dataset.open(config.dataset or out / "dataset")
-    if config.camera is not None and not 0 <= config.camera < len(dataset.cameras):
-        raise GofError(f"--camera {config.camera}: the dataset has cameras 0 to {len(dataset.cameras) - 1}")
+    camera = None if config.camera is None else camera_number(_renamed(config.camera, dataset), dataset)
     result = config.result or _result_in(out)
     preview = Preview.read(out / "preview.json") if (out / "preview.json").exists() else None
     charts = [out / "pictures" / f"l2.{kind}" for kind in config.figure]
@@ -65,7 +67,7 @@ def main(argv: list[str]) -> int:
             scores,
             _stages([dataset.path, result.parent, out]),
             preview,
-            camera=config.camera,
+            camera=camera,
             fire_removal=page_pictures(removal),
             progress=progress,
         )
@@ -75,10 +77,19 @@ def main(argv: list[str]) -> int:
             print(f"{path_of_chart}: not written, fewer than two frames have a score of velocity")
         else:
             chart.write(path_of_chart)
-    if config.json:
-        write_json(config.json, {"report": str(path), "bytes": path.stat().st_size})
+    write_figures({"report": str(path), "bytes": path.stat().st_size})
     print(f"{path} ({path.stat().st_size / 2**20:.1f} MB)")
     return 0
+
+
+def _renamed(camera: str, dataset: Dataset) -> str:
+    """The camera's name, also where its number was given, as in the version before."""
+    names = [known.name for known in dataset.cameras]
+    if camera in names or not camera.isdecimal() or int(camera) >= len(names):
+        return camera
+    new = names[int(camera)]
+    print(f"gof report: --camera {camera} is now --camera {new}; numbers go with the next version", file=sys.stderr)
+    return new
 
 
 def _result_in(out: Path) -> Path:

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from gof.core.files import write_json
+from gof.commands.everywhere import require_writable, write_figures
+from gof.commands.read import read_options
 from gof.dataset.pack import unpack, verify
 from gof.host.progress import progress_bar
 
@@ -17,20 +18,21 @@ from gof.host.progress import progress_bar
 class UnpackConfig:
     """Unpack archives of `gof pack`, and compare every file with its checksum. A wrong archive leaves nothing behind.
 
+    Examples:
+      gof unpack fire.tar --out unpacked
+
     A folder that was unpacked before is compared with its checksums again.
     """
 
     archives: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="ARCHIVE ...")]]
     """Archives, or folders that were unpacked."""
-    out: Path = Path("data")
-    """Folder for the datasets."""
-    json: Path | None = None
-    """Also write where the datasets are to this file."""
+    out: Path | None = None
+    """Folder for the datasets. Default: beside each archive."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof unpack`."""
-    config = tyro.cli(UnpackConfig, prog="gof unpack", args=argv)
+    config = read_options(UnpackConfig, "unpack", argv)
     folders = []
     for archive in config.archives:
         if archive.is_dir():
@@ -38,9 +40,8 @@ def main(argv: list[str]) -> int:
             folders.append(str(archive))
             continue
         with progress_bar(f"unpack {archive.name}") as update:
-            folder = unpack(archive, config.out, update)
+            folder = unpack(archive, config.out or require_writable(archive.absolute().parent), update)
         print(f"{folder}: all files are as their checksums say")
         folders.append(str(folder))
-    if config.json is not None:
-        write_json(config.json, {"datasets": folders})
+    write_figures({"datasets": folders})
     return 0

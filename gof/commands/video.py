@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
-from gof.commands.foreign_options import ForeignOptions
+from gof.commands.everywhere import beside, write_figures
+from gof.commands.read import read_options
+from gof.commands.results import Results, named
+from gof.commands.units import Pixels, Rate
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
-from gof.core.files import digest, write_json
+from gof.core.files import digest, read_json
 from gof.core.gaussians import TransientGaussians
+from gof.core.records import convert_json
 from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.evaluate.scoring import is_flame_alone
@@ -20,6 +24,7 @@ from gof.host.options import require_number, require_positive
 from gof.host.progress import progress_bar
 from gof.host.terminal import console
 from gof.io.importers import ImportOptions
+from gof.io.importers.said import with_said
 from gof.look.encoder import STILL, require_film
 from gof.look.film import FilmOptions, Recorded, fitted, make_film
 from gof.look.panels import Panel, Subject
@@ -27,99 +32,145 @@ from gof.look.path import Clock, Journey, Shot, Way, clock, orbit, shots, stay, 
 from gof.look.player.opened import Opened, dataset_beside, middle_of, open_moving, time_span
 from gof.look.player.page import front_camera
 
-MOST_HEIGHT = 2160
+MOST_SIZE = 4096
+UNKNOWN = (
+    "nothing, so black: another method's Gaussians may be the whole scene; if they are a flame alone, write it down: "
+    "gof convert RESULT --flame-only"
+)
+
+
+@dataclass(frozen=True)
+class FilmStyle:
+    """How a film looks beyond its panels; fields of `--style`."""
+
+    recorded: bool = False
+    """With --camera-path camera: a panel with what that camera recorded."""
+    camera: str | None = None
+    """Name of the camera that stays or goes around; default: the middle one."""
+    slow: float = 10.0
+    """Slow motion: seconds of film for one second of the clip."""
+    seconds: float = 6.0
+    """How long time stands still, with --mode freeze or bullet."""
+    stop: float | None = None
+    """Where time stands still, in seconds on the dataset clock; default: the middle of the clip."""
+    degrees: float = 360.0
+    """How far around the flame the camera goes; with less than 360 it goes to both sides and back."""
+    scene: str | None = None
+    """Still scene around results that are the flame alone: background.npz of `gof background`."""
+    reduced: float = 0.3
+    """Size of the Gaussians in the panel "reduced", as a factor."""
+    keep_frames: bool = False
+    """Leave the frames as PNGs in the folder OUT.frames."""
+
+    def __post_init__(self):
+        for name in ("slow", "seconds", "reduced"):
+            require_positive(f"--style {name}", getattr(self, name))
+        require_number("--style degrees", self.degrees, least=0, most=360)
+        require_number("--style stop", self.stop)
+
+    @classmethod
+    def read(cls, words: tuple[str, ...]) -> FilmStyle:
+        """The style that words KEY=VALUE and JSON files say; later ones replace what earlier ones said.
+
+        Raises:
+            GofError: a word is neither; a field that there is not, or a value that it cannot have (names it).
+        """
+        said: dict = {}
+        for word in words:
+            key, equals, value = word.partition("=")
+            if Path(word).suffix == ".json":
+                found = read_json(Path(word))
+                convert_json(cls, found, word)
+                said |= found
+            elif equals or key in cls.__dataclass_fields__:
+                said[key] = _value(value) if equals else True
+            else:
+                raise GofError(f"--style {word}: give a .json file, or KEY=VALUE; gof video --help-all lists the keys")
+        return convert_json(cls, said, "--style")
+
+
+def _value(word: str) -> bool | float | str:
+    """A value as JSON has it."""
+    known = {"yes": True, "true": True, "no": False, "false": False}
+    if word.lower() in known:
+        return known[word.lower()]
+    try:
+        return float(word)
+    except ValueError:
+        return word
 
 
 @dataclass
 class VideoConfig:
     """Write a film of a result: picture, depth, velocity and shrunken Gaussians, from views that no camera took.
 
+    Examples:
+      gof video out/demo                                            once around a demo's flame
+      gof video out/fire --dataset data/fire --mode bullet          plays, stops, turns, plays on
+      gof video out/fire --dataset data/fire --camera-path camera --style recorded       beside what was filmed
+      gof video ours=out/fire theirs=out/other.ply --dataset data/fire --panels rgb velocity --style slow=20
+      gof video out/fire --dataset data/fire --camera-path camera --style recorded --panels rgb error --out grid.png
+
     The camera goes round the flame, flies from camera to camera, or stays; the clip plays in slow motion, stands still,
     or stops on its way while the camera flies ("bullet"). Several results are shown under each other with one camera,
     one clock and one scale. A run that was stopped goes on where it was.
 
-    What people type:
-      gof video out/demo                                            once around a demo's flame
-      gof video out/fire --dataset data/fire --time bullet          plays, stops, turns, plays on
-      gof video out/fire --dataset data/fire --path camera --recorded       beside what was filmed
-      gof video out/fire out/other.ply --names ours theirs --dataset data/fire --panels rgb velocity
-      gof video out/fire out/other.ply --dataset data/fire --path camera --recorded --panels rgb error --out grid.png
-
-    Behind a flame is what is known there: a still scene of the result's own or of --scene; from a camera of the dataset
-    its plate (a picture of that one view); else nothing, which is black. The command prints which.
+    Behind a flame is what is known there: a still scene of the result's own or of the style's; from a camera of the
+    dataset its plate (a picture of that one view); else nothing, which is black. The command prints which.
     """
 
-    results: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RESULT ...")]]
-    """Folders of `gof reconstruct`, or files of any method of docs/importers.md, in one world and on one clock."""
-    other_method: tyro.conf.OmitArgPrefixes[ForeignOptions]
+    MORE: ClassVar = {"keys of --style": FilmStyle}
+
+    results: Results
+    """Folders of `gof reconstruct`, or files of any method of docs/importers.md, in one world and on one clock; the
+    name is what people read, default: the folder's."""
     dataset: Path | None = None
     """Dataset folder: its cameras, frame times and plates; default: the one in a demo's folder."""
     out: Path | None = None
-    """Film to write (.webm, .mp4, .webp), or a .png of the instant --stop; default: film.webm beside the result."""
-    path: Way = "orbit"
+    """Film to write (.webm, .mp4, .webp), or a .png of the instant where time stops; default: film.webm beside the
+    result. A film that was stopped goes on."""
+    camera_path: Way = "orbit"
     """Where the camera goes: around the flame; through the dataset's cameras and back; or it stays in one."""
-    time: Clock = "play"
+    mode: Clock = "play"
     """What time does: plays; stands still (freeze); plays, stops while the camera goes its way, plays on (bullet)."""
     panels: tuple[Panel, ...] = ("rgb", "depth", "velocity", "reduced")
     """What is shown side by side; `error` is the difference to what was recorded, black 0, bright 0.5 or more."""
-    recorded: bool = False
-    """With --path camera: a panel with what that camera recorded."""
-    camera: str | None = None
-    """Name of the camera that stays or goes around; default: the middle one."""
-    slow: float = 10.0
-    """Slow motion: seconds of film for one second of the clip."""
-    seconds: float = 6.0
-    """How long time stands still, with --time freeze or bullet."""
-    stop: float | None = None
-    """Where time stands still, in seconds on the dataset clock; default: the middle of the clip."""
-    degrees: float = 360.0
-    """How far around the flame the camera goes; with less than 360 it goes to both sides and back."""
-    scene: Path | None = None
-    """Still scene around results that are the flame alone: background.npz of `gof background`."""
-    reduced: float = 0.3
-    """Size of the Gaussians in the panel "reduced", as a factor."""
-    height: int | None = None
-    """Pixels of a panel; default: the camera's, at most 720."""
-    fps: float = 30.0
-    """Frames a second."""
-    names: tuple[str, ...] = ()
-    """What the results are called, in their order; default: their folders' names."""
-    frame_time: float | None = None
-    """Seconds between two frames, for results that count frames."""
-    flame_only: bool = False
-    """Say that other methods' results are flames without a room: they are drawn over a camera's plate, as ours are."""
-    keep_frames: bool = False
-    """Leave the frames as PNGs in the folder OUT.frames."""
-    json: Path | None = None
-    """Also write size, frames and scales to this file."""
+    max_size: Pixels | None = None
+    """Longer side of a panel; default: the camera's size, at most 720 high."""
+    fps: Rate = 30.0
+    """Of the film."""
+    style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE|FILE.json")] = ()
+    """How it looks: recorded, camera, slow, seconds, stop, degrees, scene, reduced, keep_frames; --help-all explains
+    them."""
 
 
 def main(argv: list[str]) -> int:
     """The command line of `gof video`."""
-    config = tyro.cli(VideoConfig, prog="gof video", args=argv)
-    _check(config)
-    options = config.other_method.options(config.frame_time)
-    names = config.names or (None,) * len(config.results)
-    results = [open_moving(path, options, name) for path, name in zip(config.results, names, strict=True)]
-    folder = config.dataset or dataset_beside(config.results[0])
+    config = read_options(VideoConfig, "video", argv)
+    style = FilmStyle.read(config.style)
+    _check(config, style)
+    results = [open_moving(path, name=name) for name, path in named(config.results)]
+    first = named(config.results)[0][1]
+    folder = config.dataset or dataset_beside(first)
     dataset = None if folder is None else Dataset.open(folder)
-    out = config.out or _default_out(config.results[0])
+    out = config.out or beside(first, "film.webm")
     span = _span(results, dataset)
-    stop = (span[0] + span[1]) / 2 if config.stop is None else config.stop
+    stop = (span[0] + span[1]) / 2 if style.stop is None else style.stop
     if not span[0] <= stop <= span[1]:
-        raise GofError(f"--stop {stop:g}: the clip is from {span[0]:g} to {span[1]:g} s")
-    number = camera_number(config.camera, dataset)
-    journey = _journey(config, results, dataset, number, stop)
+        raise GofError(f"--style stop={stop:g}: the clip is from {span[0]:g} to {span[1]:g} s")
+    number = camera_number(style.camera, dataset, "--style camera")
+    journey = _journey(config, style, results, dataset, number, stop)
+    mode, seconds = config.mode, style.seconds
     if out.suffix.lower() == STILL:
-        config = replace(config, time="freeze", seconds=1 / config.fps)
-    times, along = clock(config.time, span, config.slow, config.seconds, config.fps, stop)
+        mode, seconds = "freeze", 1 / config.fps
+    times, along = clock(mode, span, style.slow, seconds, config.fps, stop)
     film_shots = shots(journey, times, along)
-    still = None if config.scene is None else _still_scene(config.scene, options)
+    still = None if style.scene is None else _still_scene(Path(style.scene))
     subjects, behind = _subjects(results, still, dataset, number, film_shots[0], config)
-    recorded = _recorded(config, dataset, number)
-    look = FilmOptions(config.panels, config.fps, config.reduced, config.keep_frames)
+    recorded = Recorded(dataset, number) if style.recorded else None
+    look = FilmOptions(config.panels, config.fps, style.reduced, style.keep_frames)
     with progress_bar("video") as progress:
-        made_of = _made_of(config, results, dataset)
+        made_of = _made_of(style, results, dataset)
         film = make_film(out, subjects, film_shots, look, made_of, recorded, span[0], progress)
     terminal = console()
     for name, words in behind.items():
@@ -129,37 +180,27 @@ def main(argv: list[str]) -> int:
     seconds = film.frames / config.fps
     length = "" if film.path.suffix == ".png" else f"{film.frames} frames, {seconds:.1f} s, "
     terminal.print(f"{film.path}: {length}{film.size[0]}x{film.size[1]} px")
-    if config.json:
-        write_json(config.json, _figures(film))
+    write_figures(_figures(film))
     return 0
 
 
 # ---------------------------------------------------------------- what was asked
 
 
-def _check(config: VideoConfig) -> None:
-    if not config.results:
-        raise GofError("name a result: a folder of `gof reconstruct`, or a file of a method")
-    if config.names and len(config.names) != len(config.results):
-        raise GofError(f"--names: {len(config.names)} names for {len(config.results)} results; give one for each")
+def _check(config: VideoConfig, style: FilmStyle) -> None:
+    named(config.results)
     if not config.panels:
         raise GofError("--panels: name at least one of rgb, depth, velocity, reduced, error")
-    for flag, value in (("--slow", config.slow), ("--seconds", config.seconds), ("--reduced", config.reduced)):
-        require_positive(flag, value)
-    require_number("--degrees", config.degrees, least=0, most=360)
     require_number("--fps", config.fps, least=1, most=240)
-    require_number("--height", config.height, least=16, most=MOST_HEIGHT)
-    require_number("--stop", config.stop)
-    if "error" in config.panels and not config.recorded:
-        raise GofError("--panels error: an error is against what was recorded; add --recorded")
-    if config.recorded and config.path != "camera":
-        raise GofError("--recorded: only a camera that stays has recorded what it shows; add --path camera")
+    require_number("--max-size", config.max_size, least=16, most=MOST_SIZE)
+    if "error" in config.panels and not style.recorded:
+        raise GofError("--panels error: an error is against what was recorded; add --style recorded")
+    if style.recorded and config.camera_path != "camera":
+        raise GofError(
+            "--style recorded: only a camera that stays has recorded what it shows; add --camera-path camera"
+        )
     if config.out is not None:
         require_film(config.out)
-
-
-def _default_out(result: Path) -> Path:
-    return result / "film.webm" if result.is_dir() else result.with_name("film.webm")
 
 
 def _span(results: list[Opened], dataset: Dataset | None) -> tuple[float, float]:
@@ -167,42 +208,51 @@ def _span(results: list[Opened], dataset: Dataset | None) -> tuple[float, float]
     return min(first for first, _ in spans), max(last for _, last in spans)
 
 
-def camera_number(name: str | None, dataset: Dataset | None) -> int | None:
+def camera_number(name: str | None, dataset: Dataset | None, option: str = "--camera") -> int | None:
     """Of the dataset's camera of that name, by default the middle one; None without a dataset."""
     if dataset is None:
         if name is not None:
-            raise GofError(f"--camera {name}: cameras are a dataset's; add --dataset")
+            raise GofError(f"{option} {name}: cameras are a dataset's; add --dataset")
         return None
     known = [camera.name for camera in dataset.cameras]
     if name is not None and name not in known:
-        raise GofError(f"--camera {name}: the dataset has {', '.join(known)}")
+        raise GofError(f"{option} {name}: the dataset has {', '.join(known)}")
     return len(known) // 2 if name is None else known.index(name)
 
 
 def _journey(
-    config: VideoConfig, results: list[Opened], dataset: Dataset | None, number: int | None, time_s: float
+    config: VideoConfig,
+    style: FilmStyle,
+    results: list[Opened],
+    dataset: Dataset | None,
+    number: int | None,
+    time_s: float,
 ) -> Journey:
     middle, reach = middle_of(results[0].gaussians.state_at(time_s), time_s)
     if dataset is None:
-        if config.path != "orbit":
-            raise GofError(f"--path {config.path}: cameras are a dataset's; add --dataset, or take --path orbit")
-        return orbit(_sized(front_camera(middle, reach), config.height), middle, config.degrees)
-    if config.path == "cameras":
-        return through([_sized(camera, config.height) for camera in dataset.cameras])
-    camera = _sized(dataset.cameras[number], config.height)
-    return stay(camera) if config.path == "camera" else orbit(camera, middle, config.degrees)
+        if config.camera_path != "orbit":
+            raise GofError(f"--camera-path {config.camera_path}: cameras are a dataset's; add --dataset, or take orbit")
+        return orbit(_sized(front_camera(middle, reach), config.max_size), middle, style.degrees)
+    if config.camera_path == "cameras":
+        return through([_sized(camera, config.max_size) for camera in dataset.cameras])
+    camera = _sized(dataset.cameras[number], config.max_size)
+    return stay(camera) if config.camera_path == "camera" else orbit(camera, middle, style.degrees)
 
 
-def _sized(camera: Camera, height: int | None) -> Camera:
-    """The camera for panels of that height, in whole pixels."""
-    height = min(camera.height, 720) if height is None else height
+def _sized(camera: Camera, max_size: int | None) -> Camera:
+    """The camera for panels of that longer side, in whole pixels."""
+    height = min(camera.height, 720)
+    if max_size is not None:
+        height = max(1, round(camera.height * max_size / max(camera.width, camera.height)))
     return camera.scaled(max(1, round(camera.width * height / camera.height)), height)
 
 
-def _still_scene(path: Path, options: ImportOptions) -> TransientGaussians:
-    gaussians = open_moving(path, options).gaussians
+def _still_scene(path: Path) -> TransientGaussians:
+    gaussians = open_moving(path).gaussians
     if not isinstance(gaussians, TransientGaussians) or gaussians.dynamic.all():
-        raise GofError(f"--scene {path}: holds nothing that stands still; `gof background DATASET` makes such a file")
+        raise GofError(
+            f"--style scene={path}: holds nothing that stands still; `gof background DATASET` makes such a file"
+        )
     return gaussians[~gaussians.dynamic]
 
 
@@ -221,29 +271,26 @@ def _subjects(
         if not result.gaussians.dynamic.all():
             said = "its own still scene"
         elif still is not None:
-            scene, said = still, "the still scene of --scene"
-        elif not is_flame_alone(result.gaussians, result.method, config.flame_only):
-            said = "nothing, so black: another method's Gaussians may be the whole scene (else --flame-only)"
-        elif config.path == "camera":
+            scene, said = still, "the still scene of --style scene"
+        elif not is_flame_alone(result.gaussians, result.method, result.flame_only):
+            said = UNKNOWN
+        elif config.camera_path == "camera":
             plate = fitted(background(dataset, number, result.path), first.camera.width, first.camera.height)
             said = f"the plate of {dataset.cameras[number].name}"
         else:
-            said = "nothing, so black (a still scene is made by `gof background`, and named with --scene)"
+            said = "nothing, so black (a still scene is made by `gof background`, and named with --style scene=FILE)"
         subjects.append(Subject(result.name, result.gaussians, scene, plate))
         words[result.name] = said
     return subjects, words
 
 
-def _recorded(config: VideoConfig, dataset: Dataset | None, number: int | None) -> Recorded | None:
-    return Recorded(dataset, number) if config.recorded else None
-
-
-def _made_of(config: VideoConfig, results: list[Opened], dataset: Dataset | None) -> str:
+def _made_of(style: FilmStyle, results: list[Opened], dataset: Dataset | None) -> str:
     """Which files the film is of, by their content, and how they were read."""
-    files = [result.path for result in results] + ([config.scene] if config.scene else [])
+    files = [result.path for result in results] + ([Path(style.scene)] if style.scene else [])
+    said = [with_said(result.path, ImportOptions())[0] for result in results]
     digests = [digest(file) if file.is_file() else str(file.resolve()) for file in files]
     plates = "" if dataset is None else dataset.identity()
-    return " ".join([*digests, plates, repr(config.other_method), repr(config.frame_time), str(config.flame_only)])
+    return " ".join([*digests, plates, repr(said)])
 
 
 def _figures(film) -> dict:

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.host.options import require_number
@@ -23,6 +24,9 @@ class ViewConfig:
     snapshot appears by itself, and the view stays.
 
     The page is for this machine alone. From another: ssh -L 8080:127.0.0.1:PORT, or send the file of gof share.
+
+    Examples:
+      gof view out/fire --dataset data/fire
     """
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
@@ -42,7 +46,7 @@ def main(argv: list[str]) -> int:
             f"--host: the page is for this machine alone now; from another, ssh -L 8080:{HOST}:PORT with the --port "
             "that you give here, or send the file of gof share"
         )
-    config = tyro.cli(ViewConfig, prog="gof view", args=argv)
+    config = read_options(ViewConfig, "view", argv)
     require_number("--port", config.port, least=0, most=65535)
     folder = config.dataset or dataset_beside(config.result)
     live = Live(config.result, None if folder is None else Dataset.open(folder))

@@ -218,7 +218,7 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
     for folder in folders:
         if not (folder / "scores.json").is_file():
             raise DataFormatError(
-                f"{folder}: no scores.json; run 'gof evaluate RESULT --truth DATASET --out {folder}' first"
+                f"{folder}: no scores.json; run 'gof evaluate RESULT --dataset DATASET --out {folder}' first"
             )
         scores = Scores.read(folder / "scores.json")
         results.append(EvaluatedResult.of(folder, about(folder), scores))

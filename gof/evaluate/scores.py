@@ -275,7 +275,7 @@ class Scores(PictureFigures):
             return read_record(cls, path)._with_paths(lambda name: os.path.normpath(path.parent / name))
         except DataFormatError as e:
             where = f"--out {path.parent}" if path.name == "scores.json" else f"--json {path}"
-            raise DataFormatError(f"{e}; to write it: gof evaluate RESULT --truth DATASET {where}") from e
+            raise DataFormatError(f"{e}; to write it: gof evaluate RESULT --dataset DATASET {where}") from e
 
     def write(self, path: Path) -> None:
         """Write it, atomically; an older file is replaced. Paths in it count from its folder."""

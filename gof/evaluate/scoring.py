@@ -33,6 +33,7 @@ from gof.evaluate.scores import (
 from gof.evaluate.sequence import dve_sequence, sanity_warnings
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
+from gof.io.importers.said import in_words, with_said
 
 NO_PICTURES = "the dataset holds no frame out, so there are no scores of pictures"
 OURS = ("gof", "memory")  # methods whose results without static Gaussians are known to be flames alone
@@ -65,7 +66,8 @@ def evaluate(
         order, opacity: of `dve`.
         images: also render and score pictures.
         progress: progress(done, total, stage=name).
-        foreign: what a foreign result does not say; its frame time is the dataset's unless given.
+        foreign: what a foreign result does not say; what they leave open is as RESULT.gof.json beside it says, and
+            the frame time is the dataset's.
         align: cameras of the method's own world (see `read_cameras`); the result is moved by the similarity that maps
             them onto the dataset's.
         extras: material for LPIPS and RMSE_depth; without it they are named as absent.
@@ -97,6 +99,7 @@ def evaluate(
         warnings.append("the dataset has no true velocity field, so there is no DVE")
     warnings += _leak_warnings(made_from, dataset.test_frames)
     if images:
+        flame_only = flame_only or (own is not None and with_said(own, ImportOptions())[0].flame_only)
         origin = _drawn_as(origin, gaussians, flame_only)
         plates = [dataset.static(k) for k in range(len(dataset.cameras))]
         names = [camera.name for camera in dataset.cameras]
@@ -127,7 +130,10 @@ def is_flame_alone(gaussians: MovingGaussians, method: str, flame_only: bool) ->
 def _drawn_as(origin: Origin, gaussians: MovingGaussians, flame_only: bool) -> Origin:
     """The origin with what its pictures are drawn over, and a note where that may be another than was thought of."""
     over_plates = is_flame_alone(gaussians, origin.method, flame_only)
-    said = "pictures are those of its Gaussians alone, over black; --flame-only draws a flame over the plates"
+    said = (
+        "pictures are those of its Gaussians alone, over black; `gof convert RESULT --flame-only` says that it is a "
+        "flame alone, which is drawn over the plates"
+    )
     notes = origin.notes if over_plates or origin.method in OURS else (*origin.notes, said)
     return replace(origin, over_plates=over_plates, notes=notes)
 
@@ -136,6 +142,7 @@ def _load(
     result: Path | MovingGaussians, dataset: Dataset, foreign: ImportOptions, align: Path | None
 ) -> tuple[MovingGaussians, Origin]:
     if isinstance(result, Path):
+        foreign, said = with_said(result, foreign)
         options = replace(
             foreign,
             frame_time_s=foreign.frame_time_s or dataset.frame_time_s or None,
@@ -143,6 +150,7 @@ def _load(
         )
         imported = read_result(result, options)
         gaussians, notes = imported.gaussians.measured_from(dataset.datum), list(imported.notes)
+        notes += [] if said is None else [in_words(said, foreign)]
         if options.world is not None and options.world.is_dir() and align is None:
             ours = {c.name: c.world_to_camera for c in dataset.cameras}
             notes.append(require_same_world(read_cameras(options.world), ours, options.world))

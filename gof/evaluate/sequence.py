@@ -113,6 +113,7 @@ def sanity_warnings(score: DVESequence) -> list[str]:
     if p.weight_short_waves > 0.1:
         hints.append(
             f"{p.weight_short_waves:.0%} of the weight is in Gaussians wider than 1.5 rad of the flow's local "
-            "wavelength, where three nodes per axis fail: compare order 3 with 5 or 7 before trusting the last digits"
+            "wavelength, where three nodes per axis fail: compare order 3 with 5 or 7 (gof study score) before "
+            "trusting the last digits"
         )
     return hints

@@ -37,7 +37,7 @@ WEIGHTS = {
     "depth_anything_v2": (
         "monocular depth (Depth-Anything-V2-Small-hf, Apache-2.0: config.json and model.safetensors); without it "
         "stereo is completed along edges",
-        "gof ingest --depth-weights, gof depth --weights",
+        "gof depth --weights",
     ),
     "memfof": (
         "the paper's optical flow (optical-flow-MEMFOF-Tartan-T-TSKH, BSD-3: config.json and model.safetensors); "

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 WORKER_VARIABLE = "GOF_PROGRESS_LINES"  # set by `gof.host.worker.run_worker` in its children
+QUIET_VARIABLE = "GOF_QUIET"  # set by --quiet: no progress is shown
 
 
 def report_progress(stage: str, done: int, total: int, **figures) -> None:
@@ -30,6 +31,9 @@ def progress_bar(title: str, ticking: bool = False) -> Iterator[Callable[..., No
     """
     if os.environ.get(WORKER_VARIABLE):
         yield lambda done, total, stage=title, **figures: report_progress(stage, done, total, **figures)
+        return
+    if os.environ.get(QUIET_VARIABLE):
+        yield lambda *_, **__: None
         return
     from rich.console import Console
     from rich.progress import (

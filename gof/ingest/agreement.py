@@ -140,13 +140,13 @@ def require_whole(videos: list[VideoInfo], enough: bool) -> list[str]:
 
 
 def require_one_rate(videos: list[VideoInfo]) -> None:
-    """Raises GofError: the containers' rates differ, so one --fps cannot be true of all."""
+    """Raises GofError: the containers' rates differ, so one rate cannot be true of all."""
     rates = {video.path.name: 1 / video.usual_step_s for video in videos if video.usual_step_s}
     if rates and max(rates.values()) > (1 + SAME_RATE) * min(rates.values()):
         each = ", ".join(f"{name} {rate:.4g}" for name, rate in rates.items())
         raise GofError(
-            f"the files differ in rate ({each} frames per second) and one --fps is given for all: give each its true "
-            "rate, as --fps 400 200 400, or --stamps if the files' time stamps are true time"
+            f"the files differ in rate ({each} frames per second) and one rate is given for all: give each its true "
+            "rate, as --times 400 200 400, or --times stamps if the files' time stamps are true time"
         )
 
 

@@ -28,7 +28,7 @@ def metric_scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptio
         words = f"{METRES}, from the distance of {options.baseline_m:g} m between first and last camera"
         return options.baseline_m / baseline, words
     if not options.has_length:
-        words = "unknown: the unit is the distance between first and last camera (give --marker-m or --baseline-m)"
+        words = "unknown: the unit is the distance between first and last camera (give --marker-mm or --baseline-m)"
         return 1 / baseline, words
     if check is None or not check.metres_per_unit:
         raise DataFormatError(

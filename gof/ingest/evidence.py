@@ -59,7 +59,7 @@ class PoseOptions:
     tilts: tuple[Tilt, ...] = ()
 
     def __post_init__(self):
-        for value, name in ((self.marker_m, "--marker-m"), (self.baseline_m, "--baseline-m")):
+        for value, name in ((self.marker_m, "--marker-mm"), (self.baseline_m, "--baseline-m")):
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise GofError(f"{name} {value}: must be a positive length in metres")
 

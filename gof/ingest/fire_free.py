@@ -36,7 +36,7 @@ class PlateOptions:
 
     def __post_init__(self):
         if self.folder is not None and self.frames is not None:
-            raise GofError("--plate-frames: --plates brings the plates; give one of the two")
+            raise GofError("--plates: a folder brings the plates; no number of frames goes with it")
 
     @property
     def source(self) -> str:
@@ -89,12 +89,13 @@ def outside(footage: Footage, used: list[np.ndarray], options: PlateOptions) -> 
     """
     if options.frames is None:
         return []
+    asked = f"--plates {options.kind}:{options.frames}"
     if options.frames <= len(used[0]):
-        raise GofError(f"--plate-frames {options.frames}: the clip has {len(used[0])} frames; give more than that")
+        raise GofError(f"{asked}: the clip has {len(used[0])} frames; give more than that")
     numbers = [around(u, options.frames, n) for u, n in zip(used, footage.frame_counts, strict=True)]
     if not any(map(len, numbers)):
         raise GofError(
-            f"--plate-frames {options.frames}: the videos have no frames outside the clip; choose a shorter clip with "
+            f"{asked}: the videos have no frames outside the clip; choose a shorter clip with "
             "--start and --frames, or leave it out"
         )
     return footage.clips(numbers)

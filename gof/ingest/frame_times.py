@@ -88,8 +88,8 @@ class Timing:
         """Raises GofError: none or several ways to time are given."""
         if sum((self.times is not None, bool(self.fps), self.stamps)) != 1:
             raise GofError(
-                "give the frame times with one of --times times.json (of 'gof capture sync'), --fps RATE, or --stamps "
-                "(the files' own time stamps)"
+                "give the frame times with one of --times times.json (of 'gof capture sync'), --times RATE, or --times "
+                "stamps (the files' own time stamps)"
             )
 
     @property
@@ -134,9 +134,9 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     else:
         if len(timing.fps) == 1:
             require_one_rate(videos)
-        rates = _one_each("--fps", timing.fps, videos)
+        rates = _one_each("--times", timing.fps, videos)
         if not min(rates) > 0:
-            raise GofError(f"--fps {min(rates):g}: must be positive")
+            raise GofError(f"--times {min(rates):g}: must be positive")
         ticks = [_steps(video) / rate for video, rate in zip(videos, rates, strict=True)]
         source = f"{', '.join(f'{rate:g}' for rate in timing.fps)} frames per second"
     if len(timing.start) == 1:
@@ -161,9 +161,9 @@ def _one_each(flag: str, values: tuple, videos: list[VideoInfo]) -> list:
 def _stamps(video: VideoInfo) -> np.ndarray:
     """(N,) s. Raises GofError: a folder of pictures, or stamps that do not grow."""
     if video.stamps_s is None:
-        raise GofError(f"{video.path}: pictures have no time stamps; give the rate with --fps")
+        raise GofError(f"{video.path}: pictures have no time stamps; give the rate with --times")
     if len(video.stamps_s) > 1 and not np.diff(video.stamps_s).min() > 0:
-        raise GofError(f"{video.path}: its time stamps do not grow with every frame; give the rate with --fps")
+        raise GofError(f"{video.path}: its time stamps do not grow with every frame; give the rate with --times")
     return video.stamps_s
 
 
@@ -188,8 +188,8 @@ def _steps(video: VideoInfo) -> np.ndarray:
     if off.max() > ON_GRID:
         raise GofError(
             f"{video.path}: has no one rate: by its time stamps frame {int(off.argmax())} is {off.max():.2f} frames "
-            "off where an even rate would put it; if the stamps are true time, as phones write them, give --stamps "
-            "instead of --fps"
+            "off where an even rate would put it; if the stamps are true time, as phones write them, give --times "
+            "stamps"
         )
     return grid
 
@@ -238,7 +238,7 @@ def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], 
         if entry.times is None:
             raise DataFormatError(
                 f"{path}: camera '{entry.name}' has no times ({entry.error}); film the board whole and lit, "
-                "leave this camera out, or use --fps"
+                "leave this camera out, or give --times the rate"
             )
         if len(entry.times.frames) != video.frames:
             raise DataFormatError(

@@ -23,7 +23,6 @@ from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import darkest
 from gof.ingest.place import Placed
 from gof.ingest.published import CAMERAS_FILE
-from gof.ingest.scene_depth import scene_depth, write_depth
 from gof.ingest.stored import StoredView, camera_entries, resized, stored_view, write_picture, write_pictures
 
 WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records
@@ -78,33 +77,26 @@ def make_dataset(
     timing: Timing,
     pose_options: PoseOptions,
     plate: PlateOptions,
-    width: int | None = None,
-    depth: bool = False,
-    depth_weights: Path | None = None,
+    max_size: int | None = None,
     others: tuple[Footage, ...] = (),
 ) -> Ingested:
-    """Write a dataset. Plates, poses and depth are made from training frames only, and the dataset says so.
+    """Write a dataset. Plates and poses are made from training frames only, and the dataset says so.
 
     Args:
         out: folder of the dataset.
-        width: of the dataset's pictures in px, None for the footage's; poses are always solved at full size.
-        depth: also write depth maps of the plates and their point cloud.
-        depth_weights: folder of the checkpoint for `gof.ingest.depth.monocular`; None: see `complete` there.
+        max_size: px; the dataset's pictures with a longer side are shrunk to it. Poses are always solved at full size.
         others: more clips of the same rig; their features and boards help to find the poses, and they may show what
             burns all the time in this one.
     Raises:
-        GofError: `out` holds a dataset already, or files that it would mix with; another run is at work there; the
-            width is not one of the footage; see the stages for what can be wrong with footage, times and poses.
+        GofError: `out` holds a dataset already, or files that it would mix with; another run is at work there; see
+            the stages for what can be wrong with footage, times and poses.
     """
     require_new(out)
-    for lens in footage.upright_lenses:
-        if width is not None and not 1 <= width <= lens.width:
-            raise GofError(f"--width {width}: the footage is {lens.width} pixels wide")
 
     with only_run_in(out):
         require_new(out)
         start_afresh(out)
-        made = _make(out, footage, timing, pose_options, plate, width, depth, depth_weights, others)
+        made = _make(out, footage, timing, pose_options, plate, max_size, others)
         (out / UNFINISHED).unlink(missing_ok=True)
         return made
 
@@ -115,9 +107,7 @@ def _make(
     timing: Timing,
     pose_options: PoseOptions,
     plate: PlateOptions,
-    width: int | None,
-    depth: bool,
-    depth_weights: Path | None,
+    max_size: int | None,
     others: tuple[Footage, ...],
 ) -> Ingested:
     """As `make_dataset`, in a folder that is empty and this run's alone."""
@@ -148,14 +138,8 @@ def _make(
             placed = footage.place([Evidence.of(out.name, seen, fire_free.lowest, pose_options), *more], pose_options)
         figures.update(method=placed.report.method, points=len(placed.points))
     cameras = placed_cameras(footage, times, placed)
-    stored = [stored_view(camera, picture, width) for camera, picture in zip(cameras, fire_free.pictures, strict=True)]
-
-    # ---- depth -------------------------------------------------------------------------------------------------------
-    scene = None
-    if depth:
-        with log.measure("depth") as figures:
-            scene = scene_depth(fire_free.pictures, cameras, placed.points, stored, depth_weights)
-            figures["stereo_share"] = list(scene.stereo_share)
+    plates = fire_free.pictures
+    stored = [stored_view(camera, plate, max_size) for camera, plate in zip(cameras, plates, strict=True)]
 
     # ---- write -------------------------------------------------------------------------------------------------------
     plate_frames = {name: len(a) + len(b) for name, a, b in zip(footage.names, known, beyond, strict=bool(beyond))}
@@ -173,14 +157,12 @@ def _make(
         **footage.provenance,
     }
     boards = [footage.board_mask(c) for c in range(len(clips))]
-    made_from = derived_files(stored, placed, plate.folder is None, depth)
+    made_from = derived_files(stored, placed, plate.folder is None)
     with log.measure("write"), watched("write", clips) as seen:
         for view, clip, board in zip(stored, seen, boards, strict=True):
             write_pictures(out, view, clip)
             if board is not None:
                 write_picture(out / view.board_mask, resized(board, view.camera)[..., None])
-        if scene is not None:
-            write_depth(out, stored, scene)
         poses.write(out)
         footage.write_beside(out)
         entries = camera_entries(footage, times, stored, boards)
@@ -216,11 +198,10 @@ def watched(title: str, clips: list[Clip], passes: list[int] | None = None) -> I
         yield [replace(clip, watch=count) for clip in clips]
 
 
-def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool, depth: bool) -> list[str]:
+def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool) -> list[str]:
     """Names of the dataset's files that are computed from the clip's training frames, masks of single frames aside."""
     files = [view.static for view in stored] if plates_of_clip else []
     files += [POSES] if placed.report.method in ("features", "points") else []
-    files += [view.depth for view in stored] + ["points.ply"] if depth and plates_of_clip else []
     return files
 
 

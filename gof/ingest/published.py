@@ -176,7 +176,7 @@ class PublishedFootage(Footage):
     def frame_times(self, timing: Timing) -> FrameTimes:
         """By the board's clock, as published: cameras keep their own times, paired by the nearest frame."""
         if timing.times is not None or timing.fps or timing.stamps:
-            raise GofError(f"{self.meta.path}: the scene brings its frame times; leave out --times, --fps and --stamps")
+            raise GofError(f"{self.meta.path}: the scene brings its frame times; leave out --times")
         seconds = list(self.meta.times * 1e-6)
         pairing = pair(self.names, seconds, timing.start[0], timing.limit, str(self.meta.path))
         zero = seconds[0][pairing.frames[0][0]]

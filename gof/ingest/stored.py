@@ -40,20 +40,16 @@ class StoredView:
         return f"static/{self.camera.name}.png"
 
     @property
-    def depth(self) -> str:
-        """Name of the plate's depth map."""
-        return f"depth/{self.camera.name}.npy"
-
-    @property
     def board_mask(self) -> str:
         """Name of the LED board's mask."""
         return f"cameras/{self.camera.name}/board_mask.png"
 
 
-def stored_view(camera: Camera, plate: np.ndarray, width: int | None) -> StoredView:
-    """The camera and its plate at `width`; None keeps the size."""
-    width = width or camera.width
-    small = camera.scaled(width, round(camera.height * width / camera.width))
+def stored_view(camera: Camera, plate: np.ndarray, max_size: int | None) -> StoredView:
+    """The camera and its plate, shrunk to a longer side of `max_size` px; None keeps the size."""
+    longest = max(camera.width, camera.height)
+    size = min(max_size or longest, longest)
+    small = camera.scaled(*(max(1, round(side * size / longest)) for side in (camera.width, camera.height)))
     return StoredView(small, resized(plate, small))
 
 

@@ -23,6 +23,7 @@ def convert(
     end_s: float | None = None,
     frame_time_s: float | None = None,
     time_s: float | None = None,
+    overwrite: bool = False,
 ) -> list[str]:
     """Write a result by suffix: .npz (exact), .ply (3DGS and time and velocity), .ftgs.ply, .glb, .spz, .sog.
 
@@ -35,20 +36,22 @@ def convert(
             Gaussian appears and when the last one is gone.
         frame_time_s: seconds between two frames; with both of the above it tells an .ftgs.ply its number of frames.
         time_s: instant of a .glb, .spz or .sog; default: the middle of the Gaussians' times.
+        overwrite: replace a file that is there; a folder never is.
     Raises:
         DataFormatError: the file exists, the suffix is unknown, positions sampled in time are to become a closed form,
             start_s, end_s or time_s is given for another format, a folder of PLYs without frame_time_s, or a value that
             the format cannot hold.
     """
-    require_number("--start", start_s)
-    require_number("--end", end_s)
+    require_number("--clip", start_s)
+    require_number("--clip", end_s)
     require_number("--time", time_s)
     if (start_s, end_s) != (None, None) and not (out.suffix == "" or out.name.endswith(".ftgs.ply")):
-        raise DataFormatError(f"{out}: --start and --end mean something in .ftgs.ply and folders only; leave them out")
+        raise DataFormatError(f"{out}: --clip means something in .ftgs.ply and folders only; leave it out")
     if time_s is not None and out.suffix not in INSTANT:
         raise DataFormatError(f"{out}: --time means something in {', '.join(INSTANT)} only; leave it out")
-    if out.exists():
-        raise DataFormatError(f"{out}: exists already; remove it or choose another name")
+    if out.exists() and not (overwrite and out.is_file()):
+        remedy = "remove it" if out.is_dir() else "replace it with --overwrite"
+        raise DataFormatError(f"{out}: exists already; {remedy}, or choose another name")
     try:
         return _written(imported, out, start_s, end_s, frame_time_s, time_s)
     except NonFiniteError as e:
@@ -119,5 +122,5 @@ def _clip(gaussians: TransientGaussians, out: Path, start_s: float | None, end_s
     """First and last second to write: what was given, else when the first one appears and the last one is gone."""
     born, dead = gaussians.life() if gaussians.dynamic.any() else (0.0, 1.0)
     if not np.isfinite([born, dead]).all() and None in (start_s, end_s):
-        raise DataFormatError(f"{out}: some Gaussians are always on, so the clip's --start and --end must be given")
+        raise DataFormatError(f"{out}: some Gaussians are always on, so --clip must be given")
     return born if start_s is None else start_s, dead if end_s is None else end_s

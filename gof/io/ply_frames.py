@@ -26,9 +26,7 @@ def save(gaussians: TransientGaussians, folder: Path, start_s: float, end_s: flo
     """
     count = int(np.floor((end_s - start_s) / step_s + 1e-6)) + 1
     if not 1 <= count <= MOST_FRAMES:
-        raise DataFormatError(
-            f"{folder}: {count} frames from {start_s} s to {end_s} s; choose --start, --end, --frame-time"
-        )
+        raise DataFormatError(f"{folder}: {count} frames from {start_s} s to {end_s} s; choose --clip, --frame-time")
     times = start_s + step_s * np.arange(count)
     seen = np.zeros(len(gaussians), bool)
     for time_s in times:

@@ -16,7 +16,7 @@ from gof.look.animation import original
 from gof.look.tiles import Row, error_tile, picture_tile
 from gof.reconstruct.observation import light_above
 
-KINDS = {"steady": "plate (steady light)", "minimum": "plate (minimum)"}  # of `gof ingest --plate`, by provenance
+KINDS = {"steady": "plate (steady light)", "minimum": "plate (minimum)"}  # of `gof ingest --plates`, by provenance
 
 
 def fire_removal(dataset: Dataset, frame: int, cameras: Sequence[int], result: Path | None = None) -> list[Row]:

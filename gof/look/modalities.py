@@ -117,7 +117,7 @@ class _View:
         sources = {
             "stereo depth": stereo,
             "monocular depth": self._monocular(stereo),
-            "depth, gof ingest": self._ingested(),
+            "depth, plates": self._ingested(),
             "depth, gof depth": self._of_frame(),
         }
         out.missing |= {name: why for name, why in sources.items() if isinstance(why, str)}
@@ -148,7 +148,7 @@ class _View:
 
     def _monocular(self, stereo: np.ndarray | str) -> np.ndarray | str:
         if self.sources.depth_weights is None:
-            return "no network's weights were named (--depth-weights)"
+            return "no network's weights were named (--depth)"
         if isinstance(stereo, str):
             return f"its scale comes from stereo depth, and {stereo}"
         plate = np.uint8(np.rint(255 * self.dataset.static(self.number)))
@@ -157,7 +157,7 @@ class _View:
 
     def _ingested(self) -> np.ndarray | str:
         path = path_in(self.dataset.path, f"depth/{self.camera.name}.npy")
-        return read_npy(path) if path.is_file() else "the dataset has no depth maps (gof ingest --depth)"
+        return read_npy(path) if path.is_file() else "the dataset has no depth maps (gof depth DATASET --plates)"
 
     def _of_frame(self) -> np.ndarray | str:
         if self.sources.depth is None:

@@ -28,6 +28,13 @@ from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
 from gof.reconstruct.shrink import shrink
 
+LEAST = (
+    ("steps", "--steps", 1),
+    ("gaussians", "--gaussians", 2),
+    ("longest_side", "--max-size", 16),
+    ("seed", "--seed", 0),
+)
+
 
 @dataclass(frozen=True)
 class BackgroundOptions:
@@ -50,9 +57,9 @@ class BackgroundOptions:
     seed: int = 0
 
     def __post_init__(self):
-        for name, least in (("steps", 1), ("gaussians", 2), ("longest_side", 16), ("seed", 0)):
+        for name, option, least in LEAST:
             if getattr(self, name) < least:
-                raise GofError(f"--{name.replace('_', '-')} {getattr(self, name)}: must be {least} or more")
+                raise GofError(f"{option} {getattr(self, name)}: must be {least} or more")
 
 
 @dataclass(frozen=True)
@@ -175,7 +182,8 @@ def _stored_depth(file: Path, size: tuple[int, int]) -> np.ndarray:
 
     depth = read_npy(file)
     if depth.ndim != 2 or not (np.isfinite(depth) & (depth > 0)).all():
-        raise DataFormatError(f"{file}: not an (H, W) map of positive depths; run gof ingest --depth again")
+        again = f"gof depth {file.parents[1]} --plates --overwrite"
+        raise DataFormatError(f"{file}: not an (H, W) map of positive depths; make it again with: {again}")
     # Nearest: a mean of two surfaces is a place where nothing is.
     return cv2.resize(depth.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
 

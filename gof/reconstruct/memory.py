@@ -51,7 +51,7 @@ def require(needed: float) -> None:
         GofError: it has less in all, or this process may not take so much.
     """
     memory = psutil.virtual_memory()
-    remedy = "--longest-side, --gaussians or --voxels with less, or a dataset of fewer frames, need less"
+    remedy = "--max-size, --gaussians or --voxels with less, or a dataset of fewer frames, need less"
     limit = min(memory.total, _limit())
     if needed > limit:
         raise GofError(

@@ -2,7 +2,7 @@
 
 The paper's come from its text, and where that is silent from the constants of its authors' published code
 (github.com/jna-358/gaussians_on_fire, `eccv-demo`), named "authors". Not among them, because it is not here at all: one
-exposure per camera (authors). Plates are made before (`gof ingest --plate minimum` is the paper's), and what draws the
+exposure per camera (authors). Plates are made before (`gof ingest --plates minimum` is the paper's), and what draws the
 optical flow is `--flow` (the paper's is memfof).
 """
 

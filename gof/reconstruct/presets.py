@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from gof.core.errors import GofError
+from gof.core.ladder import Rung, preset
 
-PresetName = Literal["preview", "draft", "standard", "paper"]
 LEAST = {"iterations": 1, "gaussians": 1, "voxels": 4, "longest_side": 16}
+# The options of commands that give them.
+FLAGS = {"iterations": "--steps", "gaussians": "--gaussians", "voxels": "--voxels", "longest_side": "--max-size"}
 
 
 @dataclass(frozen=True)
@@ -33,15 +34,22 @@ class Effort:
     def __post_init__(self):
         for name, least in LEAST.items():
             if getattr(self, name) < least:
-                raise GofError(f"--{name.replace('_', '-')} {getattr(self, name)}: must be {least} or more")
+                raise GofError(f"{FLAGS[name]} {getattr(self, name)}: must be {least} or more")
 
 
-PRESETS: dict[PresetName, Effort] = {
+PRESETS: dict[Rung, Effort] = {
+    "toy": Effort(250, 6_000, 32, 160),
     "preview": Effort(2500, 60_000, 72, 320),
-    "draft": Effort(10_000, 100_000, 72, 320),
     "standard": Effort(15_000, 120_000, 96, 640),
-    "paper": Effort(30_000, 300_000, 128, 1280),  # the paper's steps and picture size; Gaussians and voxels are ours
+    "large": Effort(20_000, 200_000, 112, 960),
+    "full": Effort(30_000, 300_000, 128, 1280),  # the paper's steps and picture size; Gaussians and voxels are ours
 }
+FORMER = {"draft": Effort(10_000, 100_000, 72, 320)}  # for one version
+
+
+def effort_of(name: str) -> Effort:
+    """The settings of a preset. Raises GofError: there is none of that name."""
+    return preset(name, PRESETS, FORMER)
 
 
 STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000

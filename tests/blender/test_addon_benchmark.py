@@ -112,7 +112,7 @@ def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
         result["no file"] = press()
         settings.spec_file = folder + "/broken.json"
         result["broken"] = press()
-        settings.spec_file, settings.preset = folder + "/huge.json", "paper"
+        settings.spec_file, settings.preset = folder + "/huge.json", "full"
         from gof_blender.pure import cost_model
         cost_model.memory_mb = lambda: 8000.0
         result["huge"] = press()

@@ -199,7 +199,7 @@ def test_save_and_reload_append_and_undo(tmp_path):
     found = in_addon(
         """
         fire.fuel, fire.effects.wind.use, fire.effects.wind.strength = "ethanol", True, 0.9
-        scene.gof.benchmark.preset = "draft"
+        scene.gof.benchmark.preset = "standard"
         bpy.ops.gof.add_fire(); bpy.ops.gof.add_cameras()
         before = parts()
         bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
@@ -221,7 +221,7 @@ def test_save_and_reload_append_and_undo(tmp_path):
         tmp_path / "fire.blend",
     )
     assert found["fresh"] == [True, "propane_high"]
-    assert found["reloaded"] == ["ethanol", True, 0.9, "draft"] and found["parts"]
+    assert found["reloaded"] == ["ethanol", True, 0.9, "standard"] and found["parts"]
     assert found["appended"] == [True, True]
 
 

@@ -127,7 +127,7 @@ def test_weight_outside_is_a_percentage_of_the_weight(folder, tmp_path):
     gaussians.dynamic[:] = True
     gaussians.save(tmp_path / "result.npz")
     out = tmp_path / "scores.json"
-    evaluate = [sys.executable, "-m", "gof", "evaluate", tmp_path / "result.npz", "--truth", folder / "dataset"]
+    evaluate = [sys.executable, "-m", "gof", "evaluate", tmp_path / "result.npz", "--dataset", folder / "dataset"]
     subprocess.run([*map(str, evaluate), "--no-images", "--json", str(out)], check=True, capture_output=True)
     rows = dict(Scores.read(out).rows())
     assert rows["Weight outside"] == "50 %"

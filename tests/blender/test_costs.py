@@ -27,10 +27,10 @@ def test_cells_of_the_domain():
 
 
 def test_presets_rise_in_cost():
-    totals = [predicted(DEMO.with_preset(name)) for name in ("toy", "preview", "draft", "standard", "large", "paper")]
+    totals = [predicted(DEMO.with_preset(name)) for name in ("toy", "preview", "standard", "large", "full")]
     assert all(a.total_s < b.total_s and a.memory_mb < b.memory_mb for a, b in itertools.pairwise(totals))
     assert totals[1].total_s < 60
-    assert set(PRESETS) == {"toy", "preview", "draft", "standard", "large", "paper"}
+    assert set(PRESETS) == {"toy", "preview", "standard", "large", "full"}
 
 
 @pytest.mark.parametrize(

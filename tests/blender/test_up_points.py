@@ -93,9 +93,8 @@ def made(filmed, out: Path, up: str, points: list | None = None) -> Dataset:
     folder, marked, _ = filmed
     (out / "points.json").write_text(json.dumps({"points": marked if points is None else points}))
     videos = [folder / f"cam_{c}" for c in range(3)]
-    config = IngestConfig(
-        videos, out / "set", fov=FOV_DEG, fps=(100.0,), points=out / "points.json", board="none", baseline_m=1.0, up=up
-    )
+    known = {"fov": FOV_DEG, "times": ("100",), "board": "none", "baseline_m": 1.0}
+    config = IngestConfig(videos, out / "set", points=out / "points.json", up=up, **known)
     return Dataset.open(ingest(config).folder)
 
 
@@ -138,7 +137,7 @@ def test_the_command_believes_two_cameras_that_agree(filmed, tmp_path):
         writer.release()
         if c < 2:
             with_track(videos[-1], track(up, "zxY"))
-    config = IngestConfig(videos, tmp_path / "set", fov=FOV_DEG, fps=(100.0,), board="none", baseline_m=1.0)
+    config = IngestConfig(videos, tmp_path / "set", fov=FOV_DEG, times=("100",), board="none", baseline_m=1.0)
     dataset = Dataset.open(ingest(config).folder)
     up = json.loads((tmp_path / "set/poses.json").read_text())["report"]["up"]
     assert up["source"] == "accelerometer" and up["spread_deg"] < 0.5

@@ -108,7 +108,7 @@ def opencv_board(columns, rows, dictionary=cv2.aruco.DICT_4X4_50, old=False):
 @pytest.mark.parametrize("rows", [6, 5])
 def test_targets_of_either_layout_are_read(old, rows, tmp_path, capsys):
     pictures = warped_views(opencv_board(7, rows, old=old), tmp_path / "views")
-    size = ["--columns", "7", "--rows", str(rows)]
+    size = ["--squares", f"7x{rows}"]
     assert gof(["capture", "calibrate", pictures, *size, "--out", str(tmp_path / "lens.json")]) == 0
     camera = json.loads((tmp_path / "lens.json").read_text())["cameras"][0]
     assert camera["K"][0][0] == pytest.approx(560, abs=4) and camera["rms_px"] < 0.4
@@ -118,7 +118,7 @@ def test_targets_of_either_layout_are_read(old, rows, tmp_path, capsys):
 @pytest.mark.parametrize(
     "board, remedy",
     [
-        (opencv_board(5, 7), "it looks like --columns 5 --rows 7"),
+        (opencv_board(5, 7), "it looks like --squares 5x7"),
         (opencv_board(7, 5, cv2.aruco.DICT_5X5_1000), "its markers are of DICT_5X5_1000"),
         (opencv_board(9, 7), "markers up to number 30 are seen, and 7 x 5 squares have 17"),
     ],
@@ -223,9 +223,9 @@ def test_command_writes_what_gof_ingest_reads(views, tmp_path, capsys):
     first, second = read_cameras(out, 2)
     assert first.name == "photos" and first.lens.width == 640 and len(second.lens.distortion) == 5
     assert gof(["capture", "calibrate", str(tmp_path / "photos"), "--out", str(out)]) == 1
-    assert "exists" in capsys.readouterr().err
+    assert "--overwrite" in capsys.readouterr().err
     other = str(tmp_path / "other.json")
-    assert gof(["capture", "calibrate", str(tmp_path / "photos"), "--columns", "11", "--out", other]) == 1
+    assert gof(["capture", "calibrate", str(tmp_path / "photos"), "--squares", "11x5", "--out", other]) == 1
     error = capsys.readouterr().err
     assert "photos: " in error and "11 x 5 target" in error
     assert gof(["capture", "calibrate", str(tmp_path / "none.mp4"), "--out", other]) == 1
@@ -265,14 +265,14 @@ def test_drawings_are_the_target_at_true_size(target, tmp_path):
 
 
 def test_target_command(tmp_path, capsys):
-    assert gof(["capture", "target", str(tmp_path / "t.pdf"), "--json", str(tmp_path / "t.json")]) == 0
+    assert gof(["capture", "target", "--out", str(tmp_path / "t.pdf"), "--json", str(tmp_path / "t.json")]) == 0
     assert json.loads((tmp_path / "t.json").read_text())["paper"] == "A4"
     assert "A4, 297 x 210 mm" in capsys.readouterr().out and (tmp_path / "t.pdf").read_bytes().startswith(b"%PDF")
-    assert gof(["capture", "target", str(tmp_path / "t.png")]) == 1
+    assert gof(["capture", "target", "--out", str(tmp_path / "t.png")]) == 1
     assert "a .pdf or an .svg" in capsys.readouterr().err
-    assert gof(["capture", "target", str(tmp_path / "t.pdf"), "--marker-mm", "50"]) == 1
+    assert gof(["capture", "target", "--out", str(tmp_path / "t.pdf"), "--charuco-mm", "50"]) == 1
     assert "smaller than its squares" in capsys.readouterr().err
-    assert gof(["capture", "target", str(tmp_path / "t.svg"), "--columns", "15", "--rows", "15"]) == 1
+    assert gof(["capture", "target", "--out", str(tmp_path / "t.svg"), "--squares", "15x15"]) == 1
     assert "50 markers" in capsys.readouterr().err
 
 

@@ -74,7 +74,7 @@ def test_a_wrong_board_is_refused(filmed, board, forced, tmp_path, capsys):
 
 def test_every_command_recognises_and_refuses(filmed, tiny_dataset, tmp_path, capsys):
     _, videos = filmed
-    ingest = ["ingest", *videos["gof_board"], "--fps", "240", "--fov", "60", "--out", str(tmp_path / "data")]
+    ingest = ["ingest", *videos["gof_board"], "--times", "240", "--fov", "60", "--out", str(tmp_path / "data")]
     assert gof([*ingest, "--board", "paper_rig"]) == 1
     assert "the footage shows board 'gof_board'" in capsys.readouterr().err
     annotate = ["capture", "annotate", str(tiny_dataset), "--footage", *videos["paper_rig"]]
@@ -83,11 +83,11 @@ def test_every_command_recognises_and_refuses(filmed, tiny_dataset, tmp_path, ca
 
 
 def test_the_old_name_of_the_option_still_works(tmp_path, capsys):
-    for option in (["--template", "paper_rig"], ["--template=paper_rig"]):
-        assert gof(["capture", "draw", str(tmp_path / "a.svg"), *option]) == 0
+    for name, option in (("a", ["--template", "paper_rig"]), ("b", ["--template=paper_rig"])):
+        assert gof(["capture", "draw", "--out", str(tmp_path / f"{name}.svg"), *option]) == 0
         said = capsys.readouterr()
-        assert "--template is now called --board" in said.err and "board 'paper_rig'" in said.out
-    assert gof(["capture", "draw", str(tmp_path / "a.svg"), "--board", "gof_board"]) == 0
+        assert "--template is now --board" in said.err and "board 'paper_rig'" in said.out
+    assert gof(["capture", "draw", "--out", str(tmp_path / "c.svg"), "--board", "gof_board"]) == 0
     assert "--template" not in capsys.readouterr().err
 
 
@@ -183,7 +183,7 @@ def test_no_board_is_said_once_with_the_way_out(tmp_path, capsys):
         assert gof(["capture", "sync", *videos, "--out", str(tmp_path / "out"), *board]) == 1
         said = capsys.readouterr().err
         assert said.count("cam_0, cam_1, cam_2") == 1 and said.count("whole, lit") == 1
-        assert "--fps 240 --start 0 7 0" in said
+        assert "--times 240 --start 0 7 0" in said
 
 
 @pytest.mark.parametrize("scene", ["capture_03/scene_0004", "capture_04/scene_0010", "capture_05/scene_0006"])

@@ -114,16 +114,14 @@ def test_row_time_from_the_sensor_table(tmp_path, capsys):
         str(tmp_path / "out"),
         "--board",
         "gof_board",
-        "--sensor",
+        "--row-time",
         "gopro_hero13_720p400",
     ]
     assert gof(command) == 0
     times = json.loads((tmp_path / "out/times.json").read_text())["cameras"][0]["times"]
     assert times["row_time_us"] == pytest.approx(shot.row_time)
     np.testing.assert_allclose([f["time_s"] for f in times["frames"]], shot.times(40) * 1e-6, atol=5e-6)
-    assert gof([*command, "--overwrite", "--row-time-us", "3"]) == 1
-    assert "either --sensor or --row-time-us" in capsys.readouterr().err
-    assert gof([*command, "--overwrite", "--sensor", "gopro"]) == 1
+    assert gof([*command, "--overwrite", "--row-time", "gopro"]) == 1
     assert "no sensor 'gopro' in the table; it has gopro_hero13_720p400" in capsys.readouterr().err
 
 

@@ -94,11 +94,12 @@ def test_malformed_ring_boards_are_refused(tmp_path, change, message):
 def test_odd_names_and_sizes_make_a_whole_drawing_or_none(tmp_path):
     d = json.loads((files("gof.capture") / "gof_board.json").read_text())
     (tmp_path / "t.json").write_text(json.dumps(d | {"name": "a<b>&c"}))
-    draw = ["capture", "draw", str(tmp_path / "t.svg"), "--board", str(tmp_path / "t.json")]
+    draw = ["capture", "draw", "--out", str(tmp_path / "t.svg"), "--overwrite", "--board", str(tmp_path / "t.json")]
     assert gof(draw) == 0
     title = next(e for e in ET.fromstring((tmp_path / "t.svg").read_text()) if e.tag.endswith("title"))
     assert title.text.startswith("LED board a<b>&c, marker side 60 mm")
     for size in ("1e308", "nan", "0", "-3"):
         assert gof([*draw, "--marker-mm", size]) == 1
-    assert gof(["capture", "target", str(tmp_path / "t.pdf"), "--square-mm", "1e308", "--marker-mm", "1e307"]) == 1
+    target = ["capture", "target", "--out", str(tmp_path / "t.pdf")]
+    assert gof([*target, "--square-mm", "1e308", "--charuco-mm", "1e307"]) == 1
     assert not (tmp_path / "t.pdf").exists()

@@ -39,7 +39,7 @@ def results(tmp_path_factory):
             evaluate_main(
                 [
                     str(folder / name / "result.npz"),
-                    "--truth",
+                    "--dataset",
                     str(folder / "data"),
                     "--out",
                     str(folder / name),
@@ -81,7 +81,7 @@ def test_seconds_are_found_beside_the_result_that_was_scored(results, tmp_path):
     write_record(tmp_path / "trained/costs.json", Costs((StageCost("optimise", 7.5, 0.0),)))
     words = [
         f"{tmp_path}/trained/result.npz",
-        "--truth",
+        "--dataset",
         f"{results}/data",
         "--out",
         f"{tmp_path}/board",
@@ -176,7 +176,7 @@ def test_volume_keeps_mean_velocity_and_ignores_floaters():
 def test_page(results, capsys):
     out = results / "out"
     arguments = [str(results / n) for n in ("exact", "slow", "gone")]
-    assert main([*arguments, "--truth", str(results / "data"), "--out", str(out), "--title", "A <board>"]) == 0
+    assert main([*arguments, "--dataset", str(results / "data"), "--out", str(out), "--title", "A <board>"]) == 0
     assert "no stream plot of gone" in " ".join(capsys.readouterr().out.split())
     page = (out / "leaderboard.html").read_text()
     assert "A &lt;board&gt;" in page and "Exact | &lt;b&gt;method" in page
@@ -201,7 +201,7 @@ def test_a_run_of_a_submission_has_its_name(results, tmp_path):
 @pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
 def test_page_in_a_browser(results, tmp_path):
     """Sorting works and nothing complains, in a real browser: a probe in the page writes what it saw into the title."""
-    main([str(results / "exact"), str(results / "slow"), "--truth", str(results / "data"), "--out", str(tmp_path)])
+    main([str(results / "exact"), str(results / "slow"), "--dataset", str(results / "data"), "--out", str(tmp_path)])
     page = (tmp_path / "leaderboard.html").read_text()
     watch = """<script>
     window.faults = [];

@@ -56,8 +56,13 @@ def dataset(tmp_path_factory):
     )
 
 
+def say(result, *options) -> None:
+    """What the result's files do not say, written down beside them."""
+    assert main(["convert", str(result), *map(str, options)]) == 0
+
+
 def evaluate(result, dataset, out, *options) -> dict:
-    assert main(["evaluate", str(result), "--truth", str(dataset), "--json", str(out), *map(str, options)]) == 0
+    assert main(["evaluate", str(result), "--dataset", str(dataset), "--json", str(out), *map(str, options)]) == 0
     return json.loads(out.read_text())
 
 
@@ -130,9 +135,13 @@ def test_4dgs_of_yang(dataset, tmp_path):
             velocity,
         )
 
-    scores = evaluate(tmp_path / "chkpnt30000.pth", dataset, tmp_path / "s.json", "--time-unit", 1)
+    say(tmp_path / "chkpnt30000.pth", "--time-unit", 1)
+    scores = evaluate(tmp_path / "chkpnt30000.pth", dataset, tmp_path / "s.json")
     check(scores, "yang", state)
-    assert main(["evaluate", str(tmp_path / "chkpnt30000.pth"), "--truth", str(dataset)]) == 1  # 1 s in a clip of 0.16
+    assert "as chkpnt30000.pth.gof.json says: time unit 1 s" in scores["import"]["notes"]
+    (tmp_path / "chkpnt30000.pth.gof.json").unlink()
+    asked = ["evaluate", str(tmp_path / "chkpnt30000.pth"), "--dataset", str(dataset)]
+    assert main(asked) == 1  # 1 s in a clip of 0.16
 
 
 def freetime_state(raw, to_world=SAME):
@@ -163,8 +172,12 @@ def test_freetimegs_with_its_normalisation_undone(dataset, tmp_path, kind):
         result, raw = tmp_path / "a.ftgs.ply", lookalikes.ftgs_ply(tmp_path / "a.ftgs.ply")
     back = np.linalg.inv(lookalikes.freetime_world(poses, points))
     (tmp_path / "world.json").write_text(json.dumps({"training_to_world": back.tolist()}))
-    scores = evaluate(result, dataset, tmp_path / "s.json", "--world", tmp_path / "world.json")
+    say(result, "--world", tmp_path / "world.json", "--time-unit", 1.2)
+    said = result.with_name(result.name + ".gof.json")
+    assert json.loads(said.read_text())["world"] == "world.json", "it counts from its folder"
+    scores = evaluate(result, dataset, tmp_path / "s.json")
     check(scores, "freetime", freetime_state(raw, back))
+    said.unlink()
     left = evaluate(
         result, dataset, tmp_path / "t.json", "--no-images"
     )  # in the training's world it is another score, and a note says so
@@ -180,13 +193,14 @@ def test_freetimegs_with_its_colmap_model(dataset, tmp_path):
     T = lookalikes.freetime_world(poses, points, (-1, 1))
     raw = lookalikes.freetime(tmp_path / "ckpt_1.pt", means=(points + 0.01) @ T[:3, :3].T + T[:3, 3])
     lookalikes.colmap_binary(tmp_path / "colmap/sparse/0", poses, points)
-    scores = evaluate(tmp_path / "ckpt_1.pt", dataset, tmp_path / "s.json", "--world", tmp_path / "colmap")
+    say(tmp_path / "ckpt_1.pt", "--world", tmp_path / "colmap", "--time-unit", 1.2)
+    scores = evaluate(tmp_path / "ckpt_1.pt", dataset, tmp_path / "s.json")
     check(scores, "freetime", freetime_state(raw, np.linalg.inv(T)))
     assert any("cameras are the dataset's" in note for note in scores["import"]["notes"])
     turned = {k: p @ np.diag([-1.0, -1, 1, 1]) for k, p in poses.items()}
     lookalikes.colmap_binary(tmp_path / "turned/sparse/0", turned, points * [-1, -1, 1])
-    asked = ["evaluate", str(tmp_path / "ckpt_1.pt"), "--truth", str(dataset), "--world", str(tmp_path / "turned")]
-    assert main([*asked, "--no-images"]) == 1
+    say(tmp_path / "ckpt_1.pt", "--world", tmp_path / "turned", "--time-unit", 1.2, "--overwrite")
+    assert main(["evaluate", str(tmp_path / "ckpt_1.pt"), "--dataset", str(dataset), "--no-images"]) == 1
 
 
 def test_a_sequence_of_plys_at_half_steps(dataset, tmp_path):
@@ -213,7 +227,8 @@ def test_a_sequence_of_plys_at_half_steps(dataset, tmp_path):
         x, scaling, opacity = values(t)
         return np.exp(scaling.sum(1)) * logistic(opacity[:, 0]), x, v0 + a * t
 
-    scores = evaluate(tmp_path / "gaussian_pertimestamp", dataset, tmp_path / "s.json", "--time-unit", 0.01)
+    say(tmp_path / "gaussian_pertimestamp", "--time-unit", 0.01)
+    scores = evaluate(tmp_path / "gaussian_pertimestamp", dataset, tmp_path / "s.json")
     check(scores, "ply-sequence", state)
     assert any("differences" in note for note in scores["import"]["notes"])
 
@@ -286,9 +301,8 @@ def test_what_an_alignment_leaves_is_reported(dataset, tmp_path, own_world):
     # if all cameras share the blame evenly, sqrt(2) / 3 of the error is left; orientations hold the rest in place
     assert 0.02 * np.sqrt(2) / 3 * 0.9 < left < 0.02 / np.sqrt(3) * 1.01
     assert f"{left * 1000:.2g} mm" in " ".join(scores["import"]["notes"])
-    assert (
-        main(["evaluate", str(tmp_path / "model"), "--truth", str(dataset), "--align", str(tmp_path / "nothing")]) == 1
-    )
+    asked = ["evaluate", str(tmp_path / "model"), "--dataset", str(dataset)]
+    assert main([*asked, "--align", str(tmp_path / "nothing")]) == 1
 
 
 def test_a_part_of_the_clip_is_scored_with_a_warning(dataset, tmp_path):
@@ -324,7 +338,9 @@ def test_a_converted_whole_scene_is_still_not_drawn_over_our_plates(dataset, tmp
     """In our formats, once and twice converted, it is the other method's, and scores what its own file scores."""
     write, file, options = WHOLE_SCENES[name]
     write(tmp_path)
-    original = evaluate(tmp_path / file, dataset, tmp_path / "s.json", *options)
+    say(tmp_path / file, *options)
+    original = evaluate(tmp_path / file, dataset, tmp_path / "s.json")
+    (tmp_path / f"{file}.gof.json").unlink()
     method = original["import"]["method"]
     assert name.startswith(method) and original["import"]["over_plates"] is False
     steps = [(file, "a.npz", options), ("a.npz", "b.ply", []), ("b.ply", "c.npz", [])]
@@ -336,7 +352,8 @@ def test_a_converted_whole_scene_is_still_not_drawn_over_our_plates(dataset, tmp
         assert scores["import"]["method"] == ("trajectory" if name == "spacetime" else method)
         assert scores["import"]["over_plates"] is False, after
         assert scores["psnr"] == pytest.approx(original["psnr"], abs=0.02), after
-    asked = evaluate(tmp_path / after, dataset, tmp_path / "t.json", "--flame-only")
+    say(tmp_path / after, "--flame-only")
+    asked = evaluate(tmp_path / after, dataset, tmp_path / "t.json")
     assert asked["import"]["over_plates"] and abs(asked["psnr"] - original["psnr"]) > 0.1
 
 
@@ -383,7 +400,8 @@ def test_the_scripts_of_this_page_run(dataset, tmp_path, monkeypatch):
         if kind:
             exec(compile(text, "docs/importers.md", "exec"), {"__name__": "page"})
         else:
-            assert main(text.split()[1:]) == 0
+            for line in text.strip().splitlines():
+                assert main(line.partition("#")[0].split()[1:]) == 0
         if (tmp_path / "out/mine/scores.json").exists():
             found.append(json.loads((tmp_path / "out/mine/scores.json").read_text())["dve"])
             (tmp_path / "out/mine/scores.json").unlink()

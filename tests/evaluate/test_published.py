@@ -143,8 +143,8 @@ def scored(tmp_path_factory):
         (root / "disparity" / camera.name).mkdir(parents=True)
         for k in dataset.test_frames:
             np.save(root / "disparity" / camera.name / f"{k:06d}.npy", np.random.default_rng(k).random((96, 48)))
-    arguments = [str(root / "result.npz"), "--truth", str(root / "data"), "--out", str(root / "scores")]
-    evaluate_command([*arguments, "--published", "--disparity", str(root / "disparity")])
+    arguments = [str(root / "result.npz"), "--dataset", str(root / "data"), "--out", str(root / "scores")]
+    evaluate_command([*arguments, "--published", str(root)])
     return root
 
 
@@ -191,7 +191,7 @@ def test_every_score_says_which_controls_it_beats():
 
 
 def test_the_command_prints_what_is_beaten(scored, capsys):
-    evaluate_command([str(scored / "result.npz"), "--truth", str(scored / "data"), "--no-images"])
+    evaluate_command([str(scored / "result.npz"), "--dataset", str(scored / "data"), "--no-images"])
     printed = " ".join(capsys.readouterr().out.split())
     assert "L2 beats zero, random" in printed and "learned flow prior: used" in printed
     scores = Scores.read(scored / "scores" / "scores.json")

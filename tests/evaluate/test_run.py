@@ -80,7 +80,7 @@ def test_command_line(flame, capsys):
     truth.save(folder / "result.npz")
     out, extra = folder / "scores", folder / "copy.json"
     assert (
-        main([str(folder / "result.npz"), "--truth", str(folder / "data"), "--out", str(out), "--json", str(extra)])
+        main([str(folder / "result.npz"), "--dataset", str(folder / "data"), "--out", str(out), "--json", str(extra)])
         == 0
     )
     printed = capsys.readouterr().out
@@ -89,7 +89,7 @@ def test_command_line(flame, capsys):
     assert scores == Scores.read(extra)
     assert {"zero", "random", "constant"} <= set(scores.controls) and scores.dve.l2 < 0.02
     with pytest.raises(DataFormatError):
-        main([str(folder / "nothing.npz"), "--truth", str(folder / "data")])
+        main([str(folder / "nothing.npz"), "--dataset", str(folder / "data")])
 
 
 def test_without_velocity_truth_or_masks(tmp_path):
@@ -230,7 +230,7 @@ def test_perfect_pictures_count_in_the_mean(flame, tmp_path, capsys):
         shutil.copy(dataset.file(0, "static"), dataset.file(0, "rgb", frame))
     changed(truth, opacity=0 * truth.opacity + 1e-6).save(tmp_path / "nothing.npz")
     out = tmp_path / "scores.json"
-    assert main([str(tmp_path / "nothing.npz"), "--truth", str(tmp_path / "data"), "--json", str(out)]) == 0
+    assert main([str(tmp_path / "nothing.npz"), "--dataset", str(tmp_path / "data"), "--json", str(out)]) == 0
     scores = Scores.read(out)
     psnr = [picture.psnr for picture in scores.images.pictures]
     assert [p for p, picture in zip(psnr, scores.images.pictures, strict=True) if picture.camera == "cam_0"] == [100.0]
@@ -244,16 +244,16 @@ def test_scores_land_beside_the_result_and_the_page_finds_them(flame, tmp_path, 
     truth.save(out / "result.npz")
     assert gof(["report", str(out), "--dataset", data]) == 1
     said = capsys.readouterr().err
-    assert f"gof evaluate RESULT --truth DATASET --out {out}" in said
+    assert f"gof evaluate RESULT --dataset DATASET --out {out}" in said
     words = (
         said.split("to write it: gof ")[1].replace("RESULT", str(out / "result.npz")).replace("DATASET", data).split()
     )
     assert gof(words) == 0 and (out / "scores.json").is_file()
     (out / "scores.json").unlink()
-    assert gof(["evaluate", str(out / "result.npz"), "--truth", data]) == 0
+    assert gof(["evaluate", str(out / "result.npz"), "--dataset", data]) == 0
     assert f"{out / 'scores.json'}" in capsys.readouterr().out.replace("\n", "")
     assert gof(["report", str(out), "--dataset", data]) == 0 and (out / "report.html").is_file()
-    assert gof(["evaluate", str(out), "--truth", data, "--no-images"]) == 0, "the folder of a result, and again"
+    assert gof(["evaluate", str(out), "--dataset", data, "--no-images"]) == 0, "the folder of a result, and again"
     assert Scores.read(out / "scores.json").images is None
 
 
@@ -261,7 +261,7 @@ def test_scores_of_another_result_are_not_replaced_unasked(flame, tmp_path, caps
     folder, _, truth = flame
     truth.save(tmp_path / "a.npz")
     truth[:50].save(tmp_path / "b.npz")
-    asking = ["--truth", str(folder / "data"), "--no-images"]
+    asking = ["--dataset", str(folder / "data"), "--no-images"]
     assert gof(["evaluate", str(tmp_path / "a.npz"), *asking]) == 0
     before = (tmp_path / "scores.json").read_bytes()
     assert gof(["evaluate", str(tmp_path / "b.npz"), *asking]) == 1
@@ -280,7 +280,7 @@ def test_without_held_out_frames_it_is_said(flame, tmp_path, capsys):
     about["splits"] = {"train": sorted(about["splits"]["train"] + about["splits"]["test"]), "test": []}
     (tmp_path / "data/dataset.json").write_text(json.dumps(about))
     truth.save(tmp_path / "r/result.npz")
-    assert gof(["evaluate", str(tmp_path / "r"), "--truth", str(tmp_path / "data")]) == 0
+    assert gof(["evaluate", str(tmp_path / "r"), "--dataset", str(tmp_path / "data")]) == 0
     assert "holds no frame out" in " ".join(capsys.readouterr().out.split())
     assert gof(["leaderboard", str(tmp_path / "r"), "--out", str(tmp_path / "b")]) == 0
     assert "holds no frame out" in " ".join(capsys.readouterr().out.split())

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.commands.cli import main as gof
 from gof.commands.ingest import IngestConfig, fire_left_in_words, ingest
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
@@ -176,7 +177,8 @@ def test_command_makes_a_dataset_with_true_poses(tmp_path):
     videos = footage(tmp_path, rig)
     fov = float(np.rad2deg(2 * np.arctan(WIDTH / 2 / FOCAL)))
     baseline = float(np.linalg.norm(rig[2].position - rig[0].position))
-    config = IngestConfig(videos, tmp_path / "set", fov=fov, fps=(100.0,), width=120, baseline_m=baseline, board="none")
+    known = {"fov": fov, "times": ("100",), "baseline_m": baseline, "board": "none"}
+    config = IngestConfig(videos, tmp_path / "set", max_size=160, **known)
     made = ingest(config)
     dataset = Dataset.open(made.folder)
     assert (dataset.cameras[0].width, dataset.cameras[0].height) == (120, 160) and dataset.test_frames == [4]
@@ -196,8 +198,8 @@ def test_command_makes_a_dataset_with_true_poses(tmp_path):
     assert seen.sum() > 100 and np.median(miss) < 0.01, "points of poses.json lie on the scene, in the dataset's metres"
     with pytest.raises(GofError, match="already holds"):
         ingest(config)
-    with pytest.raises(GofError, match="--width 241"):
-        ingest(replace(config, out=tmp_path / "wide", width=241))
+    with pytest.raises(GofError, match="--max-size 15"):
+        ingest(replace(config, out=tmp_path / "tiny", max_size=15))
 
 
 def test_poses_that_cannot_be_solved_say_so_per_camera(tmp_path):
@@ -208,7 +210,7 @@ def test_poses_that_cannot_be_solved_say_so_per_camera(tmp_path):
     for file in videos[2].iterdir():
         cv2.imwrite(str(file), blank)
     with pytest.raises(PoseError, match=r"(?s)not registered: .*cam_2.*cam_2: 0 features.*--points"):
-        ingest(IngestConfig(videos, tmp_path / "set", fov=50.0, fps=(100.0,)))
+        ingest(IngestConfig(videos, tmp_path / "set", fov=50.0, times=("100",)))
     assert not (tmp_path / "set" / "dataset.json").exists()
 
 
@@ -217,7 +219,7 @@ def test_poses_of_a_rig_are_taken_over_and_judged(tmp_path):
     rig = cameras()
     first, second = footage(tmp_path / "a", rig), footage(tmp_path / "b", rig, frames=4)
     fov = float(np.rad2deg(2 * np.arctan(WIDTH / 2 / FOCAL)))
-    config = IngestConfig(first, tmp_path / "set", fov=fov, fps=(100.0,), baseline_m=1.25, board="none")
+    config = IngestConfig(first, tmp_path / "set", fov=fov, times=("100",), baseline_m=1.25, board="none")
     known = Dataset.open(ingest(config).folder)
     again = replace(config, videos=second, out=tmp_path / "again", rig=known.path, baseline_m=None)
     made = ingest(again)
@@ -245,13 +247,15 @@ def test_known_cameras_are_taken_as_they_are(tmp_path):
     videos = footage(tmp_path, rig, frames=3)
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps({"cameras": list(map(by_hand, rig))}))
-    config = IngestConfig(videos, tmp_path / "set", cameras=path, fps=(50.0,), board="none", depth=True)
+    config = IngestConfig(videos, tmp_path / "set", cameras=path, times=("50",), board="none")
     dataset = Dataset.open(ingest(config).folder)
+    assert gof(["depth", str(dataset.path), "--plates"]) == 0
     for c, camera in enumerate(rig):
         found, truth = np.load(tmp_path / "set" / "depth" / f"cam_{c}.npy"), draw(camera)[1]
         seen = np.isfinite(truth)
         assert np.isfinite(found).all() and (np.abs(found - truth)[seen] < 0.05 * truth[seen]).mean() > 0.75
     assert (tmp_path / "set" / "points.ply").stat().st_size > 3 * HEIGHT * WIDTH * 15
+    assert gof(["depth", str(dataset.path), "--plates"]) == 1, "they are kept"
     for got, camera in zip(dataset.cameras, rig, strict=True):
         np.testing.assert_allclose(got.world_to_camera, camera.world_to_camera)
 
@@ -306,14 +310,14 @@ def standing_fire(folder, rig, burns, frames=30):
 def standing_config(folder, rig, videos, **more):
     path = folder / "cameras.json"
     path.write_text(json.dumps({"cameras": list(map(by_hand, rig))}))
-    return IngestConfig(videos, cameras=path, fps=(50.0,), board="none", start=(8,), frames=12, **more)
+    return IngestConfig(videos, cameras=path, times=("50",), board="none", start=(8,), frames=12, **more)
 
 
 def test_a_longer_window_shows_what_burns_all_through_the_clip(tmp_path):
     rig = cameras()
     videos = standing_fire(tmp_path, rig, burns=lambda k: 5 <= k < 25)
     alone = ingest(standing_config(tmp_path, rig, videos, out=tmp_path / "alone"))
-    config = standing_config(tmp_path, rig, videos, out=tmp_path / "window", plate_frames=30)
+    config = standing_config(tmp_path, rig, videos, out=tmp_path / "window", plates="steady:30")
     made = ingest(config)
     assert made.fire_left_by_clip == alone.fire_left and alone.fire_left_by_clip is None
     for c, camera in enumerate(rig):
@@ -324,19 +328,17 @@ def test_a_longer_window_shows_what_burns_all_through_the_clip(tmp_path):
     assert Dataset.open(made.folder).description.provenance["plate_frames"] == dict.fromkeys(made.fire_left, 29)
     assert "from the clip alone 0." in fire_left_in_words(made.fire_left, made.fire_left_by_clip)
     with pytest.raises(GofError, match="has 12 frames; give more"):
-        ingest(replace(config, out=tmp_path / "no", plate_frames=12))
+        ingest(replace(config, out=tmp_path / "no", plates="steady:12"))
     with pytest.raises(GofError, match="no frames outside"):
-        ingest(replace(config, out=tmp_path / "no", start=(0,), frames=None, plate_frames=99))
-    with pytest.raises(GofError, match="--plates brings"):
-        ingest(replace(config, out=tmp_path / "no", plates=tmp_path))
+        ingest(replace(config, out=tmp_path / "no", start=(0,), frames=None, plates="steady:99"))
     with pytest.raises(GofError, match="is this clip itself"):
-        ingest(replace(config, out=tmp_path / "no", plate_frames=None, with_clip=[tmp_path]))
+        ingest(replace(config, out=tmp_path / "no", plates="steady", with_clip=[tmp_path]))
 
 
 def test_no_held_out_frame_gets_into_a_plate(tmp_path):
     """Fire is out in the held-out frame alone: a plate that shows what is behind it has seen that frame."""
     rig = cameras()
     videos = standing_fire(tmp_path, rig, burns=lambda k: k != 12)  # the clip is 8 to 19: its fifth is held out
-    made = ingest(standing_config(tmp_path, rig, videos, out=tmp_path / "set", plate_frames=30))
+    made = ingest(standing_config(tmp_path, rig, videos, out=tmp_path / "set", plates="steady:30"))
     assert Dataset.open(made.folder).test_frames == [4]
     assert min(made.fire_left.values()) > 0.002

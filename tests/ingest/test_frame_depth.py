@@ -1,5 +1,6 @@
 """`gof depth`: maps of single frames against the exact depth of drawn planes, and the score that they make possible."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -99,7 +100,7 @@ def opaque(camera, depth, picture) -> TransientGaussians:
 
 
 def test_the_score_of_depth_tells_a_right_surface_from_a_wrong_one(filmed, maps):
-    """A result with the true surface, and one that has each picture on a slanted wall: RMSE in metres, by `--depth`."""
+    """A result with the true surface, and one that has each picture on a slanted wall: RMSE in metres."""
     folder, truth = filmed
     dataset = Dataset.open(folder)
 
@@ -114,6 +115,21 @@ def test_the_score_of_depth_tells_a_right_surface_from_a_wrong_one(filmed, maps)
     right = score(true)
     assert right < 0.3, "m; a wall stands 2 m behind the plane that moved, and stereo is wrong at its edges"
     assert slanted > 2 * right
+
+
+def test_maps_are_made_on_demand_as_gof_depth_makes_them(filmed, maps, tmp_path):
+    folder, truth = filmed
+    dataset = Dataset.open(folder)
+    opaque(dataset.cameras[1], truth[HELD_OUT][1], dataset.image(1, HELD_OUT)).save(tmp_path / "r.npz")
+    found = {}
+    for name, asked in (("made", "make"), ("given", str(maps)), ("plain", str(maps / "depth"))):
+        words = ["evaluate", str(tmp_path / "r.npz"), "--dataset", str(folder), "--published", asked]
+        assert main([*words, "--out", str(tmp_path / name)]) == 0
+        scores = json.loads((tmp_path / name / "scores.json").read_text())
+        found[name] = scores["rmse_depth"], scores["published"]["rmse_depth_flame"]
+    assert found["made"] == found["given"] and found["made"][0] > 0
+    assert found["plain"] == (found["given"][0], None), "camera z alone says nothing of inverse depth"
+    assert (tmp_path / "made/depth_maps/depth/cam_1").is_dir()
 
 
 def _alone(dataset: Dataset, camera: int) -> Dataset:

@@ -158,7 +158,7 @@ def test_times_that_do_not_overlap_are_named_with_their_likely_cause():
 def test_errors_of_measured_times_say_what_to_do(tmp_path):
     path = tmp_path / "times.json"
     record = times_file(path, [clock(), clock(100)])
-    with pytest.raises(GofError, match=r"one of --times.*--fps.*--stamps"):
+    with pytest.raises(GofError, match=r"one of --times.*--times RATE.*--times stamps"):
         read_frame_times(Timing(), infos(20, 20))
     with pytest.raises(GofError, match=r"one of --times"):
         read_frame_times(Timing(path, (400.0,)), infos(20, 20))
@@ -196,8 +196,8 @@ def test_one_rate_gives_equal_steps_and_a_start_for_each_camera():
     for timing, said in (
         (Timing(fps=(100.0,), start=(20,)), "--start 20: view0 has 20 frames"),
         (Timing(fps=(100.0,), start=(0, 25, 0)), "one for each of the 2"),
-        (Timing(fps=(100.0, 50.0, 50.0)), "--fps: give one value for all"),
-        (Timing(fps=(0.0,)), "--fps 0: must be positive"),
+        (Timing(fps=(100.0, 50.0, 50.0)), "--times: give one value for all"),
+        (Timing(fps=(0.0,)), "--times 0: must be positive"),
         (Timing(fps=(100.0,), start=(19,)), "1 frames are left"),
     ):
         with pytest.raises(GofError, match=said):
@@ -214,7 +214,7 @@ def test_clips_of_different_length_need_a_word():
 
 def test_files_that_differ_in_rate_need_a_rate_each():
     fast, slow = video("a.mp4", np.arange(100) / 30), video("b.mp4", np.arange(50) / 15, stated_fps=15.0)
-    with pytest.raises(GofError, match=r"a.mp4 30, b.mp4 15 frames per second.*--fps 400 200 400"):
+    with pytest.raises(GofError, match=r"a.mp4 30, b.mp4 15 frames per second.*--times 400 200 400"):
         read_frame_times(Timing(fps=(400.0,)), [fast, slow])
     times = read_frame_times(Timing(fps=(400.0, 200.0)), [fast, slow])
     assert times.frames[0].tolist() == list(range(0, 100, 2)) and times.frames[1].tolist() == list(range(50))
@@ -244,7 +244,7 @@ def test_a_variable_rate_is_taken_from_the_stamps():
     steady = video("a.mp4", np.arange(130) / 30)
     wild = video("c.mp4", (np.arange(60) + np.random.default_rng(2).uniform(-0.4, 0.4, 60)) / 30)
     for uneven in (wild, phone):
-        with pytest.raises(GofError, match=rf"{uneven.path}: has no one rate.*--stamps"):
+        with pytest.raises(GofError, match=rf"{uneven.path}: has no one rate.*--times stamps"):
             read_frame_times(Timing(fps=(30.0,)), [uneven, uneven])
     times = read_frame_times(Timing(stamps=True, limit=80), [steady, phone])
     np.testing.assert_allclose(times.time_s[1], phone.stamps_s[times.frames[1]], atol=1e-12)

@@ -78,7 +78,7 @@ def test_the_same_footage_twice_is_refused_before_anything_is_read(tmp_path):
         ([one, two, one], "cam_0: is given twice"),
         ([one, two, tmp_path / "again"], "again: is the same footage as .*cam_0"),
     ):
-        config = IngestConfig(videos, tmp_path / "set", fov=40.0, fps=(100.0,), board="none")
+        config = IngestConfig(videos, tmp_path / "set", fov=40.0, times=("100",), board="none")
         with pytest.raises(DataFormatError, match=said):
             ingest(config)
         with pytest.raises(DataFormatError, match=said):
@@ -102,12 +102,12 @@ def test_sync_refuses_a_video_that_is_not_there_and_writes_nothing(tmp_path):
 
 def test_what_needs_no_footage_is_said_before_it_is_read(tmp_path):
     config = IngestConfig([tmp_path / "none.mp4"] * 2, tmp_path / "set", fov=40.0)
-    with pytest.raises(GofError, match="--times times.json .* --fps RATE"):
+    with pytest.raises(GofError, match="--times times.json .* --times RATE"):
         ingest(config)
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "dataset.json").write_text("{}")
     with pytest.raises(GofError, match="already holds a dataset"):
-        ingest(replace(config, fps=(100.0,)))
+        ingest(replace(config, times=("100",)))
 
 
 def test_all_that_no_file_says_is_asked_for_at_once_with_a_whole_command(tmp_path, capsys):
@@ -115,13 +115,15 @@ def test_all_that_no_file_says_is_asked_for_at_once_with_a_whole_command(tmp_pat
     videos = [str(write_video(tmp_path / f"my {c}.mp4", list(numbered(8))[c:], 25.0)) for c in range(2)]
     given = ["ingest", *videos, "--out", str(tmp_path / "set"), "--board", "none"]
     said = []
-    for more in ([], ["--stamps"], ["--fov", "50"]):
+    for more in ([], ["--times", "stamps"], ["--fov", "50"]):
         assert cli.main([*given, *more]) == 1
         said.append(" ".join(capsys.readouterr().err.split()))
     assert "when the frames were taken" in said[0] and "through which lenses" in said[0]
     assert "when the frames" not in said[1] and "through which lenses" not in said[2]
     for text, wanted in zip(
-        said, (["--fps", "25", "--fov", "70"], ["--stamps", "--fov", "70"], ["--fps", "25"]), strict=True
+        said,
+        (["--times", "25", "--fov", "70"], ["--times", "stamps", "--fov", "70"], ["--times", "25"]),
+        strict=True,
     ):
         command = shlex.split(text.split("With your own numbers: ")[1])
         assert command[:2] == ["gof", "ingest"] and command[-len(wanted) :] == wanted
@@ -191,7 +193,7 @@ def test_annotate_refuses_footage_in_another_order(tmp_path):
     K = [[9.0, 0, 4], [0, 9.0, 3], [0, 0, 1]]
     entries = [{"width": 8, "height": 6, "K": K, "world_to_camera": w.tolist()} for w in (np.eye(4), pose)]
     path.write_text(str({"cameras": entries}).replace("'", '"'))
-    made = ingest(IngestConfig(videos, tmp_path / "set", cameras=path, fps=(100.0,), board="none"))
+    made = ingest(IngestConfig(videos, tmp_path / "set", cameras=path, times=("100",), board="none"))
     dataset, board = Dataset.open(made.folder), BoardTemplate.load("paper_rig")
     with pytest.raises(GofError, match="was made of cam_0, cam_1, in this order"):
         annotate(dataset, board, [two, one])

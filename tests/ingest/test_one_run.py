@@ -54,7 +54,7 @@ def test_a_run_that_was_cut_off_leaves_nothing_in_the_next_dataset(tmp_path):
     assert run.exitcode == -signal.SIGKILL
     half = contents(tmp_path / "ds")
     assert len(half) > 20 and "dataset.json" not in half
-    other = ["--start", "2", "--frames", "4", "--width", "64"]
+    other = ["--start", "2", "--frames", "4", "--max-size", "64"]
     assert cli.main([*arguments, *other]) == 0
     clean = [*arguments, *other]
     clean[clean.index("--out") + 1] = str(tmp_path / "clean" / "ds")
@@ -66,7 +66,7 @@ def test_a_run_that_was_cut_off_leaves_nothing_in_the_next_dataset(tmp_path):
 def test_two_runs_in_one_folder_are_refused(tmp_path, capsys):
     arguments = given(tmp_path)
     with only_run_in(tmp_path / "ds"):
-        assert cli.main([*arguments, "--width", "64"]) == 1
+        assert cli.main([*arguments, "--max-size", "64"]) == 1
     assert "another run is at work there" in words(capsys)
     assert not contents(tmp_path / "ds")
     assert cli.main(arguments) == 0 and moments(tmp_path) == [(k, k) for k in range(COUNT)]

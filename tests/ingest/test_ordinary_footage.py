@@ -126,7 +126,7 @@ def test_phones_that_film_upright_make_a_dataset_that_stands(tmp_path):
         lying = np.rot90(draw(camera)[0])  # counterclockwise: a player turns it clockwise
         videos.append(tag_rotation(write_video(tmp_path / f"phone_{c}.mp4", [lying] * 4), 90))
     fov = float(np.rad2deg(2 * np.arctan(HEIGHT / 2 / FOCAL)))  # along the stored, lying picture
-    made = ingest(IngestConfig(videos, tmp_path / "set", fov=fov, fps=(30.0,), board="none"))
+    made = ingest(IngestConfig(videos, tmp_path / "set", fov=fov, times=("30",), board="none"))
     dataset = Dataset.open(made.folder)
     assert (dataset.cameras[0].width, dataset.cameras[0].height) == (WIDTH, HEIGHT)
     assert dataset.cameras[0].K[0, 0] == pytest.approx(FOCAL, rel=1e-6)

@@ -42,7 +42,7 @@ def arguments(root):
         cameras.append({"width": WIDTH, "height": HEIGHT, "K": K, "world_to_camera": pose.tolist()})
     (root / "cameras.json").write_text(json.dumps({"cameras": cameras}))
     folders = [str(root / "c0"), str(root / "c1")]
-    return ["ingest", *folders, "--out", str(root / "ds"), "--fps", "100", "--cameras", str(root / "cameras.json"),
+    return ["ingest", *folders, "--out", str(root / "ds"), "--times", "100", "--cameras", str(root / "cameras.json"),
             "--board", "none"]  # fmt: skip
 
 

@@ -133,7 +133,7 @@ def test_what_is_missing_or_wrong_is_named(scene, tmp_path):
     with pytest.raises(GofError, match="brings its cameras"):
         ingest(IngestConfig([folder], tmp_path / "a", fov=40.0))
     with pytest.raises(GofError, match="brings its frame times"):
-        ingest(IngestConfig([folder], tmp_path / "b", fps=(400.0,)))
+        ingest(IngestConfig([folder], tmp_path / "b", times=("400",)))
     (folder / "001.mask.png").unlink()
     with pytest.raises(DataFormatError, match=r"001\.mask\.png: must be a picture of 240x320"):
         ingest(IngestConfig([folder], tmp_path / "c", frames=3))

@@ -24,7 +24,7 @@ from tests.videos import join_tracks, number_of, numbered, set_date, tag_fields,
 def ask(capsys, *videos, more=("--fov", "60")):
     """`gof ingest` of these, which is refused. Returns its words."""
     folder = videos[0].parent
-    given = [*map(str, videos), "--out", str(folder / "ds"), "--fps", "30", *more, "--board", "none"]
+    given = [*map(str, videos), "--out", str(folder / "ds"), "--times", "30", *more, "--board", "none"]
     assert cli.main(["ingest", *given]) == 1
     assert not (folder / "ds/dataset.json").exists()
     said = capsys.readouterr()

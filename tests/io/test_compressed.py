@@ -141,8 +141,8 @@ def test_values_beyond_the_format_are_refused(tmp_path, capsys, name):
     g = _still([[0, 0, 0]], velocity=np.full((1, 3), 3e38), dynamic=np.ones(1, bool))
     options = {
         "a.glb": ["--time", "1e6"],
-        "a.ftgs.ply": ["--start", "0", "--end", "1e6"],
-        "frames": ["--start", "0", "--end", "1e6", "--frame-time", "1e6"],
+        "a.ftgs.ply": ["--clip", "0", "1e6"],
+        "frames": ["--clip", "0", "1e6", "--frame-time", "1e6"],
         "a.ply": [],
     }[name]
     status, said = _converted(g, tmp_path / name, capsys, *options)

@@ -22,7 +22,7 @@ def test_a_foreign_checkpoint_to_every_format(tmp_path, capsys):
     for name, extra in (
         ("a.npz", []),
         ("a.ply", []),
-        ("a.ftgs.ply", ["--start", "0", "--end", "0.08", "--frame-time", "0.01"]),
+        ("a.ftgs.ply", ["--clip", "0", "0.08", "--frame-time", "0.01"]),
     ):
         assert main([str(path), str(tmp_path / name), "--json", str(tmp_path / "j.json"), *extra]) == 0
         back = read_result(tmp_path / name, ImportOptions(frame_time_s=0.01)).gaussians
@@ -50,7 +50,7 @@ def test_trajectories_stay_trajectories(tmp_path):
 
 def test_clip_of_an_ftgs_ply(tmp_path, gaussians):
     gaussians.save(tmp_path / "g.npz")  # some are always on
-    with pytest.raises(DataFormatError, match="--start and --end"):
+    with pytest.raises(DataFormatError, match="--clip"):
         main([str(tmp_path / "g.npz"), str(tmp_path / "g.ftgs.ply")])
 
 

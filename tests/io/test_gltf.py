@@ -202,7 +202,7 @@ def test_a_sequence_reads_back_as_the_same_motion(tmp_path):
     g = random_gaussians(60)
     g = replace(g, t_sigma=np.where(np.isinf(g.t_sigma), 0.3, g.t_sigma))
     g.save(tmp_path / "g.npz")
-    ask = [str(tmp_path / "g.npz"), str(tmp_path / "frames"), "--frame-time", "0.05", "--start", "0.2", "--end", "0.6"]
+    ask = [str(tmp_path / "g.npz"), str(tmp_path / "frames"), "--frame-time", "0.05", "--clip", "0.2", "0.6"]
     assert main(ask) == 0
     assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == [f"frame{k:05d}.ply" for k in range(9)]
     back = read_result(tmp_path / "frames", ImportOptions(time_unit_s=0.05, time_zero_s=0.2)).gaussians
@@ -222,9 +222,9 @@ def test_a_sequence_reads_back_as_the_same_motion(tmp_path):
     [
         ([], "needs --frame-time"),
         (["--frame-time", "0.1"], "always on"),
-        (["--frame-time", "0.1", "--start", "90", "--end", "91"], "no Gaussian can be seen"),
-        (["--frame-time", "1e-9", "--start", "0", "--end", "1"], "frames from"),
-        (["--frame-time", "0.1", "--start", "1", "--end", "0"], "frames from"),
+        (["--frame-time", "0.1", "--clip", "90", "91"], "no Gaussian can be seen"),
+        (["--frame-time", "1e-9", "--clip", "0", "1"], "frames from"),
+        (["--frame-time", "0.1", "--clip", "1", "0"], "frames from"),
     ],
 )
 def test_a_sequence_that_cannot_be_is_refused(tmp_path, more, says):

@@ -173,7 +173,7 @@ def test_all_modalities_of_a_run_are_there_or_missing_by_name(shown):
         "velocity, result",
         "velocity, truth",
     ]
-    assert "--depth-weights" in shown.missing["monocular depth"] and "--depth" in shown.missing["depth, gof depth"]
+    assert "--depth" in shown.missing["monocular depth"] and "--depth" in shown.missing["depth, gof depth"]
 
 
 @pytest.mark.long
@@ -346,11 +346,11 @@ def test_true_and_drawn_velocities_have_one_scale(made):
 
 
 def test_command_compares_what_was_scored_as_it_was_scored(two, capsys):
-    assert gof(["evaluate", str(two / "nothing.npz"), "--truth", str(two / "data"), "--out", str(two / "board")]) == 0
+    assert gof(["evaluate", str(two / "nothing.npz"), "--dataset", str(two / "data"), "--out", str(two / "board")]) == 0
     flame = str(two / "board")
-    asked = ["figure", "compare", flame, str(two / "nothing.npz"), "--names", "scored", "file"]
+    asked = ["figure", "compare", f"scored={flame}", f"file={two / 'nothing.npz'}"]
     files = ["--out", str(two / "c.svg"), str(two / "c.png"), "--json", str(two / "c.json")]
-    assert gof([*asked, "--dataset", str(two / "data"), "--box", "20", "6", "8", "12", *files]) == 0
+    assert gof([*asked, "--dataset", str(two / "data"), "--parts", "20,6,8,12", *files]) == 0
     assert "frame 1 at 0.1000 s, held out" in capsys.readouterr().out
     said = texts((two / "c.svg").read_text())
     assert "scored" in said and "file" in said and "error: plate alone" in said
@@ -364,9 +364,10 @@ def test_command_compares_what_was_scored_as_it_was_scored(two, capsys):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (["--names", "a", "b"], "2 names for 1"),
-        (["--box", "30", "0", "20", "10"], "leaves the picture"),
-        (["--box", "0", "0", "0", "10"], "1 or more"),
+        (["--names", "a", "b"], "--names"),
+        (["--parts", "30,0,20,10"], "leaves the picture"),
+        (["--parts", "0,0,0,10"], "1 or more"),
+        (["--parts", "2", "30,0,2,1"], "60,120,40,40"),
         (["--parts", "9"], "--parts 9"),
         (["--camera", "nobody"], "the dataset has"),
         (["--out", "a.jpg"], ".pdf, .svg, .png"),
@@ -421,7 +422,7 @@ def test_pages_have_the_tiles_with_all_that_is_drawn_over_them():
 
 def test_the_leaderboard_prints_its_charts(two, capsys):
     board = two / "board"
-    assert gof(["evaluate", str(two / "nothing.npz"), "--truth", str(two / "data"), "--out", str(board)]) == 0
+    assert gof(["evaluate", str(two / "nothing.npz"), "--dataset", str(two / "data"), "--out", str(board)]) == 0
     (board / "method.json").write_text(json.dumps({"name": "none", "train_seconds": 12}))
     assert gof(["leaderboard", str(board), "--out", str(two / "lb"), "--figure", "pdf", "svg"]) == 0
     files = sorted(path.name for path in (two / "lb").glob("accuracy_*"))

@@ -201,7 +201,7 @@ def made(tmp_path):
 
 def film_of(made, *words) -> tuple[list[np.ndarray], dict]:
     asked = ["video", str(made / "fire.npz"), "--dataset", str(made / "data"), "--out", str(made / "a.webp")]
-    assert gof([*asked, "--fps", "10", "--slow", "5", "--json", str(made / "a.json"), *words]) == 0
+    assert gof([*asked, "--fps", "10", "--style", "slow=5", "--json", str(made / "a.json"), *words]) == 0
     return decoded(made / "a.webp"), json.loads((made / "a.json").read_text())
 
 
@@ -214,7 +214,7 @@ def test_command_around_the_flame_is_over_black_and_says_so(made, capsys):
 
 
 def test_command_from_a_camera_has_its_plate_and_what_it_recorded(made, capsys):
-    frames, _ = film_of(made, "--path", "camera", "--recorded", "--panels", "rgb")
+    frames, _ = film_of(made, "--camera-path", "camera", "--style", "slow=5", "recorded", "--panels", "rgb")
     assert "the plate of" in capsys.readouterr().out
     recorded = [int(frame[30, 30].mean()) for frame in frames]
     assert abs(recorded[0] - 26) < 6 and abs(recorded[-1] - 128) < 6, "the frame nearest in time: 0.1, 0.3, 0.5"
@@ -224,10 +224,11 @@ def test_command_from_a_camera_has_its_plate_and_what_it_recorded(made, capsys):
 def test_another_methods_gaussians_are_not_helped_by_our_plate(made, capsys):
     """They may be the whole scene: `gof evaluate` draws them over black, and so does a film."""
     assert gof(["convert", str(made / "fire.npz"), str(made / "theirs.ftgs.ply")]) == 0
-    asked = ["video", str(made / "theirs.ftgs.ply"), "--dataset", str(made / "data"), "--path", "camera"]
-    asked += ["--time-unit", "0.2", "--panels", "rgb", "--out", str(made / "b.png")]
+    asked = ["video", str(made / "theirs.ftgs.ply"), "--dataset", str(made / "data"), "--camera-path", "camera"]
+    asked += ["--panels", "rgb", "--out", str(made / "b.png")]
     for words, said, level in (([], "may be the whole scene", 0), (["--flame-only"], "the plate of", 64)):
-        assert gof([*asked, *words]) == 0
+        assert gof(["convert", str(made / "theirs.ftgs.ply"), "--time-unit", "0.2", *words, "--overwrite"]) == 0
+        assert gof(asked) == 0
         assert said in " ".join(capsys.readouterr().out.split())
         assert abs(int(cv2.imread(str(made / "b.png"))[60, 33].mean()) - level) < 6
 
@@ -235,9 +236,9 @@ def test_another_methods_gaussians_are_not_helped_by_our_plate(made, capsys):
 def test_command_two_results_and_a_still_scene(made, capsys):
     one((0, 1, 1), dynamic=False, scale=0.5, color=(0, 0, 1)).save(made / "still.npz")
     flame(20).save(made / "other.npz")
-    words = ["--names", "ours", "theirs", "--scene", str(made / "still.npz"), "--path", "cameras", "--time", "freeze"]
-    asked = ["video", str(made / "fire.npz"), str(made / "other.npz"), "--dataset", str(made / "data")]
-    assert gof([*asked, *words, "--seconds", "0.2", "--fps", "10", "--out", str(made / "b.webm")]) == 0
+    words = ["--camera-path", "cameras", "--mode", "freeze", "--style", f"scene={made / 'still.npz'}", "seconds=0.2"]
+    asked = ["video", f"ours={made / 'fire.npz'}", f"theirs={made / 'other.npz'}", "--dataset", str(made / "data")]
+    assert gof([*asked, *words, "--fps", "10", "--out", str(made / "b.webm")]) == 0
     frames = decoded(made / "b.webm")
     assert len(frames) == 2 and frames[0].shape[:2] == (2 * 64 + 4, 4 * 36 + 12)
     assert "behind theirs: the still scene" in capsys.readouterr().out
@@ -245,8 +246,8 @@ def test_command_two_results_and_a_still_scene(made, capsys):
 
 
 def test_command_makes_a_grid_of_errors_as_one_picture(made):
-    asked = ["video", str(made / "fire.npz"), "--dataset", str(made / "data"), "--path", "camera", "--recorded"]
-    assert gof([*asked, "--panels", "rgb", "error", "--out", str(made / "grid.png")]) == 0
+    asked = ["video", str(made / "fire.npz"), "--dataset", str(made / "data"), "--camera-path", "camera"]
+    assert gof([*asked, "--style", "recorded", "--panels", "rgb", "error", "--out", str(made / "grid.png")]) == 0
     grid = cv2.imread(str(made / "grid.png"))[..., ::-1].astype(int)
     assert grid.shape[:2] == (64, 3 * 36 + 8)
     assert abs(grid[60, 33].mean() - 0.3 * 255) < 3 and abs(grid[60, 73].mean() - 0.25 * 255) < 3
@@ -261,14 +262,16 @@ def test_command_makes_a_grid_of_errors_as_one_picture(made):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (["--names", "a", "b"], "2 names for 1"),
-        (["--recorded"], "--path camera"),
-        (["--panels", "error"], "--recorded"),
-        (["--camera", "nobody"], "the dataset has"),
-        (["--stop", "9"], "the clip is from 0 to 0.2 s"),
-        (["--slow", "0"], "--slow 0"),
+        (["--names", "a", "b"], "NAME=fire.npz"),
+        (["--style", "recorded"], "--camera-path camera"),
+        (["--panels", "error"], "--style recorded"),
+        (["--style", "camera=nobody"], "the dataset has"),
+        (["--style", "stop=9"], "the clip is from 0 to 0.2 s"),
+        (["--style", "slow=0"], "slow 0"),
+        (["--style", "slower=2"], "'slower' is no field"),
+        (["--style", "fast"], "KEY=VALUE"),
         (["--out", "film.avi"], ".webm"),
-        (["--scene", "fire.npz"], "nothing that stands still"),
+        (["--style", "scene=fire.npz"], "nothing that stands still"),
     ],
 )
 def test_command_refuses_by_name(made, words, said, capsys, monkeypatch):
@@ -278,5 +281,5 @@ def test_command_refuses_by_name(made, words, said, capsys, monkeypatch):
 
 
 def test_command_without_a_dataset_goes_around_and_nothing_else(made, capsys):
-    assert gof(["video", str(made / "fire.npz"), "--path", "camera"]) != 0
+    assert gof(["video", str(made / "fire.npz"), "--camera-path", "camera"]) != 0
     assert "--dataset" in capsys.readouterr().err

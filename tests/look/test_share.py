@@ -205,7 +205,7 @@ def test_cameras_for_novel_views_come_last_with_their_pictures(tmp_path):
 
 def test_results_need_names_of_their_own(tmp_path):
     two = [Opened("same", "gof", tmp_path / "r.npz", random_gaussians(5))] * 2
-    with pytest.raises(GofError, match="--names"):
+    with pytest.raises(GofError, match="NAME="):
         share_page(two, tmp_path / "page.html")
 
 
@@ -233,14 +233,14 @@ def test_several_results_by_name(tmp_path):
     both = [str(tmp_path / "a.npz"), str(tmp_path / "b.npz")]
     assert gof(["share", *both, "--out", str(tmp_path / "x.html")]) == 0
     assert [r["name"] for r in content_of(tmp_path / "x.html")["results"]] == ["a", "b"]
-    assert gof(["share", *both, "--names", "ours", "theirs"]) == 0
+    assert gof(["share", *(f"{name}={path}" for name, path in zip(("ours", "theirs"), both, strict=True))]) == 0
     assert [r["name"] for r in content_of(tmp_path / "share.html")["results"]] == ["ours", "theirs"]
 
 
 @pytest.mark.parametrize(
     ("argv", "says"),
     [
-        (["{0}/a.npz", "--names", "x", "y"], "2 names for 1 results"),
+        (["{0}/a.npz", "--names", "x", "y"], "put a name before each result"),
         (["{0}/a.npz", "--pictures", "-1"], "--pictures"),
         (["{0}/none.npz"], "no such file"),
         (["{0}/a.npz", "--dataset", "{0}"], "dataset.json"),

@@ -261,8 +261,8 @@ def test_shrunk_datasets_shrink_the_views_kept_for_scores_too(with_novel_view):
 
 
 def test_presets_fill_what_is_not_given(tmp_path):
-    config = ReconstructConfig(tmp_path, preset="draft", iterations=7)
-    assert asdict(config.effort()) == asdict(PRESETS["draft"]) | {"iterations": 7}
+    config = ReconstructConfig(tmp_path, preset="standard", steps=7)
+    assert asdict(config.effort()) == asdict(PRESETS["standard"]) | {"iterations": 7}
 
 
 def does_at_least_as_much(more: Effort, less: Effort) -> bool:
@@ -272,6 +272,6 @@ def does_at_least_as_much(more: Effort, less: Effort) -> bool:
 def test_every_preset_does_at_least_as_much_as_the_one_before():
     for less, more in itertools.pairwise(PRESETS.values()):
         assert does_at_least_as_much(more, less)
-    draft = PRESETS["draft"]
+    preview = PRESETS["preview"]
     for name, value in asdict(PRESETS["preview"]).items():  # one field too small is noticed, whichever it is
-        assert not does_at_least_as_much(replace(draft, **{name: value - 1}), PRESETS["preview"])
+        assert not does_at_least_as_much(replace(preview, **{name: value - 1}), preview)

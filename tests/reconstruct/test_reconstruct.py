@@ -110,7 +110,7 @@ def test_a_finished_run_returns_what_it_would_find(rising_flame, tmp_path):
 
 def test_stages_one_by_one(rising_flame, tmp_path, capsys):
     options = ["--gaussians", "300", "--voxels", "24", "--no-flow-prior"]
-    options = [str(rising_flame), "--out", str(tmp_path / "o"), "--iterations", "5", *options]
+    options = [str(rising_flame), "--out", str(tmp_path / "o"), "--steps", "5", *options]
     made = {"motion": "2_optical_flow", "flow-field": "3_flow_field", "seeds": "4_seeds"}
     for stage, picture in made.items():
         assert main([*options, "--until", stage]) == 0

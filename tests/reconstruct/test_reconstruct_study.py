@@ -12,7 +12,7 @@ from gof_benchmark.studies.ablations import LEFT_OUT
 from tests.look.printed import marks, texts
 from tests.reconstruct.rising_flame import write_flame
 
-SMALL = ["--gaussians", "600", "--longest-side", "96"]
+SMALL = ["--gaussians", "600", "--max-size", "96"]
 
 
 def test_every_ablation_has_a_name_in_the_table():
@@ -25,7 +25,7 @@ def test_every_ablation_has_a_name_in_the_table():
 @pytest.mark.parametrize("method", ["gof", "paper"])
 def test_ablations_study(tmp_path, capsys, method):
     folder = write_flame(tmp_path / "flame")
-    command = ["study", "ablations", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]
+    command = ["study", "ablations", str(folder), "--out", str(tmp_path / "out"), "--steps", "60", *SMALL]
     command += ["--method", method]
     assert main(command) == 0
     rows = {row["name"]: row for row in json.loads((tmp_path / "out" / "ablations.json").read_text())}
@@ -43,16 +43,16 @@ def test_ablations_study(tmp_path, capsys, method):
 def test_settings_study(tmp_path, monkeypatch):
     monkeypatch.setattr(reconstruction, "FACTORS", (0.5, 1))
     monkeypatch.setattr(reconstruction, "PRESETS", {"preview": Effort(20, 400, 24, 96)})
-    monkeypatch.setattr("gof_benchmark.studies.variants.PRESETS", {"preview": Effort(20, 400, 24, 96)})
+    monkeypatch.setattr("gof.reconstruct.presets.PRESETS", {"preview": Effort(20, 400, 24, 96)})
     folder = write_flame(tmp_path / "flame")
-    command = ["study", "reconstruct", str(folder), "--out", str(tmp_path / "out"), "--iterations", "60", *SMALL]
-    assert main([*command, "--vary", "presets", "iterations", "gaussians", "longest_side"]) == 0
+    command = ["study", "reconstruct", str(folder), "--out", str(tmp_path / "out"), "--steps", "60", *SMALL]
+    assert main([*command, "--vary", "presets", "steps", "gaussians", "max-size"]) == 0
     rows = json.loads((tmp_path / "out" / "reconstruct.json").read_text())
     assert [row["group"] for row in rows] == [
         "presets",
-        *(g for g in ("iterations", "gaussians", "longest_side") for _ in range(2)),
+        *(g for g in ("steps", "gaussians", "max-size") for _ in range(2)),
     ]
-    few, many = (row["psnr_flame"] for row in rows if row["group"] == "iterations")
+    few, many = (row["psnr_flame"] for row in rows if row["group"] == "steps")
     assert few < many
     for name in ("l2", "cos_sim", "psnr_flame"):
         svg = (tmp_path / "out" / f"{name}.svg").read_text()
@@ -67,7 +67,7 @@ def test_settings_study_of_choices_and_seeds(tmp_path, monkeypatch):
     choices = {name: reconstruction.CHOICES[name] | more for name, more in of_plates.items()}
     monkeypatch.setattr(reconstruction, "CHOICES", choices)
     folder, out = write_flame(tmp_path / "flame"), tmp_path / "out"
-    command = ["study", "reconstruct", str(folder), "--out", str(out), "--iterations", "60", *SMALL]
+    command = ["study", "reconstruct", str(folder), "--out", str(out), "--steps", "60", *SMALL]
     assert main([*command, "--vary", "choices", "--seeds", "2"]) == 0
     rows = {row["name"]: row for row in json.loads((out / "reconstruct.json").read_text())}
     assert list(rows) == list(choices)

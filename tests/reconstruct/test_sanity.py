@@ -223,7 +223,7 @@ def _moved(camera, shift):
 @pytest.mark.long
 def test_the_command_stops_and_goes_on_anyway(flame, tmp_path, capsys):
     folder = turn(shutil.copytree(flame, tmp_path / "down"), "cam_1", lambda p: p[::-1, ::-1])
-    small = ["--gaussians", "300", "--voxels", "24", "--iterations", "3", "--until", "motion"]
+    small = ["--gaussians", "300", "--voxels", "24", "--steps", "3", "--until", "motion"]
     command = ["reconstruct", str(folder), "--out", str(tmp_path / "out"), *small]
     assert main(command) == 1
     error = capsys.readouterr().err
@@ -259,7 +259,7 @@ def test_memory_that_is_not_there_is_refused(flame, capsys, monkeypatch):
     needed = memory.needed_for(Dataset.open(flame), 1000, 24)
     memory.require(needed)
     assert capsys.readouterr().err == ""
-    with pytest.raises(GofError, match="--longest-side"):
+    with pytest.raises(GofError, match="--max-size"):
         memory.require(1e18)
     monkeypatch.setattr(memory, "_limit", lambda: 1e8)
     with pytest.raises(GofError, match=r"this machine has 0\.1 GB"):

@@ -182,7 +182,7 @@ def difference(a: Path, b: Path) -> float:
 def commands(folder: Path) -> list[ResumableCommand]:
     """Generation of the toy scene, and the reconstruction of that dataset."""
     dataset = folder / "generate" / "whole"
-    reconstruct = ("reconstruct", str(dataset), "--gaussians", "300", "--iterations", "600", "--voxels", "16")
+    reconstruct = ("reconstruct", str(dataset), "--gaussians", "300", "--steps", "600", "--voxels", "16")
     return [
         ResumableCommand("generate", ("generate", "demo", "--preset", "toy"), MADE_ONCE),
         ResumableCommand("reconstruct", reconstruct, RESULT),

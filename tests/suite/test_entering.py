@@ -41,8 +41,8 @@ def disturbed(truth: TransientGaussians, by: float, seed: int) -> TransientGauss
 def work(tmp_path_factory):
     """A suite of two test scenes, and results of a good method (two seeds) and a bad one."""
     work = tmp_path_factory.mktemp("bench")
-    for scene in pick(scenes_of("smoke"), SCENES):
-        folder = work / "smoke" / scene.name
+    for scene in pick(scenes_of("preview"), SCENES):
+        folder = work / "preview" / scene.name
         truth = flame_dataset(folder)
         Layout(folder).spec.write_text(json.dumps(scene.spec.to_dict()))
         for name, by, seed in (("good_0", 0.1, 0), ("good_1", 0.1, 1), ("bad", 1.0, 2)):
@@ -51,12 +51,12 @@ def work(tmp_path_factory):
             disturbed(truth, by, seed).save(result / "result.npz")
             MadeFrom.of(["result.npz"], Dataset.open(folder).train_frames).write(result)
     for scene in SCENES:
-        place = str(work / "smoke" / scene)
+        place = str(work / "preview" / scene)
         for run in (0, 1):
             result = str(work / f"results/good_{run}" / scene)
-            assert benchmark.main(["add", result, place, str(work / "good"), "--run", f"seed_{run}"]) == 0
+            assert benchmark.main(["add", result, str(work / "good"), "--dataset", place, "--run", f"seed_{run}"]) == 0
         result = str(work / "results/bad" / scene / "result.npz")
-        assert benchmark.main(["add", result, place, str(work / "bad")]) == 0
+        assert benchmark.main(["add", result, str(work / "bad"), "--dataset", place]) == 0
     for name in ("good", "bad"):
         (work / name / "method.json").write_text(json.dumps(METHOD | {"name": name}))
     return work
@@ -64,7 +64,7 @@ def work(tmp_path_factory):
 
 def test_what_was_added_passes_the_check(work, capsys, tmp_path):
     found = tmp_path / "found.json"
-    assert benchmark.main(["check", str(work / "good"), str(work / "smoke"), "--json", str(found)]) == 0
+    assert benchmark.main(["check", str(work / "good"), str(work / "preview"), "--json", str(found)]) == 0
     lines = json.loads(found.read_text())["findings"]
     assert {line["of"] for line in lines} >= {f"{scene}/seed_{run}" for scene in SCENES for run in (0, 1)}
     assert not [line for line in lines if line["verdict"] == "refused"]
@@ -75,18 +75,18 @@ def test_a_cross_is_an_exit_status(work, capsys, tmp_path):
     made_from = work / "bad" / SCENES[0] / "made_from.json"
     before = made_from.read_bytes()
     MadeFrom.of(["result.npz"], range(9)).write(made_from.parent)
-    assert benchmark.main(["check", str(work / "bad"), str(work / "smoke")]) == 1
+    assert benchmark.main(["check", str(work / "bad"), str(work / "preview")]) == 1
     made_from.write_bytes(before)
     out = " ".join(capsys.readouterr().out.split())
     assert "refused: 1 of" in out and "held-out frames [4]" in out
 
 
 def test_one_page_comes_out(work, tmp_path, capsys):
-    arguments = ["score", str(work / "good"), str(work / "bad"), str(work / "smoke"), "--out", str(tmp_path)]
+    arguments = ["score", str(work / "good"), str(work / "bad"), str(work / "preview"), "--out", str(tmp_path)]
     assert benchmark.main(arguments) == 0
     found = read_record(SuiteBoard, tmp_path / "board.json")
     rows = {row.name: row for row in found.rows}
-    assert found.title == f"GoF-Bench 1, smoke, 2 of {len(scenes_of('smoke', 'test'))} test scenes, pictures 48x80"
+    assert found.title == f"GoF-Bench 1, preview, 2 of {len(scenes_of('preview', 'test'))} test scenes, pictures 48x80"
     assert (rows["good"].runs, rows["bad"].runs) == (4, 2)
     l2 = {name: rows[name].figures["l2"] for name in ("good", "bad")}
     assert l2["good"].mean < l2["bad"].mean and l2["good"].wins == 2 and l2["good"].seed_sd > 0
@@ -112,7 +112,7 @@ def test_who_has_one_scene_of_two_is_shown_and_ranked_there_alone(work, tmp_path
     """A copy of the good method without the second scene: its mean stands beside the others', its rank does not."""
     shutil.copytree(work / "good", tmp_path / "part", ignore=shutil.ignore_patterns(SCENES[1]))
     (tmp_path / "part/method.json").write_text(json.dumps(METHOD | {"name": "part"}))
-    folders = [str(folder) for folder in (work / "good", work / "bad", tmp_path / "part", work / "smoke")]
+    folders = [str(folder) for folder in (work / "good", work / "bad", tmp_path / "part", work / "preview")]
     assert benchmark.main(["score", *folders, "--out", str(tmp_path)]) == 0
     found = read_record(SuiteBoard, tmp_path / "board.json")
     rows = {row.name: row for row in found.rows}
@@ -134,14 +134,14 @@ def test_scores_are_those_of_the_result_not_of_its_authors_words(work, tmp_path)
     for frame in data["dve"]["frames"]:
         frame["l2"] = 0.001
     path.write_text(json.dumps(data))
-    benchmark.main(["score", str(work / "bad"), str(work / "smoke"), "--out", str(tmp_path)])
+    benchmark.main(["score", str(work / "bad"), str(work / "preview"), "--out", str(tmp_path)])
     path.write_bytes(before)
     (row,) = [row for row in read_record(SuiteBoard, tmp_path / "board.json").rows if row.name == "bad"]
     assert row.figures["l2"].mean > 0.1
 
 
 def test_another_result_is_scored_anew(work, tmp_path):
-    arguments = ["score", str(work / "bad"), str(work / "smoke"), "--out", str(tmp_path)]
+    arguments = ["score", str(work / "bad"), str(work / "preview"), "--out", str(tmp_path)]
     benchmark.main(arguments)
     before = read_record(SuiteBoard, tmp_path / "board.json").rows[0].figures["l2"].mean
     path = work / "bad" / SCENES[0] / "result.npz"
@@ -155,26 +155,28 @@ def test_another_result_is_scored_anew(work, tmp_path):
 def test_frames_must_be_said(work, tmp_path):
     result = tmp_path / "result.npz"
     result.write_bytes((work / "results/bad" / SCENES[0] / "result.npz").read_bytes())
-    place = str(work / "smoke" / SCENES[0])
+    place = str(work / "preview" / SCENES[0])
     with pytest.raises(GofError, match="give --trained-on"):
-        benchmark.main(["add", str(result), place, str(tmp_path / "new")])
+        benchmark.main(["add", str(result), str(tmp_path / "new"), "--dataset", place])
     with pytest.raises(GofError, match="leave out --trained-on"):
         folder = str(work / "results/bad" / SCENES[0])
-        benchmark.main(["add", folder, place, str(tmp_path / "newer"), "--trained-on", "train"])
-    assert benchmark.main(["add", str(result), place, str(tmp_path / "newest"), "--trained-on", "all"]) == 0
+        benchmark.main(["add", folder, str(tmp_path / "newer"), "--dataset", place, "--trained-on", "train"])
+    assert (
+        benchmark.main(["add", str(result), str(tmp_path / "newest"), "--dataset", place, "--trained-on", "all"]) == 0
+    )
     assert MadeFrom.read(tmp_path / "newest" / SCENES[0]).files == {"result.npz": tuple(range(9))}
 
 
 def test_bad_input_is_named(work, tmp_path):
-    place, result = str(work / "smoke" / SCENES[0]), str(work / "results/bad" / SCENES[0])
+    place, result = str(work / "preview" / SCENES[0]), str(work / "results/bad" / SCENES[0])
     for arguments, named in (
-        (["add", result, place, str(work / "bad")], "holds a run already"),
-        (["add", result, place, str(tmp_path / "x"), "--run", "../y"], "must be a plain name"),
-        (["add", str(tmp_path / "none"), place, str(tmp_path / "x")], "no such file"),
+        (["add", result, str(work / "bad"), "--dataset", place], "holds a run already"),
+        (["add", result, str(tmp_path / "x"), "--dataset", place, "--run", "../y"], "must be a plain name"),
+        (["add", str(tmp_path / "none"), str(tmp_path / "x"), "--dataset", place], "no such file"),
         (["score", str(work / "good")], "give one submission or more"),
-        (["score", str(work / "good"), str(work / "good"), str(work / "smoke")], "have one name"),
-        (["score", str(work / "good"), str(work / "smoke"), "--split", "dev"], "no finished scene"),
-        (["check", str(tmp_path), str(work / "smoke")], "no method.json"),
+        (["score", str(work / "good"), str(work / "good"), str(work / "preview")], "have one name"),
+        (["score", str(work / "good"), str(work / "preview"), "--scenes", "dev"], "no finished scene"),
+        (["check", str(tmp_path), str(work / "preview")], "no method.json"),
     ):
         with pytest.raises((GofError, DataFormatError), match=named):
             benchmark.main(arguments)
@@ -182,11 +184,11 @@ def test_bad_input_is_named(work, tmp_path):
 
 def test_plates_of_larger_pictures_are_refused_with_a_remedy(work, tmp_path):
     """A result of the whole sensor's pictures, entered for a scene of smaller ones."""
-    result, place = tmp_path / "result", work / "smoke" / SCENES[0]
+    result, place = tmp_path / "result", work / "preview" / SCENES[0]
     shutil.copytree(work / "results/bad" / SCENES[0], result)
     camera = Dataset.open(place).cameras[0]
     save_plates(result, [camera.name], [np.zeros((2 * camera.height, 2 * camera.width, 3))])
-    entering = ["add", str(result), str(place), str(tmp_path / "entered")]
+    entering = ["add", str(result), str(tmp_path / "entered"), "--dataset", str(place)]
     with pytest.raises(DataFormatError, match=f"{camera.name}.png: is .* or remove plates/ beside the result"):
         benchmark.main(entering)
     shutil.rmtree(result / "plates")
@@ -194,7 +196,7 @@ def test_plates_of_larger_pictures_are_refused_with_a_remedy(work, tmp_path):
     entered = tmp_path / "entered" / SCENES[0]
     with pytest.raises(DataFormatError, match="lies in the submission already"):
         (entered / "scores.json").unlink()
-        benchmark.main(["add", str(entered), str(place), str(tmp_path / "entered")])
+        benchmark.main(["add", str(entered), str(tmp_path / "entered"), "--dataset", str(place)])
     assert (entered / "result.npz").is_file()
 
 
@@ -204,41 +206,42 @@ def content(folder) -> dict[str, bytes]:
 
 def test_a_reconstruction_where_the_run_would_go_is_left_alone(work, tmp_path, capsys):
     """`--out out/jet` is what one calls a reconstruction; its pictures, costs and result stay, whatever is added."""
-    place, other = str(work / "smoke" / SCENES[0]), str(work / "results/bad" / SCENES[0])
+    place, other = str(work / "preview" / SCENES[0]), str(work / "results/bad" / SCENES[0])
     mine = tmp_path / "out" / SCENES[0]
     (mine / "plates").mkdir(parents=True)
     for name in ("result.npz", "costs.json", "settings.json", "plates/cam_0.png", "made_from.json"):
         (mine / name).write_text(f"my {name}")
     before = content(mine)
-    assert main(["benchmark", "add", other, place, str(tmp_path / "out")]) == 1
+    assert main(["benchmark", "add", other, str(tmp_path / "out"), "--dataset", place]) == 1
     assert f"{mine}: holds other things already" in capsys.readouterr().err
     assert content(mine) == before
-    assert main(["benchmark", "add", other, place, str(tmp_path / "out"), "--run", "seed_0"]) == 0
+    assert main(["benchmark", "add", other, str(tmp_path / "out"), "--dataset", place, "--run", "seed_0"]) == 0
     assert {name: data for name, data in content(mine).items() if not name.startswith("seed_0/")} == before
     (tmp_path / "link").mkdir()
     (tmp_path / "link" / SCENES[0]).symlink_to(mine, target_is_directory=True)
-    assert main(["benchmark", "add", other, place, str(tmp_path / "link")]) == 1
+    assert main(["benchmark", "add", other, str(tmp_path / "link"), "--dataset", place]) == 1
 
 
 def test_pictures_that_are_not_there_are_named_before_any_work(work, tmp_path, capsys):
-    place, other = str(work / "smoke" / SCENES[0]), str(work / "results/bad" / SCENES[0])
-    adding = ["benchmark", "add", other, place, str(tmp_path / "new")]
+    place, other = str(work / "preview" / SCENES[0]), str(work / "results/bad" / SCENES[0])
+    adding = ["benchmark", "add", other, str(tmp_path / "new"), "--dataset", place]
     assert main([*adding, "--pictures", str(tmp_path / "none")]) == 1
     assert "none: has no cam_0/000004.png and" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
     assert main(adding) == 0, "the same command is not refused"
     pictures = tmp_path / "new" / SCENES[0] / "pictures"
-    assert main([*adding[:-1], str(tmp_path / "newer"), "--pictures", str(pictures)]) == 0
+    newer = [*adding[:3], str(tmp_path / "newer"), *adding[4:]]
+    assert main([*newer, "--pictures", str(pictures)]) == 0
     assert content(tmp_path / "newer" / SCENES[0] / "pictures") == content(pictures)
 
 
 @pytest.mark.parametrize("stopped_in", ["evaluate", "write_pictures", "os.replace"])
 def test_an_addition_that_was_stopped_is_finished_by_the_same_command(work, tmp_path, stopped_in):
     """As kill -9 leaves it: nothing is cleaned up. No half run is found; the next attempt is whole."""
-    place, other = str(work / "smoke" / SCENES[0]), str(work / "results/bad" / SCENES[0])
+    place, other = str(work / "preview" / SCENES[0]), str(work / "results/bad" / SCENES[0])
     (tmp_path / "new").mkdir()
     (tmp_path / "new/method.json").write_text(json.dumps(METHOD))
-    adding = ["benchmark", "add", other, place, str(tmp_path / "new")]
+    adding = ["benchmark", "add", other, str(tmp_path / "new"), "--dataset", place]
     code = (
         "import os, sys\nfrom gof.commands.cli import main\nfrom gof_benchmark.commands import benchmark_add\n"
         f"benchmark_add.{stopped_in} = lambda *a, **k: os._exit(9)\nmain({adding!r})\n"
@@ -253,8 +256,8 @@ def test_an_addition_that_was_stopped_is_finished_by_the_same_command(work, tmp_
 
 def test_a_run_beside_a_scenes_only_run_would_not_be_found(work, tmp_path, capsys):
     shutil.copytree(work / "bad", tmp_path / "bad")
-    place, other = str(work / "smoke" / SCENES[0]), str(work / "results/good_0" / SCENES[0])
-    assert main(["benchmark", "add", other, place, str(tmp_path / "bad"), "--run", "seed_1"]) == 1
+    place, other = str(work / "preview" / SCENES[0]), str(work / "results/good_0" / SCENES[0])
+    assert main(["benchmark", "add", other, str(tmp_path / "bad"), "--dataset", place, "--run", "seed_1"]) == 1
     assert "is a run itself" in capsys.readouterr().err
 
 
@@ -274,7 +277,7 @@ def test_what_the_check_refuses_is_shown_and_not_ranked(work, tmp_path):
     shutil.copytree(work / "good", tmp_path / "leaky")
     (tmp_path / "leaky/method.json").write_text(json.dumps(METHOD | {"name": "leaky"}))
     MadeFrom.of(["result.npz"], range(9)).write(tmp_path / "leaky" / SCENES[0] / "seed_0")
-    rows = scored(tmp_path / "leaky", work / "good", work / "bad", work / "smoke", tmp_path / "board")
+    rows = scored(tmp_path / "leaky", work / "good", work / "bad", work / "preview", tmp_path / "board")
     assert not rows["leaky"].competes and any("held-out frames [4]" in cross for cross in rows["leaky"].refused)
     assert rows["leaky"].figures["l2"].rank is None
     assert rows["good"].figures["l2"].rank == 1 and rows["bad"].figures["l2"].rank is not None
@@ -285,14 +288,14 @@ def test_what_the_check_refuses_is_shown_and_not_ranked(work, tmp_path):
 
 def test_a_submission_does_not_choose_how_it_is_scored(work, tmp_path):
     """Neither a figure nor an order of its own changes its row, and what was kept of one is not taken for another."""
-    honest = scored(work / "bad", work / "smoke", tmp_path / "honest")["bad"]
+    honest = scored(work / "bad", work / "preview", tmp_path / "honest")["bad"]
     shutil.copytree(work / "bad", tmp_path / "bad")
     for scene in SCENES:
         path = tmp_path / "bad" / scene / "scores.json"
         words = json.loads(path.read_text())
         words["dve"] |= {"order": 7, "opacity": "base"}
         path.write_text(json.dumps(words))
-    row = scored(tmp_path / "bad", work / "smoke", tmp_path / "board")["bad"]
+    row = scored(tmp_path / "bad", work / "preview", tmp_path / "board")["bad"]
     assert row.figures["l2"].mean == honest.figures["l2"].mean
     assert any("order 7 and base opacity" in cross for cross in row.refused)
 
@@ -310,7 +313,7 @@ def test_one_damaged_submission_does_not_take_the_board_from_the_others(work, tm
     fields = {n: getattr(fast, n) for n in fast.__dataclass_fields__}
     TransientGaussians(**fields | {"velocity": fast.velocity * 0 + 1e30}).save(path)
     (spoiled["gone"] / SCENES[0] / "result.npz").unlink()
-    rows = scored(*spoiled.values(), work / "good", work / "bad", work / "smoke", tmp_path / "board")
+    rows = scored(*spoiled.values(), work / "good", work / "bad", work / "preview", tmp_path / "board")
     assert all(rows[name].refused and not rows[name].competes for name in spoiled)
     assert rows["good"].competes and rows["bad"].competes and rows["good"].figures["l2"].rank == 1
 
@@ -318,5 +321,5 @@ def test_one_damaged_submission_does_not_take_the_board_from_the_others(work, tm
 def test_a_method_is_not_called_as_a_control(work, tmp_path, capsys):
     for name in ("control: zero", "CONTROL: mine", "\u202etxt.exe"):
         (tmp_path / "method.json").write_text(json.dumps(METHOD | {"name": name}))
-        assert main(["benchmark", "score", str(tmp_path), str(work / "smoke"), "--out", str(tmp_path / "b")]) == 1
+        assert main(["benchmark", "score", str(tmp_path), str(work / "preview"), "--out", str(tmp_path / "b")]) == 1
         assert "give it another name in method.json" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from gof.dataset import Dataset
 from gof.dataset.truth import Truth
 from gof_benchmark import suite
 from gof_benchmark.commands import benchmark, benchmark_list
-from gof_benchmark.suite import pick, scenes_of
+from gof_benchmark.suite import SEALED, pick, scenes_of
 from gof_benchmark.suite.made import SIZES, made_scenes, scene_of
 from gof_benchmark.suite.truths import FILE, SuiteTruths, compare
 from gof_blender.pure.layout import Layout
@@ -30,7 +30,7 @@ def test_the_list_is_as_it_was_sealed():
 
 
 def test_no_scene_changes():
-    digests = [f"{size} {scene.name} {scene.digest}" for size in SIZES for scene in scenes_of(size)]
+    digests = [f"{SEALED[size]} {scene.name} {scene.digest}" for size in SIZES for scene in scenes_of(size)]
     assert hashlib.sha256("\n".join(digests).encode()).hexdigest() == FROZEN
 
 
@@ -56,9 +56,9 @@ def test_a_changed_list_is_refused(tmp_path, monkeypatch):
 def test_a_scene_for_development_says_so():
     for scene in scenes_of("standard"):
         assert (scene.split == "test") == scene.fire.startswith("test/"), "a fire is of one split, whoever looks at it"
-    assert next(scene for scene in scenes_of("smoke") if scene.name == "demo").split == "dev"
-    assert {scene.split for scene in scenes_of("smoke")} == {"dev", "test"}
-    assert [scene.name for scene in scenes_of("paper")] == [scene.name for scene in scenes_of("standard")]
+    assert next(scene for scene in scenes_of("preview") if scene.name == "demo").split == "dev"
+    assert {scene.split for scene in scenes_of("preview")} == {"dev", "test"}
+    assert [scene.name for scene in scenes_of("full")] == [scene.name for scene in scenes_of("standard")]
 
 
 def test_test_scenes_differ_in_all_that_a_method_may_depend_on():
@@ -91,7 +91,7 @@ def test_clips_of_grids_end_before_the_grids_do():
 
 def test_names_that_are_not_there():
     with pytest.raises(GofError, match="no scene 'nothing'"):
-        pick(scenes_of("smoke"), ("demo", "nothing"))
+        pick(scenes_of("preview"), ("demo", "nothing"))
     with pytest.raises(GofError, match="no part 'nothing'"):
         benchmark.main(["nothing"])
 
@@ -99,7 +99,7 @@ def test_names_that_are_not_there():
 def test_the_list_is_printed(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert benchmark.main(["--help"]) == 0 and "gof benchmark PART" in capsys.readouterr().out
-    assert benchmark_list.main(["--size", "paper", "--split", "test", "--json", str(tmp_path / "list.json")]) == 0
+    assert benchmark_list.main(["--size", "full", "--scenes", "test", "--json", str(tmp_path / "list.json")]) == 0
     lines = json.loads((tmp_path / "list.json").read_text())["scenes"]
     assert len(lines) == 10 and lines[0]["picture"] == "720x1280"
     printed = capsys.readouterr().out
@@ -113,8 +113,8 @@ def test_the_list_is_printed(capsys, tmp_path, monkeypatch):
 @pytest.fixture
 def made(tmp_path):
     """A folder as `gof benchmark make` leaves it, with one scene whose dataset is made here."""
-    (scene,) = pick(scenes_of("smoke"), ("demo",))
-    folder = tmp_path / "smoke/demo"
+    (scene,) = pick(scenes_of("preview"), ("demo",))
+    folder = tmp_path / "preview/demo"
     flame_dataset(folder)
     Layout(folder).spec.write_text(json.dumps(scene.spec.to_dict()))
     return scene, folder
@@ -144,19 +144,19 @@ def test_a_spec_that_is_none_is_named(made, text):
 
 
 def test_what_is_no_suites_folder(made, tmp_path):
-    for folder, why in ((tmp_path, "not the folder of a size"), (tmp_path / "paper", "no finished scene")):
+    for folder, why in ((tmp_path, "not the folder of a size"), (tmp_path / "full", "no finished scene")):
         with pytest.raises(DataFormatError, match=why):
             made_scenes(folder)
     with pytest.raises(DataFormatError, match="not a finished scene"):
-        scene_of(tmp_path / "smoke/jet_two_cameras")
+        scene_of(tmp_path / "preview/jet_two_cameras")
 
 
 def test_truths_are_compared_by_number(made):
     """The dataset here is no demo fire: that is named, and not fatal."""
     scene, folder = made
-    verdict, said = compare(scene, "smoke", Dataset.open(folder))
+    verdict, said = compare(scene, "preview", Dataset.open(folder))
     assert verdict == "not to the bit" and "Mantaflow is not bit-stable" in said
-    assert compare(scene, "paper", Dataset.open(folder))[0] == "unknown"
+    assert compare(scene, "full", Dataset.open(folder))[0] == "unknown"
 
 
 def test_recorded_truths():

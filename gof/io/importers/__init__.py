@@ -16,6 +16,7 @@ from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.core.precision import require_digits
 from gof.io.importers import authors, freetime, own, ply_sequence, spacetime, unreadable, yang
+from gof.io.importers.said import in_words, with_said
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
 # in the order in which they are asked; `unreadable` explains what is recognised and has no velocities
@@ -72,7 +73,7 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     Args:
         path: a file, or a folder: of `gof reconstruct`; of numbered PLYs; or a training's output, whose newest
             checkpoint is taken (the paper's code: without one, its newest PLY).
-        options: what the file does not say.
+        options: what the file does not say; None: as RESULT.gof.json beside it says (`gof.io.importers.said`).
     Raises:
         DataFormatError: unknown, damaged, another version, or it has no velocities (says what to do); or an option was
             given that says nothing about this format.
@@ -80,10 +81,13 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     """
     path = Path(path)
     source = Source(_newest_checkpoint(path) if path.is_dir() else path)
-    name, options = detect(source), options or ImportOptions()
+    options, said = (options, None) if options else with_said(path, ImportOptions())
+    name = detect(source)
     try:
         _refuse_unused(name, options)
-        imported = METHODS[name].read(source, options)
+        imported = replace(METHODS[name].read(source, options), flame_only=options.flame_only)
+        if said is not None:
+            imported.notes.append(in_words(said, options))
         if imported.method == "gof" and (method := own.converted_from(source)) in METHODS:
             imported = replace(imported, method=method)
         _require_digits(imported.gaussians)

@@ -45,8 +45,8 @@ def read(source: Source, options: ImportOptions) -> Imported:
         if options.world_by is not None:
             raise DataFormatError("--world-by says whose normalisation of --world it was; give --world too")
         notes.append(
-            "its world taken as the dataset's; its trainer normalises the scene, so give the COLMAP model (--world) "
-            "unless that was undone"
+            "its world taken as the dataset's; its trainer normalises the scene, so give the COLMAP model "
+            "(gof convert RESULT --world) unless that was undone"
         )
     else:
         matrix, note = world_from_training(options.world, options.world_by, gaussians.position)
@@ -131,6 +131,6 @@ def _sequence(path: Path, meta: dict, options: ImportOptions) -> tuple[float, fl
     if frames and frames > 1 and options.frame_time_s:
         return start, (frames - 1) * options.frame_time_s
     raise DataFormatError(
-        f"{path}: its time runs from 0 to 1 and the file does not say how many seconds that is: give --time-unit "
-        "(seconds of the whole sequence, first to last frame)"
+        f"{path}: its time runs from 0 to 1 and the file does not say how many seconds that is: give gof convert "
+        "RESULT --time-unit (seconds of the whole sequence, first to last frame)"
     )

@@ -112,8 +112,8 @@ def world_from_training(path: Path, by: WorldBy | None, position: np.ndarray) ->
     if by is None:
         raise DataFormatError(
             f"{path}: no reading of its normalisation brings the Gaussians clearly onto the COLMAP points (the best "
-            f"leaves {away[best]:.2g} of their spread); say whose it was with --world-by freetime or --world-by "
-            f"gsplat, or give {JSON}"
+            f"leaves {away[best]:.2g} of their spread); say whose it was with gof convert RESULT --world-by "
+            f"freetime or --world-by gsplat, or give {JSON}"
         )
     return found[0][1], (
         f"scene normalisation of {by} undone with {name_model(path)}; its Gaussians do not lie on the COLMAP points, "

@@ -27,7 +27,9 @@ def read(source: Source, options: ImportOptions) -> Imported:
     files = number_files(_plys(source.path))
     unit = options.time_unit_s or options.frame_time_s
     if not unit:
-        raise DataFormatError(f"{source.path}: give --time-unit, the seconds between two numbers of this PLY sequence")
+        raise DataFormatError(
+            f"{source.path}: give gof convert RESULT --time-unit, the seconds between two numbers of this PLY sequence"
+        )
     numbers = [number for number, _ in files]
     count, which = missing_numbers(numbers)
     offsets = unit * np.array(numbers, np.float64)

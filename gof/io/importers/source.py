@@ -42,6 +42,7 @@ class ImportOptions:
             "training_to_world".
         world_by: whose normalisation of that COLMAP model it was; None = found out, or an error.
         code_date: year-month-day of the method's code that wrote the file, where its meaning changed.
+        flame_only: it is a flame without its surroundings, to be drawn over fire-free plates as ours is.
         clip_s: first and last second of the dataset's clip, to compare the method's times with.
 
     Raises:
@@ -54,6 +55,7 @@ class ImportOptions:
     world: Path | None = None
     world_by: WorldBy | None = None
     code_date: str | None = None
+    flame_only: bool = False
     clip_s: tuple[float, float] | None = None
 
     def __post_init__(self):
@@ -79,6 +81,7 @@ class Imported:
     method: str
     path: Path
     notes: list[str] = field(default_factory=list)
+    flame_only: bool = False  # as `ImportOptions`
 
 
 class Source:
@@ -189,8 +192,8 @@ def require_unit(times: np.ndarray, options: ImportOptions, path: Path) -> None:
         return
     shares = -0.3 < first and last < 1.3 and last - first > 0.4
     raise DataFormatError(
-        f"{path}: its times run from {first:.3g} to {last:.3g}, the clip lasts {clip:.3g} s; give --time-unit, the "
-        "seconds of one unit of its time"
+        f"{path}: its times run from {first:.3g} to {last:.3g}, the clip lasts {clip:.3g} s; give gof "
+        "convert RESULT --time-unit, the seconds of one unit of its time"
         + (f": {clip:g} if they are shares of the clip, as in the D-NeRF layout, 1 if seconds" if shares else "")
     )
 

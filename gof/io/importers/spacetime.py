@@ -35,7 +35,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
             whole = f"; {seconds:g} if that was the whole clip"
         raise DataFormatError(
             f"{source.path}: its time counts the frames of its training (--duration, 50 if not given) as 1: give "
-            f"--time-unit, the seconds of so many frames{whole}"
+            f"gof convert RESULT --time-unit, the seconds of so many frames{whole}"
         )
     lite = not ply.has("f_t_0")
     notes = [

@@ -104,7 +104,7 @@ def _is_flipped(settings: dict[str, object], options: ImportOptions) -> tuple[bo
         return True, f"its 4D rotation read as of code since {FLIPPED_SINCE}, by its cfg_args"
     return True, (
         f"its 4D rotation taken as of code since {FLIPPED_SINCE}; if the code that trained is older, every velocity "
-        "here is wrong: give --code-date"
+        "here is wrong: write it down with gof convert RESULT --code-date"
     )
 
 

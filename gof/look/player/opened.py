@@ -23,6 +23,7 @@ class Opened:
     method: str
     path: Path
     gaussians: MovingGaussians
+    flame_only: bool = False
 
 
 def newest(path: Path) -> Path:
@@ -43,7 +44,7 @@ def newest(path: Path) -> Path:
     )
 
 
-def open_result(path: Path, options: ImportOptions, name: str | None = None) -> Opened:
+def open_result(path: Path, options: ImportOptions | None = None, name: str | None = None) -> Opened:
     """Read a result whose motion is a closed form.
 
     Args:
@@ -60,7 +61,7 @@ def open_result(path: Path, options: ImportOptions, name: str | None = None) -> 
     return result
 
 
-def open_moving(path: Path, options: ImportOptions, name: str | None = None) -> Opened:
+def open_moving(path: Path, options: ImportOptions | None = None, name: str | None = None) -> Opened:
     """Read a result of any method, also one that is sampled in time; see `open_result`."""
     imported = read_result(newest(path), options)
     if not len(imported.gaussians):
@@ -68,7 +69,7 @@ def open_moving(path: Path, options: ImportOptions, name: str | None = None) -> 
     plain = path.resolve().name if path.is_dir() else path.name.split(".")[0]
     if plain == "result" and not path.is_dir():
         plain = path.resolve().parent.name
-    return Opened(name or plain, imported.method, imported.path, imported.gaussians)
+    return Opened(name or plain, imported.method, imported.path, imported.gaussians, imported.flame_only)
 
 
 def dataset_beside(path: Path) -> Path | None:

@@ -152,7 +152,7 @@ def share_page(
     """
     names = [result.name for result in results]
     if len(set(names)) < len(names):
-        raise GofError(f"two results are called {names}; give each a name of its own with --names")
+        raise GofError(f"two results are called {names}; give each a name of its own: NAME=RESULT")
     progress = progress or (lambda *a, **k: None)
     results = measured_alike(results, dataset)
     setting = PageSetting.of(results, dataset)

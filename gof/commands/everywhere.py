@@ -1,0 +1,166 @@
+"""What every command understands: --json FILE, --quiet, --verbose and --overwrite, before or after its name.
+
+Defined once. `cli.main` takes them out of the command line; a command that is called by itself (`main(argv)` of its
+module) takes out its own. Commands ask here where their figures go, and whether a file may be replaced.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from gof.core.errors import GofError
+from gof.host.progress import QUIET_VARIABLE
+
+DEBUG_VARIABLE, FAULTS = "GOF_DEBUG", "faults"  # with this value for faults of ours alone, as tests have it
+
+OPTIONS = {  # as help shows them
+    "--json FILE": "also write the command's figures to this file",
+    "--quiet": "print errors and warnings alone, and no progress",
+    "--verbose": f"print the traceback of an error too; so does {DEBUG_VARIABLE}=1",
+    "--overwrite": "replace what is there already and cannot be resumed",
+}
+
+
+@dataclass(frozen=True)
+class Everywhere:
+    """The four options as given."""
+
+    json: Path | None = None
+    quiet: bool = False
+    verbose: bool = False
+    overwrite: bool = False
+
+
+_of_main: Everywhere | None = None  # of the `gof` command that is running
+_given = Everywhere()  # of the command that is running
+_written = False  # whether it has written its figures
+
+
+def split(argv: list[str]) -> tuple[list[str], Everywhere]:
+    """The other words, and what these options say. Raises GofError: --json without a file."""
+    words, given = iter(argv), Everywhere()
+    rest: list[str] = []
+    for word in words:
+        if word == "--":
+            return [*rest, word, *words], given
+        if word == "--json" or word.startswith("--json="):
+            file = word.partition("=")[2] or next(words, "")
+            if not file:
+                raise GofError("--json: name the file to write the figures to")
+            given = replace(given, json=Path(file))
+        elif word in ("--quiet", "--verbose", "--overwrite"):
+            given = replace(given, **{word[2:]: True})
+        else:
+            rest.append(word)
+    return rest, given
+
+
+@contextlib.contextmanager
+def of_main(given: Everywhere) -> Iterator[None]:
+    """Work under these options until the block ends: they hold for every part of the command, and its children."""
+    global _of_main, _given, _written
+    _of_main, _given, _written = given, given, False
+    try:
+        with contextlib.ExitStack() as stack:
+            if given.quiet:
+                stack.enter_context(_variable(QUIET_VARIABLE))
+                stack.enter_context(contextlib.redirect_stdout(stack.enter_context(open(os.devnull, "w"))))
+            if given.verbose:
+                stack.enter_context(_variable(DEBUG_VARIABLE))
+            yield
+    finally:
+        _of_main, _given = None, Everywhere()
+
+
+def taken_from(argv: list[str]) -> list[str]:
+    """The words without these options, which hold from now on."""
+    global _given, _written
+    rest, own = split(argv)
+    if _of_main is None:
+        _given, _written = own, False
+    elif own != Everywhere():
+        _given = replace(_of_main, **{k: v for k, v in vars(own).items() if v})
+    return rest
+
+
+def write_figures(figures: Any) -> None:
+    """Write a command's figures, a record or what JSON can hold, to the file of --json; nothing without that option."""
+    if (file := figures_file()) is None:
+        return
+    from gof.core.files import write_json
+    from gof.core.records import write_record
+
+    if hasattr(figures, "SCHEMA"):
+        write_record(file, figures)
+    else:
+        write_json(file, figures)
+
+
+def figures_file() -> Path | None:
+    """The file of --json, for a command that writes its figures itself."""
+    global _written
+    _written = True
+    return _given.json
+
+
+def figures_left_out() -> Path | None:
+    """The file of --json, where the command has written no figures to it."""
+    return None if _written else _given.json
+
+
+def may_overwrite() -> bool:
+    """Whether --overwrite was given."""
+    return _given.overwrite
+
+
+def require_free(*paths: Path, option: str = "--out") -> None:
+    """Make sure that files which a user has named are not there yet, or may be replaced; a device or a pipe always may.
+
+    Raises:
+        GofError: one is there, and --overwrite was not given (says so).
+    """
+    for path in paths:
+        if (path.is_file() or path.is_dir()) and not _given.overwrite:
+            raise GofError(f"{path}: is there already; give {option} another name, or replace it with --overwrite")
+
+
+def beside(source: Path, name: str) -> Path:
+    """A file or folder of that name beside a file, or inside a folder: where a command writes without --out.
+
+    Raises:
+        GofError: nothing can be written there.
+    """
+    folder = source if source.is_dir() else source.absolute().parent
+    return require_writable(folder) / name
+
+
+def next_to(dataset: Path, suffix: str) -> Path:
+    """A folder beside that of a dataset, NAME + suffix: for what is made of the dataset. Raises as `beside`."""
+    place = dataset.absolute()
+    return require_writable(place.parent) / f"{place.name}{suffix}"
+
+
+def require_writable(folder: Path) -> Path:
+    """The folder. Raises GofError: nothing can be written there."""
+    if folder.is_dir() and not os.access(folder, os.W_OK):
+        raise GofError(f"{folder}: cannot be written to; name another place with --out")
+    return folder
+
+
+@contextlib.contextmanager
+def _variable(name: str) -> Iterator[None]:
+    """An environment variable set to 1, for child processes too."""
+    before = os.environ.get(name)
+    os.environ[name] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = before
