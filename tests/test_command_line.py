@@ -159,15 +159,15 @@ def test_what_the_table_recommends_exists():
 
 
 def test_old_presets_mean_what_they_meant(capsys):
-    from gof.commands.reconstruct import ReconstructConfig
+    from gof.reconstruct.presets import effort_of
 
-    efforts = {name: ReconstructConfig("d", preset=name).effort() for name in (*LADDER, "draft", "paper")}
+    efforts = {name: effort_of(name) for name in (*LADDER, "draft", "paper")}
     assert efforts["paper"] == efforts["full"] and efforts["draft"].iterations == 10_000
     assert "--preset paper is now --preset full" in capsys.readouterr().err
     steps = [efforts[name].iterations for name in LADDER]
     assert steps == sorted(steps) and len(set(steps)) == len(LADDER)
     with pytest.raises(GofError, match="--preset huge: there are toy, preview, standard, large, full"):
-        ReconstructConfig("d", preset="huge").effort()
+        effort_of("huge")
 
 
 # ---------------------------------------------------------------- options of every command

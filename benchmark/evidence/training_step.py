@@ -21,10 +21,10 @@ from unittest.mock import patch
 import numpy as np
 import tyro
 
-from gof.commands.reconstruct import ReconstructConfig
 from gof.commands.units import Preset
 from gof.core.files import write_json
 from gof.dataset import Dataset
+from gof.reconstruct.presets import effort_of
 from gof.reconstruct.settings import ReconstructionSettings
 from gof_benchmark.evidence.render_kernels import drawn_by
 
@@ -62,8 +62,8 @@ def main(argv: list[str] | None = None) -> None:
     from gof.reconstruct.pipeline import reconstruct
 
     dataset = Dataset.open(config.dataset)
-    given = {"preset": config.preset, "gaussians": config.gaussians, "max_size": config.longest_side}
-    settings = ReconstructionSettings.of(dataset, ReconstructConfig(config.dataset, **given).effort())
+    effort = effort_of(config.preset, gaussians=config.gaussians, max_size=config.longest_side)
+    settings = ReconstructionSettings.of(dataset, effort)
     figures: dict[str, Any] = {}
 
     def timed(seeds, observation, windows, surroundings, schedule, units, *_):

@@ -15,7 +15,7 @@ out = Path(sys.argv[1])
 gof.unpack_sample(out)
 dataset = gof.open_dataset(out / "fire")
 
-reconstruction = gof.reconstruct(dataset, out / "flame", preset="preview", iterations=300, gaussians=6000)
+reconstruction = gof.reconstruct(dataset, out / "flame", preset="preview", steps=300, gaussians=6000)
 flame = gof.read_result(reconstruction.path).gaussians
 print(f"{len(flame)} Gaussians, rising at {np.median(flame.velocity[flame.dynamic, 2]):.2f} m/s")
 

@@ -14,11 +14,11 @@ from gof.commands.units import Pixels, Preset
 from gof.core.cameras import in_words, sizes_px
 from gof.core.errors import GofError
 from gof.dataset import Dataset
+from gof.reconstruct import reconstruct
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.methods import MethodName, SceneName
 from gof.reconstruct.optical_flow import FlowName
-from gof.reconstruct.presets import Effort, effort_of
-from gof.reconstruct.settings import ReconstructionSettings, Until
+from gof.reconstruct.settings import Until
 
 
 @dataclass
@@ -79,39 +79,32 @@ class ReconstructConfig:
     anyway: bool = False
     """Go on even if cameras, clocks, plates or this machine's memory look impossible."""
 
-    def effort(self) -> Effort:
-        """The preset's, where nothing else was given."""
-        preset = asdict(effort_of(self.preset))
-        given = {
-            "iterations": self.steps,
-            "gaussians": self.gaussians,
-            "voxels": self.voxels,
-            "longest_side": self.max_size,
-        }
-        return Effort(**(preset | {name: value for name, value in given.items() if value is not None}))
-
 
 def main(argv: list[str]) -> int:
     """`gof reconstruct DATASET [--out DIR] [--json FILE]`; see --help."""
     config = read_options(ReconstructConfig, "reconstruct", argv)
-    from gof.reconstruct.pipeline import reconstruct  # after --help and mistyped options: loading Dr.Jit takes seconds
-
     if config.flow_weights is not None and config.flow != "memfof":
         raise GofError(f"--flow-weights are those of --flow memfof, not of {config.flow}; leave them out")
     dataset = Dataset.open(config.dataset)
     out = config.out or next_to(config.dataset, "_flame")
-    settings = ReconstructionSettings.of(
+    result = reconstruct(
         dataset,
-        config.effort(),
+        out,
+        config.preset,
+        steps=config.steps,
+        gaussians=config.gaussians,
+        voxels=config.voxels,
+        max_size=config.max_size,
+        until=config.until,
+        flow_weights=config.flow_weights,
+        anyway=config.anyway,
         method=config.method,
         scene=config.scene,
         flow=config.flow,
-        flow_weights=config.flow_weights,
         flow_prior=config.flow_prior,
         ablation=config.ablation,
         seed=config.seed,
     )
-    result = reconstruct(dataset, settings, out, config.until, config.flow_weights, config.anyway)
     if result is None:
         pictures = out / "stages"
         print(f"stopped after {config.until}: pictures in {pictures}; the same command without --until goes on")

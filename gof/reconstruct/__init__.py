@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gof.core.errors import GofError
 from gof.host.callable_package import CallablePackage
 
 if TYPE_CHECKING:
     from gof.dataset import Dataset
-    from gof.reconstruct.presets import PresetName
     from gof.reconstruct.settings import Until
     from gof.reconstruct.stages import Reconstruction
 
@@ -20,8 +17,12 @@ if TYPE_CHECKING:
 def reconstruct(
     dataset: Dataset | str | Path,
     out: str | Path,
-    preset: PresetName = "preview",
+    preset: str = "preview",
     *,
+    steps: int | None = None,
+    gaussians: int | None = None,
+    voxels: int | None = None,
+    max_size: int | None = None,
     until: Until = "result",
     flow_weights: Path | None = None,
     anyway: bool = False,
@@ -32,32 +33,31 @@ def reconstruct(
     Args:
         dataset: an opened dataset, or its folder.
         out: folder of the reconstruction.
-        preset: how much work, see `gof.reconstruct.presets.PRESETS`.
+        preset: how much work, see `gof.reconstruct.presets.PRESETS`; the next four replace one of its figures each.
+        steps: of the optimisation, one training picture each.
+        gaussians: in all frames together.
+        voxels: along the longest side of the flame's box.
+        max_size: px; pictures with a longer side are shrunk to it.
         until: the stage to stop after.
         flow_weights: folder of a MEMFOF checkpoint, for flow="memfof".
         anyway: go on where cameras, clocks, plates or memory look impossible.
-        choices: a figure of the preset to replace (`gof.reconstruct.presets.Effort`), or a field of
-            `gof.reconstruct.settings.ReconstructionSettings`: method, scene, flow, flow_prior, ablation, seed.
+        choices: method, scene, flow, flow_prior, ablation, seed of `gof.reconstruct.settings.ReconstructionSettings`.
     Returns:
         The reconstruction: `.path` of result.npz, `.count` of Gaussians, costs of the stages and held-out scores; None
         when stopped before the result.
     Raises:
-        GofError: see `gof.reconstruct.pipeline.reconstruct`.
+        GofError: an unknown preset, or see `gof.reconstruct.pipeline.reconstruct`.
         TypeError: a choice has an unknown name.
     """
     from gof.dataset import Dataset  # late: importing a room of this package stays cheap
     from gof.reconstruct.pipeline import reconstruct as run
-    from gof.reconstruct.presets import PRESETS, Effort
+    from gof.reconstruct.presets import effort_of
     from gof.reconstruct.settings import ReconstructionSettings
 
-    if not isinstance(dataset, Dataset):
-        dataset = Dataset.open(dataset)
-    if preset not in PRESETS:
-        raise GofError(f"there is no preset '{preset}'; there are {', '.join(PRESETS)}")
-    own = {field.name: choices.pop(field.name) for field in fields(Effort) if field.name in choices}
-    effort = replace(PRESETS[preset], **own)
-    settings = ReconstructionSettings.of(dataset, effort, flow_weights, **choices)
-    return run(dataset, settings, Path(out), until, flow_weights, anyway)
+    effort = effort_of(preset, steps, gaussians, voxels, max_size)
+    opened = dataset if isinstance(dataset, Dataset) else Dataset.open(dataset)
+    settings = ReconstructionSettings.of(opened, effort, flow_weights, **choices)
+    return run(opened, settings, Path(out), until, flow_weights, anyway)
 
 
 sys.modules[__name__].__class__ = CallablePackage

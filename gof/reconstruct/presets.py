@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gof.core.errors import GofError
 from gof.core.ladder import Rung, preset
@@ -47,9 +47,20 @@ PRESETS: dict[Rung, Effort] = {
 FORMER = {"draft": Effort(10_000, 100_000, 72, 320)}  # for one version
 
 
-def effort_of(name: str) -> Effort:
-    """The settings of a preset. Raises GofError: there is none of that name."""
-    return preset(name, PRESETS, FORMER)
+def effort_of(
+    name: str,
+    steps: int | None = None,
+    gaussians: int | None = None,
+    voxels: int | None = None,
+    max_size: int | None = None,
+) -> Effort:
+    """Return the settings of a preset, with those figures replaced that are given.
+
+    Raises:
+        GofError: there is no preset of that name, or a figure is below its least.
+    """
+    given = {"iterations": steps, "gaussians": gaussians, "voxels": voxels, "longest_side": max_size}
+    return replace(preset(name, PRESETS, FORMER), **{key: value for key, value in given.items() if value is not None})
 
 
 STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000

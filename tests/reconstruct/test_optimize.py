@@ -8,7 +8,6 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from gof.commands.reconstruct import ReconstructConfig
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
@@ -21,7 +20,7 @@ from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import PAPER
 from gof.reconstruct.observation import observe
 from gof.reconstruct.parameters import splats, to_raw
-from gof.reconstruct.presets import PRESETS, Effort
+from gof.reconstruct.presets import PRESETS, Effort, effort_of
 from gof.reconstruct.shrink import shrink
 from gof.render import render, render_splats
 from tests.conftest import arc
@@ -260,9 +259,8 @@ def test_shrunk_datasets_shrink_the_views_kept_for_scores_too(with_novel_view):
     assert shrink(only_novel_is_large, 96).evaluation_view().cameras[0].height == 96
 
 
-def test_presets_fill_what_is_not_given(tmp_path):
-    config = ReconstructConfig(tmp_path, preset="standard", steps=7)
-    assert asdict(config.effort()) == asdict(PRESETS["standard"]) | {"iterations": 7}
+def test_presets_fill_what_is_not_given():
+    assert asdict(effort_of("standard", steps=7)) == asdict(PRESETS["standard"]) | {"iterations": 7}
 
 
 def does_at_least_as_much(more: Effort, less: Effort) -> bool:
