@@ -153,7 +153,7 @@ def test_the_row_of_a_study_belongs_to_its_settings(dataset, tmp_path, monkeypat
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("gaussians", 0), ("gaussians", -1), ("iterations", 0), ("voxels", 0), ("longest-side", 0), ("seed", -1)],
+    [("gaussians", 0), ("gaussians", -1), ("steps", 0), ("voxels", 0), ("max-size", 0), ("seed", -1)],
 )
 def test_options_out_of_range_are_named(dataset, tmp_path, option, value):
     with pytest.raises(GofError, match=f"--{option}"):
