@@ -43,9 +43,17 @@ def test_packages_that_are_called_say_what_they_take():
     assert list(inspect.signature(gof.evaluate).parameters)[:2] == ["result", "dataset"]
 
 
+def test_evaluate_opens_what_is_named(tmp_path):
+    """Folders by their names are scored as what stands in them."""
+    gof.unpack_sample(tmp_path)
+    opened = gof.evaluate(tmp_path / "result", gof.open_dataset(tmp_path / "fire"), images=False)
+    named = gof.evaluate(str(tmp_path / "result"), str(tmp_path / "fire"), images=False)
+    assert named.dve == opened.dve and named.dve.l2 < named.controls["zero"].l2
+
+
 def test_a_preset_that_does_not_exist_is_refused_before_any_work(tmp_path):
     gof.unpack_sample(tmp_path)
-    with pytest.raises(gof.GofError, match="no preset 'fast'; there are preview"):
+    with pytest.raises(gof.GofError, match="--preset fast: there are toy"):
         gof.reconstruct(tmp_path / "fire", tmp_path / "out", "fast")
     with pytest.raises(TypeError, match="gaussans"):
         gof.reconstruct(tmp_path / "fire", tmp_path / "out", gaussans=3)

@@ -40,8 +40,8 @@ OURS = ("gof", "memory")  # methods whose results without static Gaussians are k
 
 
 def evaluate(
-    result: Path | MovingGaussians,
-    dataset: Dataset,
+    result: Path | str | MovingGaussians,
+    dataset: Dataset | Path | str,
     order: int = 3,
     opacity: Opacity = "temporal",
     images: bool = True,
@@ -62,7 +62,7 @@ def evaluate(
     Args:
         result: file or folder of any known method (gof.io.importers), or the Gaussians. Of those in memory,
             `TransientGaussians` count as ours, trajectories and functions of time do not.
-        dataset: what it was made from.
+        dataset: what it was made from, opened or its folder.
         order, opacity: of `dve`.
         images: also render and score pictures.
         progress: progress(done, total, stage=name).
@@ -75,6 +75,8 @@ def evaluate(
     Raises:
         GofError: see `dve_sequence`.   DataFormatError: a file is damaged.
     """
+    result = Path(result) if isinstance(result, str) else result
+    dataset = dataset if isinstance(dataset, Dataset) else Dataset.open(dataset)
     costs: dict[str, float] = {}
     progress = progress or (lambda *a, **k: None)
     with timed(costs, "load"):
