@@ -99,7 +99,7 @@ class Generation:
         baked = self._layout.bake_marker.is_file()
         if not baked:
             self._submit("bake", _stage, "bake")
-        waiting = [(frame, camera) for frame in range(spec.clip.frames) for camera in range(len(spec.cameras.names))]
+        waiting = list(spec.pictures)
         truth_pending = True
         with progress_bar("generate") as update:
             while waiting or truth_pending or self._running:
@@ -167,7 +167,7 @@ class Generation:
     def _progress(self) -> tuple[int, int]:
         """Solver steps, plates and pictures done, of all: rough units of one total."""
         names = self._spec.cameras.names
-        pictures = (self._spec.clip.frames + 1) * len(names)
+        pictures = len(self._spec.pictures) + len(names)
         if self._plates < len(names):
             self._plates = self._layout.plates(names)
         last = self._spec.timeline.last_frame

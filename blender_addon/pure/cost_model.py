@@ -109,7 +109,7 @@ def predict(spec: SceneSpec, machine: Machine) -> Prediction:
     grids = 1 + len(spec.ground_truth)
     return Prediction(
         bake_s=machine.start + spec.fire.bake_steps(spec.timeline) * _step_s(spec, machine),
-        render_s=machine.start + plates + cameras * frames * _frame_s(spec, machine),
+        render_s=machine.start + plates + len(spec.pictures) * _frame_s(spec, machine),
         ground_truth_s=machine.start + frames * count * machine.velocity * grids,
         memory_mb=_memory_mb(spec),
         disk_mb=_disk_mb(spec),
@@ -211,14 +211,14 @@ def stage_settings(stage: str, spec: SceneSpec) -> dict:
     return {
         "bake": {"resolution": resolution, "steps": spec.fire.bake_steps(spec.timeline), "effects": spec.effect_names},
         "render": {
-            "images": frames * cameras,
+            "images": len(spec.pictures),
             "percentage": spec.render.percentage,
             "samples": spec.render.samples,
             "effects": spec.effect_names,
         },
         "ground-truth": {"frames": frames, "resolution": resolution},
         "video": {"cameras": cameras},
-        "flow": {"images": frames * cameras},
+        "flow": {"images": len(spec.pictures)},
         "finish": {},
     }[stage]
 
@@ -264,7 +264,7 @@ def _memory_mb(spec: SceneSpec) -> float:
 def _disk_mb(spec: SceneSpec) -> float:
     """Of pictures, the solver's cache and the ground truth."""
     frames, grids = spec.clip.frames, 1 + len(spec.ground_truth)
-    images = math.prod(spec.picture_px) * len(spec.cameras.names) * frames * PICTURE_BYTES_PER_PIXEL
+    images = math.prod(spec.picture_px) * len(spec.pictures) * PICTURE_BYTES_PER_PIXEL
     cache = (1 + _fine_cells(spec) / 4) * spec.fire.bake_steps(spec.timeline) * CACHE_BYTES_PER_CELL_STEP
     return (images + cells(spec) * (cache + frames * grids * VELOCITY_BYTES_PER_CELL_FRAME)) / 2**20
 

@@ -44,8 +44,7 @@ def left_s(spec: SceneSpec, layout: Layout, expected: dict[str, float]) -> dict[
     """Of the expected seconds those that a dataset still needs that was begun in the folder."""
     if not layout.bake_marker.is_file():
         return expected  # an unfinished bake starts over, and what was rendered of it is the same again
-    total = spec.clip.frames * len(spec.cameras.names)
-    missing = max(1 - layout.pictures() / total, 0.0)
+    missing = max(1 - layout.pictures() / len(spec.pictures), 0.0)
     return expected | {"bake": 0.0, "render": expected["render"] * missing}
 
 

@@ -9,6 +9,9 @@ from typing import Literal
 from ..core.checked_json import require
 from .clip import Vector
 
+AROUND_DEG = tuple(range(0, 360, 45))
+AROUND = (*(f"around_{angle:03d}" for angle in AROUND_DEG), "around_top")
+"""Cameras around the fire, by their angle from the middle of the others, counter-clockwise seen from above."""
 MOST_PIXELS = 65_536  # along a side; Blender renders no larger
 
 
@@ -34,6 +37,9 @@ class Rig:
     """Number of cameras, evenly spaced on the arc."""
     eval_count: int = 0
     """Additional cameras that no method may train on (role "eval"), between and above the others."""
+    around_frames: int = 0
+    """Frames, spread over the clip, that are also seen from all around, by cameras that no method may train on (role
+    "around"): one every 45 degrees and one from above. 0: such cameras are not there."""
     arc_deg: float = 70.0
     """Angle between the first and the last camera."""
     azimuth_deg: float = -90.0
@@ -52,12 +58,13 @@ class Rig:
     """Rotation of the camera body about its viewing direction, clockwise seen from behind. Images are stored
     upright, so 90 and -90 give portrait images whose columns are the sensor's rows."""
     placed: tuple[Pose, ...] = ()
-    """Poses of all cameras, those for evaluation last, when they do not stand on the arc. Poses are of the upright
-    images: they do not contain the roll."""
+    """Poses of the cameras for training, then of those for evaluation, when they do not stand on the arc. Poses are of
+    the upright images: they do not contain the roll."""
 
     def __post_init__(self):
         require(self.count >= 1, "cameras.count", "at least 1", self.count)
         require(self.eval_count >= 0, "cameras.eval_count", "0 or more", self.eval_count)
+        require(self.around_frames >= 0, "cameras.around_frames", "0 or more", self.around_frames)
         require(0.0 <= self.arc_deg < 360.0, "cameras.arc_deg", "in [0, 360)", self.arc_deg)
         require(self.radius > 0, "cameras.radius", "positive", self.radius)
         require(1 <= self.focal_mm <= 5000, "cameras.focal_mm", "in [1, 5000] mm", self.focal_mm)
@@ -72,5 +79,15 @@ class Rig:
 
     @property
     def names(self) -> list[str]:
-        """All cameras, those for evaluation last."""
+        """All cameras: for training, for evaluation, around."""
+        return [*self.whole_clip, *(AROUND if self.around_frames else ())]
+
+    @property
+    def whole_clip(self) -> list[str]:
+        """Cameras that see every frame."""
         return [f"cam_{index}" for index in range(self.count)] + [f"eval_{index}" for index in range(self.eval_count)]
+
+
+def role_of(name: str) -> str:
+    """The role of a rig's camera in dataset.json, by its name."""
+    return "around" if name in AROUND else "eval" if name.startswith("eval") else "train"

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..core.checked_json import SpecError, from_dict, require
+from ..core.description import held_out
 from ..core.errors import GofError
 from ..core.files import is_name, path_in, read_json, without_place, write_json
 from . import effects as effect_modules
@@ -22,7 +23,7 @@ from .clip import Clip
 from .fires import Domain, Fire, GridFire
 from .fuels import FUELS, Fuel
 from .presets import FORMER, NEW_NAMES, PRESETS
-from .rig import Rig
+from .rig import AROUND, Rig
 from .similarity import Constants, scaled, unscaled
 from .spec_versions import from_version_1
 from .timeline import Timeline
@@ -128,9 +129,12 @@ class SceneSpec:
         require(
             min(self.picture_px) >= 4, "render.percentage", f"at least {least} for this sensor", self.render.percentage
         )
-        pictures = self.clip.frames * (self.cameras.count + self.cameras.eval_count)
+        rig, clip = self.cameras, self.clip
+        pictures = clip.frames * len(rig.whole_clip) + len(AROUND) * rig.around_frames
         rule = f"such that all cameras make at most {MOST_PICTURES} pictures"
         require(pictures <= MOST_PICTURES, "clip.frames", rule, pictures)
+        rule = f"at most the clip's {clip.frames} frames"
+        require(rig.around_frames <= clip.frames, "cameras.around_frames", rule, rig.around_frames)
 
     def _check_timeline(self) -> None:
         rule = "long enough for the shutter to open before frame 0"
@@ -164,6 +168,14 @@ class SceneSpec:
         """Pixels of a rendered picture as the sensor has them: (along its rows, number of rows)."""
         along_rows, rows = (side * self.render.percentage // 100 for side in self.cameras.sensor_px)
         return along_rows, rows
+
+    @cached_property
+    def pictures(self) -> tuple[tuple[int, int], ...]:
+        """(frame, number of the camera) of all pictures, all cameras at one instant before the next instant."""
+        whole, count = len(self.cameras.whole_clip), len(self.cameras.names)
+        around = frames_around(self.clip.frames, self.cameras.around_frames)
+        frames = range(self.clip.frames)
+        return tuple((frame, c) for frame in frames for c in range(count if frame in around else whole))
 
     @cached_property
     def timeline(self) -> Timeline:
@@ -263,6 +275,13 @@ class SceneSpec:
             if getattr(self, name) is not None
         }
         return dataclasses.replace(self, **sections)
+
+
+def frames_around(count: int, wanted: int) -> tuple[int, ...]:
+    """`wanted` frames of a clip of `count`, evenly: of those that are held out, where these are enough."""
+    test = held_out(count).test
+    known = test if len(test) >= wanted else range(count)
+    return tuple(known[(2 * k + 1) * len(known) // (2 * wanted)] for k in range(wanted))
 
 
 def load(path: str | os.PathLike) -> SceneSpec:

@@ -45,7 +45,8 @@ def flow(spec: SceneSpec, layout: Layout, source: FlameSource, progress) -> None
     """Write cameras/<camera>/flow/<frame>.exr where flame is visible."""
     cameras = rig.find(spec)
     for frame in range(spec.clip.frames):
-        missing = [camera for camera in cameras if not images.opens(layout.flow(camera.name, frame))]
+        seen_by = [cameras[c] for k, c in spec.pictures if k == frame]
+        missing = [camera for camera in seen_by if not images.opens(layout.flow(camera.name, frame))]
         if missing:
             step = spec.timeline.blender_frame(frame)
             project = partial(

@@ -23,6 +23,7 @@ from ..core.files import atomic_path, read_json, write_json
 from ..pure.brightness import Brightness
 from ..pure.effects import absorbs_light, encodes, expose, gain, meters, shows_board
 from ..pure.layout import Layout
+from ..pure.rig import AROUND
 from ..pure.spec import SceneSpec
 from . import effects, images, rig, view
 from .fire_objects import find_flame
@@ -160,7 +161,7 @@ class FrameRenderer:
 
     def _display_picture(self, frame: int, camera: int) -> Path:
         name = self._cameras[camera].name
-        encoded = any(map(encodes, self._spec.effects))
+        encoded = any(map(encodes, self._spec.effects)) and name not in AROUND  # a few single pictures are no video
         return self._layout.uncompressed(name, frame) if encoded else self._layout.frame(name, frame).rgb
 
     def _light(self, frame: int, camera: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -193,11 +194,9 @@ class FrameRenderer:
 def frames(spec: SceneSpec, layout: Layout, progress: Progress) -> None:
     """Render every frame that is missing or does not open; calls progress(done, total) after each. Needs the plates."""
     render = FrameRenderer(spec, layout)
-    cameras = len(spec.cameras.names)
-    for frame in range(spec.clip.frames):
-        for camera in range(cameras):
-            render(frame, camera)
-            progress(frame * cameras + camera + 1, spec.clip.frames * cameras)
+    for done, (frame, camera) in enumerate(spec.pictures, 1):
+        render(frame, camera)
+        progress(done, len(spec.pictures))
 
 
 def seen(light: np.ndarray, spec: SceneSpec, camera: int, frame: int, factor: float) -> np.ndarray:

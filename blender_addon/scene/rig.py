@@ -8,7 +8,7 @@ from mathutils import Matrix, Quaternion, Vector
 
 from ..core.description import CameraEntry
 from ..pure import camera_poses
-from ..pure.rig import Rig
+from ..pure.rig import AROUND, Rig, role_of
 from ..pure.spec import SceneSpec
 
 SENSOR_MM = 36.0  # long side of the sensor
@@ -93,7 +93,8 @@ def describe(camera: bpy.types.Object, spec: SceneSpec, files: dict[str, str]) -
         roll_deg=spec.cameras.roll_deg,
         row_time_s=timings[0].line,
         readout=READOUT[spec.cameras.roll_deg],
-        role="eval" if camera.name.startswith("eval") else "train",
+        role=role_of(camera.name),
+        frames=tuple(frame for frame, seen_by in spec.pictures if seen_by == index) if camera.name in AROUND else None,
         # Middle of the first line's exposure.
         time_s=tuple(k / spec.clip.fps + when.delay + when.open / 2 for k, when in enumerate(timings)),
         **files,
@@ -108,9 +109,10 @@ def as_picture(values: np.ndarray, spec: SceneSpec) -> np.ndarray:
 
 
 def poses(rig: Rig) -> list[Matrix]:
-    """Camera to world of all cameras, those for evaluation last: as they were placed, or on the arc."""
-    if rig.placed:
-        return [Matrix.LocRotScale(Vector(pose.position), Quaternion(pose.rotation), None) for pose in rig.placed]
-    places = camera_poses.on_the_arc(rig)
+    """Camera to world of all cameras, in the order of their names: as they were placed, on the arc, or around."""
+    placed = [Matrix.LocRotScale(Vector(pose.position), Quaternion(pose.rotation), None) for pose in rig.placed]
+    places = camera_poses.positions(rig)[len(placed) :].tolist()
     turns = [(Vector(rig.look_at) - Vector(position)).to_track_quat("-Z", "Y") for position in places]
-    return [Matrix.LocRotScale(Vector(position), turn, None) for position, turn in zip(places, turns, strict=True)]
+    return placed + [
+        Matrix.LocRotScale(Vector(position), turn, None) for position, turn in zip(places, turns, strict=True)
+    ]

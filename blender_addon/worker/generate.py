@@ -76,7 +76,7 @@ def render(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     from ..scene import render as cycles
 
     plates = len(spec.cameras.names)
-    total = plates * (1 + spec.clip.frames)
+    total = plates + len(spec.pictures)
     progress(0, total)
     cycles.plates(spec, layout, lambda done, _: progress(done, total))
     cycles.frames(spec, layout, lambda done, _: progress(plates + done, total))
@@ -104,9 +104,10 @@ def video(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
         return
     from ..scene import video as codec
 
-    for index, name in enumerate(spec.cameras.names):
+    names = spec.cameras.whole_clip
+    for index, name in enumerate(names):
         codec.through_codec(spec, layout, name, settings)
-        progress(index + 1, len(spec.cameras.names))
+        progress(index + 1, len(names))
 
 
 def ground_truth(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
@@ -151,11 +152,12 @@ def finish(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
 def _files(spec: SceneSpec, layout: Layout) -> list[Path]:
     """Files without which a dataset is not finished."""
     files = [layout.velocity / "zarr.json"]
-    for name in spec.cameras.names:
+    names = spec.cameras.names
+    for name in names:
         files += [layout.static(name), layout.static_exr(name)]
         files += [layout.board_mask(name)] if any(map(shows_board, spec.effects)) else []
-        for frame in range(spec.clip.frames):
-            files += vars(layout.frame(name, frame)).values()
+    for frame, camera in spec.pictures:
+        files += vars(layout.frame(names[camera], frame)).values()
     return files
 
 

@@ -45,13 +45,15 @@ class CameraEntry:
 
     Attributes:
         name, width, height, K, world_to_camera, row_time_s, readout: see `gof.core.cameras.Camera`.
-        role: "train", or "eval" for novel views that no method may learn from.
+        role: "train", or for views that no method may learn from: "eval" for novel ones, and "around" for those from
+            all sides, of a few frames.
         roll_deg: by how much the camera was turned about its axis; pictures are stored upright.
         rgb: pattern of display sRGB pictures.     static: the same view without fire.
         mask: pattern of pictures, 255 where flame is.     exr: pattern of linear pictures.
         flow: pattern of true optical flow.
         board_mask: picture, 255 on the LED board.
         time_s: the camera's own frame times on the dataset clock, s; None = the dataset's.
+        frames: numbers of the frames that it has pictures of, in increasing order; None = all.
     """
 
     name: str
@@ -61,7 +63,7 @@ class CameraEntry:
     world_to_camera: tuple[Row4, Row4, Row4, Row4]
     row_time_s: float = 0.0
     readout: str = "down"
-    role: Literal["train", "eval"] = "train"
+    role: Literal["train", "eval", "around"] = "train"
     roll_deg: float = 0.0
     rgb: str | None = None
     static: str | None = None
@@ -70,6 +72,7 @@ class CameraEntry:
     flow: str | None = None
     board_mask: str | None = None
     time_s: tuple[float, ...] | None = None
+    frames: tuple[int, ...] | None = None
 
     @classmethod
     def of(cls, camera: Camera, **fields: Any) -> CameraEntry:
@@ -99,7 +102,7 @@ class DatasetDescription:
     Attributes:
         name: of the scene or the capture.
         time_s: (T,) frame times on the dataset clock, s, strictly increasing.
-        cameras: those of role "train" and "eval"; names differ.
+        cameras: those of role "train", "eval" and "around"; names differ.
         splits: which frames are for training, which are held out.
         velocity: name of the store of true velocities; None for a real capture.
         spec: the scene spec it was generated from, as JSON; None for a real capture.
@@ -182,6 +185,15 @@ class DatasetDescription:
                     f"camera '{entry.name}': time_s must hold {count} strictly increasing seconds, one per frame"
                 )
 
+            if entry.frames is not None and (
+                entry.role == "train"
+                or not all(0 <= k < count for k in entry.frames)
+                or any(a >= b for a, b in pairwise(entry.frames))
+            ):
+                raise DataFormatError(
+                    f"camera '{entry.name}': frames must list numbers below {count} in increasing order, each once; "
+                    "a camera to train on has them all"
+                )
         _require_inside("velocity", self.velocity)
 
     @classmethod
