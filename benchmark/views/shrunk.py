@@ -62,7 +62,8 @@ def shrink(root: Path, out: Path, longest_side: int) -> None:
 
 def _write(source: ViewSource, out: Path, longest_side: int) -> None:
     dataset, entries = source.dataset, []
-    for number, (camera, entry) in enumerate(zip(dataset.cameras, dataset.description.cameras, strict=True)):
+    known = [entry for entry in dataset.description.cameras if entry.role != "around"]
+    for number, (camera, entry) in enumerate(zip(dataset.cameras, known, strict=True)):
         factor = longest_side / max(camera.width, camera.height)
         small = entry.camera().scaled(round(camera.width * factor), round(camera.height * factor))
         for kind in ("rgb", "static", "mask", "board_mask"):

@@ -32,7 +32,7 @@ class ViewSource:
     def open(cls, root: Path) -> ViewSource:
         """Raises DataFormatError if the folder holds no finished dataset."""
         dataset = Dataset.open(root)
-        entries = dataset.description.cameras
+        entries = [entry for entry in dataset.description.cameras if entry.role != "around"]  # they miss most frames
         all_cameras = replace(dataset, cameras=dataset.description.cameras_from(dataset.datum, "train", "eval"))
         return cls(all_cameras, tuple(entry.role == "train" for entry in entries))
 

@@ -357,7 +357,7 @@ def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
     """What the dataset is, and what it should cost; of one that was begun, what is left."""
     prediction = cost_model.predict(spec, cost_model.known_machine() or cost_model.REFERENCE)
     expected = expected_s(spec, prediction)
-    frames, cameras = spec.clip.frames, len(spec.cameras.names)
+    frames, cameras = spec.clip.frames, len(spec.cameras.whole_clip)
     column = box.column(align=True)
     done = layout.pictures() if layout else 0
     there = f", {done} made" if done else ""
@@ -367,7 +367,7 @@ def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
     write_lines(
         column,
         context,
-        f"{frames * cameras} pictures ({frames} x {cameras}){there}, of {width} x {height} pixels; {frames} frames at "
+        f"{len(spec.pictures)} pictures ({frames} x {cameras}){there}, of {width} x {height} pixels; {frames} frames at "
         f"{spec.clip.fps:g} per s are {frames / spec.clip.fps:.3g} s; {spec.box.resolution} cells of {cell_mm:.3g} mm",
         "CAMERA_DATA",
     )

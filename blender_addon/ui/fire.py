@@ -29,6 +29,13 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
         min=0,
         soft_max=8,
     )
+    around_frames: IntProperty(
+        name="Frames All Around",
+        description="Frames that nine more cameras see from every side and from above, to score what nobody filmed",
+        default=0,
+        min=0,
+        soft_max=8,
+    )
     arc_deg: FloatProperty(
         name="Arc (°)",
         description="Angle between the first and the last camera",
@@ -288,7 +295,7 @@ class GOF_PT_cameras(SidebarPanel, bpy.types.Panel):
         cameras, layout = context.scene.gof.fire.cameras, self.layout
         layout.use_property_split, layout.use_property_decorate = True, False
         for names in (
-            ("count", "eval_count"),
+            ("count", "eval_count", "around_frames"),
             ("arc_deg", "azimuth_deg", "radius", "height", "look_at_height"),
             ("focal_mm", "fps"),
         ):

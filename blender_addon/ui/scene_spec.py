@@ -49,6 +49,7 @@ def of_settings(scene: bpy.types.Scene) -> SceneSpec:
         cameras=Rig(
             count=cameras.count,
             eval_count=cameras.eval_count,
+            around_frames=cameras.around_frames,
             arc_deg=exact(cameras.arc_deg),
             azimuth_deg=exact(cameras.azimuth_deg),
             radius=exact(cameras.radius),

@@ -97,7 +97,7 @@ def main(argv: list[str]) -> int:
             extras=Extras(config.weights, depth, dis if config.published else None, disparity),
         )
     out = console()
-    for table in (velocity_table(scores), picture_table(scores), published_table(scores)):
+    for table in (velocity_table(scores), picture_table(scores), around_table(scores), published_table(scores)):
         if table.row_count:
             out.print(table)
     for sentence in beaten_controls(scores):
@@ -235,6 +235,23 @@ def picture_table(scores: Scores) -> Table:
         plate = getattr(scores, f"{key}_plate", None)
         if own is not None or plate is not None:
             table.add_row(label + _counted(scores, key), _number(own, digits), _number(plate, digits))
+    return table
+
+
+def around_table(scores: Scores) -> Table:
+    """The pictures from all around, by the angle from the nearest given camera; empty without such cameras."""
+    table = Table(title="From all around: the flame over plates that were not given", title_justify="left")
+    for column in ("angle", "cameras", "PSNR flame (dB)", "SSIM flame", "sharpness / true", "false colour"):
+        table.add_column(column, justify="right")
+    for angle in sorted({round(score.angle_deg) for score in scores.around}):
+        those = [score for score in scores.around if round(score.angle_deg) == angle]
+        means = {
+            key: [value for value in (getattr(score, key) for score in those) if value is not None]
+            for key in ("psnr_flame", "ssim_flame", "gradient_ratio", "false_colour")
+        }
+        psnr, ssim, sharp, false = (sum(found) / len(found) if found else None for found in means.values())
+        share = "-" if false is None else f"{false:.1%}"
+        table.add_row(f"{angle}°", str(len(those)), _number(psnr, 2), _number(ssim), _number(sharp, 2), share)
     return table
 
 

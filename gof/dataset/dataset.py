@@ -56,8 +56,20 @@ class Dataset:
 
     def evaluation_view(self) -> Dataset | None:
         """The same dataset seen by its cameras of role "eval", for novel views; None when it has none."""
-        cameras = self.description.cameras_from(self.datum, "eval")
+        return self._seen_by("eval")
+
+    def around_view(self) -> Dataset | None:
+        """The same dataset seen by its cameras of role "around", which have `frames` of it; None when it has none."""
+        return self._seen_by("around")
+
+    def _seen_by(self, role: str) -> Dataset | None:
+        cameras = self.description.cameras_from(self.datum, role)
         return replace(self, cameras=cameras) if cameras else None
+
+    def frames(self, camera: int) -> list[int]:
+        """Numbers of the frames that a camera has pictures of."""
+        known = self._entry(camera).frames
+        return list(range(len(self.times_s)) if known is None else known)
 
     @cached_property
     def datum(self) -> Datum:
@@ -109,17 +121,20 @@ class Dataset:
         """The dataset's name, and digits that change with its description and its pictures' sizes and times of change.
 
         What is made from a dataset is kept with this: two datasets in folders of one name are two, and one that was
-        moved is the same.
+        moved is the same. Views from all around are only scored, so a dataset that gets some stays the same.
 
         Args:
             others: names of more files in it that matter.
         """
         frames = range(len(self.times_s))
-        names = {
-            entry.file_name(kind, frame) for entry in self.description.cameras for kind in SEEN for frame in frames
-        }
+        seen = replace(self.description, cameras=tuple(c for c in self.description.cameras if c.role != "around"))
+        names = {entry.file_name(kind, frame) for entry in seen.cameras for kind in SEEN for frame in frames}
         files = stamp(self.path, names - {None} | set(others))
-        said = json.dumps(to_json(self.description), sort_keys=True)
+        about = to_json(seen)
+        for entry in about["cameras"]:
+            if entry["frames"] is None:  # as it was before there was such a field
+                del entry["frames"]
+        said = json.dumps(about, sort_keys=True)
         return f"{self.description.name} {hashlib.sha256((said + files).encode()).hexdigest()[:16]}"
 
     def image(self, camera: int, frame: int) -> np.ndarray:

@@ -231,6 +231,27 @@ class Origin:
     over_plates: bool = False
 
 
+# ---------------------------------------------------------------- from all around
+
+
+@dataclass(frozen=True, kw_only=True)
+class AroundScore:
+    """Pictures of a camera that stands where the method was given no view, means over its frames.
+
+    Attributes:
+        camera: its name.   angle_deg: from the nearest given camera, seen from the flame.   pictures: how many.
+        psnr_flame: dB.   ssim_flame, gradient_ratio, false_colour: see `gof.evaluate.around`; None: undefined there.
+    """
+
+    camera: str
+    angle_deg: float
+    pictures: int
+    psnr_flame: float | None = None
+    ssim_flame: float | None = None
+    gradient_ratio: float | None = None
+    false_colour: float | None = None
+
+
 # ---------------------------------------------------------------- all of it
 
 
@@ -247,6 +268,7 @@ class Scores(PictureFigures):
         controls: by name (`gof.evaluate.controls.CONTROLS`); empty without `dve`.
         published: means over the held-out pictures; None when not asked for.
         images: None when pictures were not asked for.
+        around: of cameras all around the flame; empty where the dataset has none.
         costs: seconds by part.
     """
 
@@ -262,6 +284,7 @@ class Scores(PictureFigures):
     controls: dict[str, ControlScore] = field(default_factory=dict)
     published: PublishedFigures | None = None
     images: ImageScores | None = None
+    around: tuple[AroundScore, ...] = ()
     costs: dict[str, float] = field(default_factory=dict)
 
     @classmethod

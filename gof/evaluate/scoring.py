@@ -15,12 +15,14 @@ from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import own_plate
+from gof.evaluate.around import ViewAround, angles_deg, score_around
 from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import DVESequence, Opacity
 from gof.evaluate.emission import EmissionScore, GradientErrors, flame_grid, score_flame
 from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, timed
 from gof.evaluate.scores import (
     Agreement,
+    AroundScore,
     ControlScore,
     EmissionFigures,
     FrameScore,
@@ -109,6 +111,7 @@ def evaluate(
         if not dataset.test_frames:
             warnings.append(NO_PICTURES)
         found = image_scores(gaussians, dataset, known, plates, behind, costs, extras or Extras(), progress)
+        figures["around"] = _around(gaussians, dataset, origin.over_plates, known, costs, progress)
         figures |= asdict(found.means) | {"published": found.published, "images": found.images}
     return Scores(
         gaussians=len(gaussians),
@@ -119,6 +122,24 @@ def evaluate(
         costs={name: round(seconds, 3) for name, seconds in costs.items()},
         **figures,
     )
+
+
+def _around(
+    gaussians: MovingGaussians,
+    dataset: Dataset,
+    over_plates: bool,
+    known: np.ndarray,
+    costs: dict[str, float],
+    progress: Progress,
+) -> tuple[AroundScore, ...]:
+    """Score the views from all around, where the dataset has them; over its plates, or black, as the held-out ones."""
+    around = dataset.around_view()
+    if around is None:
+        return ()
+    angles = angles_deg(around.cameras, dataset.cameras)
+    with timed(costs, "around"):
+        views = [ViewAround(k, a, around.static(k) if over_plates else BLACK) for k, a in enumerate(angles)]
+        return score_around(gaussians, around, views, known, progress)
 
 
 # ---------------------------------------------------------------- the result
