@@ -359,6 +359,7 @@ def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
     expected = expected_s(spec, prediction)
     frames, cameras = spec.clip.frames, len(spec.cameras.whole_clip)
     column = box.column(align=True)
+    length_s = frames / spec.clip.fps
     done = layout.pictures() if layout else 0
     there = f", {done} made" if done else ""
     along_rows, rows = spec.picture_px
@@ -367,8 +368,8 @@ def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
     write_lines(
         column,
         context,
-        f"{len(spec.pictures)} pictures ({frames} x {cameras}){there}, of {width} x {height} pixels; {frames} frames at "
-        f"{spec.clip.fps:g} per s are {frames / spec.clip.fps:.3g} s; {spec.box.resolution} cells of {cell_mm:.3g} mm",
+        f"{len(spec.pictures)} pictures ({frames} x {cameras}){there}, of {width} x {height} pixels; {frames} frames "
+        f"at {spec.clip.fps:g} per s are {length_s:.3g} s; {spec.box.resolution} cells of {cell_mm:.3g} mm",
         "CAMERA_DATA",
     )
     seconds = sum(left_s(spec, layout, expected).values()) if layout else sum(expected.values())
