@@ -151,7 +151,7 @@ def of_grids(fire: FireGrids) -> Flame:
     if fire.history:
         axis, swings = _of_history(fire.history, hearth, axis)
     heat, hot = fire.grids.get("heat_release"), fire.grids.get("temperature")
-    burnt = [measures.heat_release_kw(heat.frame(k), fire.voxel_m) for k in frames] if heat else [math.nan]
+    burnt = [measures.heat_release_kw(heat.cells(k), fire.voxel_m) for k in frames] if heat else [math.nan]
     shining = measures.light_speed(velocity(), light())
     truth = Truth(
         diameter_m=hearth.diameter_m,
@@ -162,7 +162,7 @@ def of_grids(fire: FireGrids) -> Flame:
         heat_nominal_kw=sum(h.heat_release_kw for h in fire.description.hearths),
         heat_burnt_kw=float(np.mean(burnt)),
         shining=Axis(z, shining, float(fire.times_s[-1])),
-        hottest_k=max(float(hot.frame(k).max()) for k in frames) if hot else math.nan,
+        hottest_k=max(float(hot.cells(k).max()) for k in frames) if hot else math.nan,
         cpu_s=sum(fire.description.cpu_s.values()),
         windy=any(fire.description.wind_m_s),
     )

@@ -36,7 +36,7 @@ class ModalitiesConfig:
       gof figure modalities out/demo                                       a demo's, modalities.pdf beside its result
       gof figure modalities out/fire --dataset data/fire --camera cam_1 --time 0.11 --out modalities.png
 
-    Picture, plate, flame mask, depth (stereo; monocular with a checkpoint; maps of gof depth where there are
+    Picture, plate, flame mask, depth (stereo; monocular with a checkpoint; depth maps where there are
     such), optical flow, fused flow field, seeds, result, its velocity and, of a simulated fire, the true one.
     What is seen before any Gaussian is computed again by the run's own settings: seconds to minutes. What cannot be
     made is left out, and the command says why.

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from typing import Literal, TypeVar, get_args
 
-from gof.core.errors import GofError
+from .errors import GofError
 
 Rung = Literal["toy", "preview", "standard", "large", "full"]
 LADDER: tuple[Rung, ...] = get_args(Rung)

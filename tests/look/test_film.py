@@ -268,7 +268,7 @@ def test_command_makes_a_grid_of_errors_as_one_picture(made):
         (["--style", "camera=nobody"], "the dataset has"),
         (["--style", "stop=9"], "the clip is from 0 to 0.2 s"),
         (["--style", "slow=0"], "slow 0"),
-        (["--style", "slower=2"], "'slower' is no field"),
+        (["--style", "slower=2"], "slower is not a field"),
         (["--style", "fast"], "KEY=VALUE"),
         (["--out", "film.avi"], ".webm"),
         (["--style", "scene=fire.npz"], "nothing that stands still"),
