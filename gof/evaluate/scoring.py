@@ -110,8 +110,8 @@ def evaluate(
         behind = [own_plate(*of, own) if origin.over_plates else BLACK for of in zip(plates, names, strict=True)]
         if not dataset.test_frames:
             warnings.append(NO_PICTURES)
-        found = image_scores(gaussians, dataset, known, plates, behind, costs, extras or Extras(), progress)
         figures["around"] = _around(gaussians, dataset, origin.over_plates, known, costs, progress)
+        found = image_scores(gaussians, dataset, known, plates, behind, costs, extras or Extras(), progress)
         figures |= asdict(found.means) | {"published": found.published, "images": found.images}
     return Scores(
         gaussians=len(gaussians),
