@@ -68,7 +68,7 @@ SAID = {  # page: words that stand for the reader's own files
         "CAMERAS": "data/fire/dataset.json",
         "out.npz | out.ply | out.ftgs.ply | out.glb | out.spz | out.sog | FOLDER": "out.glb",
     },
-    "leaderboard.md": {"RESULT": "mine.npz", "DATASET": "data/fire", "METHOD": "mine"},
+    "leaderboard.md": {"RESULT": "mine.npz", "DATASET": "data/fire", "METHOD": "again"},
 }
 START = """
 import numpy as np
