@@ -319,3 +319,24 @@ def test_only_listed_effects_are_built(tmp_path):
     reynolds = 6.8 * 0.26**1.5 / 2e-4  # of the burner: the smaller it is, the less the flame is turbulent
     turbulent = reynolds / (reynolds + 500)
     np.testing.assert_allclose(found["all"]["vorticity"], vorticity.Settings().gas * 25 / 60 * turbulent, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_views_from_all_around_are_there_for_their_frames_and_change_nothing_else(toy, tmp_path):
+    """The same bake, and the same pictures of the given cameras, to the bit."""
+    spec = replace(TOY, cameras=replace(TOY.cameras, around_frames=1))
+    scene_spec.save(spec, tmp_path / "around.json")
+    assert generate.main([str(tmp_path / "around.json"), "--out", str(tmp_path / "out")]) == 0
+    dataset, alone = Dataset.open(tmp_path / "out"), Dataset.open(toy.root)
+    for frame in range(TOY.clip.frames):
+        assert np.array_equal(dataset.velocity.frame(frame).velocity, alone.velocity.frame(frame).velocity)
+        for camera in range(TOY.cameras.count):
+            assert np.array_equal(dataset.image(camera, frame), alone.image(camera, frame))
+    around = dataset.around_view()
+    assert len(around.cameras) == 9 and dataset.evaluation_view() is None
+    for camera in range(9):
+        assert around.frames(camera) == [4], "the clip's held-out frame"
+        pictures = around.file(camera, "rgb", 4).parent
+        assert [path.name for path in pictures.iterdir()] == ["000004.png"]
+        assert around.image(camera, 4).shape == around.static(camera).shape == dataset.image(0, 4).shape
+    assert any(around.mask(camera, 4).any() for camera in range(9)), "the flame is seen"

@@ -59,6 +59,10 @@ def test_angles_are_seen_from_where_the_cameras_look():
     assert meeting_point(given) == pytest.approx([1, 2, 3], abs=1e-9)
     assert angles_deg([at(0), at(45), at(90), at(180), at(270)], given) == pytest.approx([0, 10, 55, 145, 55], abs=0.01)
     assert angles_deg([at(90), at(180)], given[1:2]) == pytest.approx([90, 180], abs=0.01), "also from one camera"
+    turned = at(0).world_to_camera.copy()
+    turned[:3, 3] = -turned[:3, :3] @ [1, 2, 3]
+    inside = replace(at(0), world_to_camera=turned)
+    assert angles_deg([inside], given) == pytest.approx([0], abs=0.01), "in the flame: where its back is turned to"
 
 
 @pytest.fixture(scope="module")
