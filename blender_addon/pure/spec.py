@@ -30,6 +30,9 @@ from .timeline import Timeline
 
 SCHEMA = "gof-scene"
 VERSION = 2
+# Fields that came after version 2. A spec that leaves one at its default is written without it, so that specs of
+# before stay as they were, to the byte.
+LATER_FIELDS = (("fire", "logs", Fire.logs), ("cameras", "around_frames", Rig.around_frames))
 MOST_PICTURES = 100_000
 BACKGROUND = "background.blend"  # of a dataset: the surroundings that a spec's .blend gave it
 LAST_FRAME = 1_048_574  # Blender counts no further
@@ -232,8 +235,9 @@ class SceneSpec:
     def to_dict(self) -> dict:
         """The JSON form; ``from_dict(to_dict())`` gives an equal spec."""
         data = {"schema": SCHEMA, "version": VERSION, **dataclasses.asdict(self)}
-        if data["fire"].get("logs") == Fire.logs:  # a later field: specs without it stay as they were, to the byte
-            del data["fire"]["logs"]
+        for section, name, default in LATER_FIELDS:
+            if data[section].get(name) == default:
+                del data[section][name]
         data["effects"] = [
             {"name": name, **dataclasses.asdict(effect)}
             for name, effect in zip(self.effect_names, self.effects, strict=True)
