@@ -16,7 +16,7 @@ import numpy as np
 from gof.core.cameras import Camera
 from gof.core.gaussians import TransientGaussians
 from gof.core.morton import morton_order
-from gof.reconstruct.parameters import PER_GAUSSIAN, from_raw, to_raw
+from gof.reconstruct.parameters import from_raw, per_gaussian, to_raw
 from gof.reconstruct.splatting import LARGE, PULL, SPLIT_SHRINK, within
 from gof.render.adam import Adam
 from gof.render.rasterizer import Frame
@@ -86,7 +86,9 @@ class DensityControl:
             return
         both = TransientGaussians.concatenate([old[kept], born])
         order = morton_order(both.position)  # neighbours in space side by side in memory: speed only
-        optimizer.regroup(PER_GAUSSIAN, kept, to_raw(born, *self._units) if len(born) else {}, order)
+        names = per_gaussian(optimizer)
+        raw = to_raw(born, *self._units, bounded_color="color_logit" in names) if len(born) else {}
+        optimizer.regroup(names, kept, raw, order)
 
 
 def changed(

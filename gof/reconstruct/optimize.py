@@ -13,22 +13,25 @@ from typing import Any, Protocol
 import drjit as dr
 import numpy as np
 
-from gof.core.cameras import Camera
+from gof.core.colour import srgb_to_linear
 from gof.core.errors import NonFiniteError
 from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.density import DensityControl
 from gof.reconstruct.methods import LAST_SHARE, Rates, cameras_extent
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.parameters import PER_GAUSSIAN, Raw, alight, from_raw, splats, to_raw
+from gof.reconstruct.parameters import Raw, alight, from_raw, per_gaussian, splats, to_raw
 from gof.reconstruct.surroundings import Drawn, Surroundings
+from gof.reconstruct.unseen import UnseenView, UnseenViews
 from gof.reconstruct.windows import Windows
-from gof.render import Target, l1_ssim
+from gof.render import Target, l1_ssim, render_splats
 from gof.render.adam import Adam
-from gof.render.backend import Float
+from gof.render.backend import Float, floats, opaque
 from gof.render.rasterizer import Frame
 
 SSIM_WEIGHT = 0.2
+STEEPEST = 0.25  # slope of a colour by its logit, at middle grey
+PLAIN_PLATES = 0.05, 0.35  # display values of the plates that a flame is put over
 CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
 CHECKPOINT_EVERY = 500
 EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the last step; the paper's are 1k, 7k, 30k
@@ -40,6 +43,8 @@ class Schedule:
 
     Attributes:
         alpha_loss: of flame where no flame may be.
+        other_plates: of the flame over plates that were not filmed, see `over_plain`.
+        unseen: of views from where no camera stood (`gof.reconstruct.unseen`).
         plate_loss: of a plate's change. L1 moves a channel of its pixel by 0.8 of what of it shows through the flame,
             so the pixel may leave the plate that was made by 0.4 of that: far where it is seen, hardly where opaque
             flame always covers it and nothing but noise would move it.
@@ -47,9 +52,12 @@ class Schedule:
 
     iterations: int
     rates: Rates
-    gas_apart: bool  # see `gof.reconstruct.methods.Method`
+    gas_apart: bool  # see `gof.reconstruct.methods.Method`, as the next two
     density_control: bool = False
+    bounded_color: bool = True
     alpha_loss: float = 0.1
+    other_plates: float = 0.0
+    unseen: float = 0.0
     plate_loss: float = 1.0
     seed: int = 0  # of the order of the pictures
 
@@ -59,6 +67,7 @@ class Schedule:
         The position's falls exponentially from the first to the last step, the others from `Rates.held` on.
         """
         rates, falls = self.rates, 1.0
+        color = ("color_logit", rates.color / STEEPEST) if self.bounded_color else ("color", rates.color)
         first, last = rates.position
         if rates.held is not None and step > rates.held:
             falls = LAST_SHARE ** ((step - rates.held) / max(self.iterations - rates.held, 1))
@@ -70,7 +79,7 @@ class Schedule:
             "scale": falls * rates.scale,
             "rotation": falls * rates.rotation,
             "opacity": falls * rates.opacity,
-            "color": falls * rates.color,
+            color[0]: falls * color[1],
         }
 
 
@@ -107,6 +116,7 @@ def optimize(
     units: Units,
     checkpoint: Path,
     monitor: Monitor,
+    unseen: UnseenViews | None = None,
 ) -> tuple[TransientGaussians, list[np.ndarray]]:
     """Optimise all parameters of `seeds`, and what may move of their surroundings.
 
@@ -115,6 +125,7 @@ def optimize(
         windows: the part of each camera's that is drawn and learned from; `surroundings` are those of these parts.
         checkpoint: file to resume from and to write every 500 steps (removed by the caller when done); a disk too full
             for it is reported and does not end the run.
+        unseen: what holds the Gaussians where no camera sees; None: nothing does.
     Returns:
         the optimised Gaussians in their surroundings, see `Surroundings.result`; without density control the same
         number, in the same order.
@@ -122,7 +133,7 @@ def optimize(
         NonFiniteError: the loss or a parameter became NaN or Inf; names the parameter and the step.
     """
     flame = Flame(seeds, observation, windows, surroundings, schedule, units)
-    pictures = TrainingPictures(observation, windows)
+    pictures = TrainingPictures(observation, windows, unseen)
     start = load_checkpoint(checkpoint, flame.optimizer, resized=schedule.density_control)
     mean_loss = None
     held_out = None
@@ -147,8 +158,16 @@ def take_step(step: int, flame: Flame, pictures: TrainingPictures, schedule: Sch
     """Draw a picture, and move what it shows against the loss, which is returned: a Dr.Jit tensor of one number."""
     f, c = pictures.drawn(schedule.seed, step)
     flame.optimizer.set_learning_rate(schedule.raw_rates(units, step))
-    drawn = flame.drawn(f, c)
+    rng = np.random.default_rng((schedule.seed, step, 1))
+    unseen = pictures.unseen.choose(f, rng) if pictures.unseen and schedule.unseen > 0 else None
+    shown = flame.shown(f, c, unseen)
+    drawn = flame.drawn(shown, f, c)
     loss = _loss(drawn, pictures, f, c, schedule.alpha_loss)
+    plain = rng.uniform(*PLAIN_PLATES, 3)
+    if schedule.other_plates > 0:
+        loss += schedule.other_plates * flame.loss_elsewhere(drawn, pictures, f, c, plain)
+    if unseen is not None:
+        loss += schedule.unseen * flame.loss_unseen(shown, unseen, plain)
     loss += schedule.plate_loss * flame.surroundings.moved(c, flame.optimizer)
     dr.backward(loss)
     flame.watch(step, drawn.frame, c)
@@ -181,7 +200,7 @@ class Flame:
         self._kept = {"datum": seeds.datum} | ({} if schedule.density_control else known)
         self.start_s = float(self.read_s.min())
         plates = surroundings.unknowns()
-        raw = to_raw(seeds, self.voxel_size, self.start_s) | plates
+        raw = to_raw(seeds, self.voxel_size, self.start_s, schedule.bounded_color) | plates
         rates = schedule.raw_rates(units) | dict.fromkeys(plates, schedule.rates.plate)
         # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
         self.optimizer = Adam(lr=1.0, params=raw, beta_2=schedule.rates.beta_2, epsilon=1e-15, mask_updates=True)
@@ -193,19 +212,42 @@ class Flame:
             else None
         )
 
-    def drawn(self, f: int, c: int) -> Drawn:
+    def shown(self, f: int, c: int, unseen: UnseenView | None) -> Raw:
+        """The raw parameters of those that a step's views can see; the others stay as they are in this step."""
+        if self._density is not None:  # it counts in how many pictures a Gaussian is, alight or not
+            return self.optimizer
+        views = [(self._time_s(f, c), self.cameras[c])]
+        if unseen is not None:
+            views.append((unseen.time_s - self.start_s, unseen.camera))
+        rows = [alight(self.optimizer, self.voxel_size, time_s, camera) for time_s, camera in views]
+        rows = rows[0] if len(rows) == 1 else np.union1d(*rows)
+        return self.optimizer.only(per_gaussian(self.optimizer), rows)
+
+    def drawn(self, shown: Raw, f: int, c: int) -> Drawn:
         """Camera c's view of frame f; differentiable."""
-        camera = self.cameras[c]
-        time_s = float(self.read_s[c, f]) - self.start_s
-        seen = splats(self.shown(time_s, camera), self.voxel_size, time_s, camera)
+        seen = splats(shown, self.voxel_size, self._time_s(f, c), self.cameras[c])
         # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
         return self.surroundings.draw(seen, c, self.voxel_size, self.optimizer)
 
-    def shown(self, time_s: float, camera: Camera) -> Raw:
-        """The raw parameters of those that the camera can see at a time; the others stay as they are in this step."""
-        if self._density is not None:  # it counts in how many pictures a Gaussian is, alight or not
-            return self.optimizer
-        return self.optimizer.only(PER_GAUSSIAN, alight(self.optimizer, self.voxel_size, time_s, camera))
+    def loss_elsewhere(self, drawn: Drawn, pictures: TrainingPictures, f: int, c: int, plain: np.ndarray) -> Any:
+        """Mean absolute difference of the flame over an even plate; 0 where what is behind it cannot be exchanged.
+
+        Args:
+            plain: (3,) display values of the plate.
+        """
+        seen = self.surroundings.over(drawn, c, [opaque(x) for x in plain], self.optimizer)
+        return 0.0 if seen is None else _difference(seen, over_plain(pictures.light(f, c), plain))
+
+    def loss_unseen(self, shown: Raw, unseen: UnseenView, plain: np.ndarray) -> Any:
+        """Mean absolute difference of a view from where no camera stood, over an even plate."""
+        flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, unseen.camera)
+        planes = [dr.full(Float, 0, unseen.camera.width * unseen.camera.height) + opaque(x) for x in plain]
+        seen = render_splats(flame, unseen.camera, background=planes, near=self.voxel_size, antialias=True)
+        return _difference(seen.color, over_plain(unseen.light, plain))
+
+    def _time_s(self, f: int, c: int) -> float:
+        """When a camera's picture of a frame was taken, after the clip's start."""
+        return float(self.read_s[c, f]) - self.start_s
 
     def watch(self, step: int, frame: Frame, c: int) -> None:
         """After the backward pass of a step."""
@@ -226,12 +268,14 @@ class Flame:
 class TrainingPictures:
     """The delivered training pictures' windows, each brought to the renderer when it is first drawn against."""
 
-    def __init__(self, observation: Observation, windows: Windows):
+    def __init__(self, observation: Observation, windows: Windows, unseen: UnseenViews | None = None):
         self._observation, self._windows = observation, windows
+        self.unseen = unseen
         self._delivered = np.argwhere(observation.delivered)
         self._epoch: tuple[int, int] | None = None  # seed and number of the one whose order is known
         self._order = self._delivered
         self._targets: dict[tuple[int, int], Target] = {}
+        self._light: dict[tuple[int, int], np.ndarray] = {}
         self._outside: dict[tuple[int, int], Float] = {}
 
     def drawn(self, seed: int, step: int) -> tuple[int, int]:
@@ -247,6 +291,14 @@ class TrainingPictures:
             self._targets[f, c] = Target(self._windows.cut(c, self._observation.image[f, c]))
         return self._targets[f, c]
 
+    def light(self, f: int, c: int) -> np.ndarray:
+        """See `light_and_smoke`; of the window, row by row."""
+        if (f, c) not in self._light:
+            pictures = self._observation.image[f, c], self._observation.plate[c]
+            image, plate = (srgb_to_linear(self._windows.cut(c, picture)) for picture in pictures)
+            self._light[f, c] = light_and_smoke(image, plate).astype(np.float16)
+        return self._light[f, c]
+
     def outside(self, f: int, c: int) -> Float:
         """1 where no flame may be, else 0."""
         if (f, c) not in self._outside:
@@ -259,6 +311,46 @@ def _loss(drawn: Drawn, pictures: TrainingPictures, f: int, c: int, alpha_loss: 
     """The loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable."""
     loss = l1_ssim(drawn.color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
     return loss + alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
+
+
+def light_and_smoke(image: np.ndarray, plate: np.ndarray) -> np.ndarray:
+    """What a flame does to its plate: (3, N) the light it adds, or, below 0, minus the share of the plate it hides.
+
+    Fire adds light and hides nothing of what is behind it; what is darker than its plate is smoke.
+
+    Args:
+        image, plate: (..., 3) linear light, N pixels.
+    """
+    light = image - plate
+    hidden = light / np.maximum(plate, np.finfo(np.float32).tiny)  # above -1; a black plate cannot be made darker
+    return np.moveaxis(np.where(light < 0, hidden, light), -1, 0).reshape(3, -1)
+
+
+def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Float]:
+    """A flame over an even plate: planes of display values.
+
+    A picture alone does not say what of a pixel is light and what is cover, and a flame that covers is another one over
+    another plate.
+
+    Args:
+        light: (3, N), see `light_and_smoke`.   plain: (3,) display values of the plate.
+    """
+    planes = []
+    for values, under in zip(light, srgb_to_linear(plain), strict=True):
+        behind, above = opaque(under), floats(values)
+        planes.append(_display(behind * (1 + dr.minimum(above, 0)) + dr.maximum(above, 0)))
+    return planes
+
+
+def _display(light: Float) -> Float:
+    """Display values (sRGB) of linear light, within [0, 1]."""
+    light = dr.clip(light, 0, 1)
+    return dr.select(light > 0.0031308, 1.055 * dr.power(dr.maximum(light, 0.0031308), 1 / 2.4) - 0.055, 12.92 * light)
+
+
+def _difference(seen: list[Float], wanted: list[Float]) -> Any:
+    """Mean of |a - b| over pixels and channels; a Dr.Jit tensor of one number."""
+    return sum(dr.mean(dr.abs(a - b)) for a, b in zip(seen, wanted, strict=True)) / len(seen)
 
 
 def _note(loss: float, held_out: str | None) -> str:

@@ -1,7 +1,9 @@
 """Transient Gaussians as numbers without bounds, which an optimiser may move freely, and back.
 
-Raw parameters: "x0", "velocity", "color" as they are; "t_mu" after the clip's start; "log_t_sigma"; the logits
-"opacity" and "scale" (between 0.1 and 3 voxels); "rotation", a quaternion of any length.
+Raw parameters: "x0", "velocity" as they are; "t_mu" after the clip's start; "log_t_sigma"; the logits "opacity" and
+"scale" (between 0.1 and 3 voxels); "rotation", a quaternion of any length; and of the colour either its logits,
+"color_logit", or "color", as it is. Without a bound, what one Gaussian shines too much another one behind it takes away
+again, and from the side both are seen; and no file format and no screen can show it.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from gof.render.scene import columns
 
 OPACITY_EPS = 1e-4  # logits stay finite
 FAINTEST = 0.99 * MIN_ALPHA  # what is fainter is not drawn, however its opacity is rounded
+PLATE = "plate_"  # and the camera's number: raw parameters of a plate
 GROUP = 16  # rows: a cache line of each column
-PER_GAUSSIAN = ("x0", "velocity", "t_mu", "log_t_sigma", "scale", "rotation", "opacity", "color")
+MOVING = ("x0", "velocity", "t_mu", "log_t_sigma", "opacity")  # what says where one is when, and how much of it
 
 Raw = Mapping[str, Any]  # name -> Dr.Jit array
 
@@ -35,8 +38,15 @@ def rows(x: Array3f | Array4f | Float) -> np.ndarray:
     return np.stack([c.numpy() for c in x], -1) if dr.depth_v(x) > 1 else np.array(x.numpy())
 
 
-def to_raw(gaussians: TransientGaussians, voxel_size: float, start_s: float) -> dict[str, Any]:
-    """The raw parameters of Gaussians; voxel_size in m, start_s of the clip."""
+def to_raw(
+    gaussians: TransientGaussians, voxel_size: float, start_s: float, bounded_color: bool = True
+) -> dict[str, Any]:
+    """Return the raw parameters of Gaussians.
+
+    Args:
+        voxel_size: m.   start_s: of the clip, s.   bounded_color: whether colours stay within (0, 1).
+    """
+    color = {"color_logit": _logit(gaussians.color)} if bounded_color else {"color": gaussians.color}
     scale = (gaussians.scale / voxel_size - SCALE_MIN) / (SCALE_MAX - SCALE_MIN)
     return {
         "x0": columns(gaussians.position, Array3f),
@@ -46,8 +56,13 @@ def to_raw(gaussians: TransientGaussians, voxel_size: float, start_s: float) -> 
         "scale": columns(_logit(scale), Array3f),
         "rotation": columns(gaussians.rotation, Array4f),
         "opacity": floats(_logit(gaussians.opacity)),
-        "color": columns(gaussians.color, Array3f),
+        **{name: columns(values, Array3f) for name, values in color.items()},
     }
+
+
+def per_gaussian(raw: Raw) -> list[str]:
+    """Names of the parameters that every Gaussian has one of; the others are the plates'."""
+    return [name for name in raw if not name.startswith(PLATE)]
 
 
 def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
@@ -60,7 +75,7 @@ def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
         scale=rows(_scale(raw, voxel_size)),
         rotation=rows(raw["rotation"]),
         opacity=rows(_sigmoid(raw["opacity"])),
-        color=rows(raw["color"]),
+        color=rows(_color(raw)),
         dynamic=np.ones(dr.width(raw["t_mu"]), bool),
     )
 
@@ -68,7 +83,7 @@ def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
 def splats(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> Splats:
     """What a camera sees in a frame whose first line it reads at `time_s` after the clip's start; differentiable."""
     position, opacity = _state(raw, voxel_size, time_s, camera)
-    color = raw["color"]
+    color = _color(raw)
     return Splats(position, raw["rotation"], _scale(raw, voxel_size), opacity, [color.x, color.y, color.z])
 
 
@@ -77,7 +92,7 @@ def alight(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> np.nda
 
     Whole groups of GROUP neighbours in memory, so that they are moved at memory's speed; at least one group.
     """
-    _, opacity = _state({name: dr.detach(raw[name]) for name in PER_GAUSSIAN}, voxel_size, time_s, camera)
+    _, opacity = _state({name: dr.detach(raw[name]) for name in MOVING}, voxel_size, time_s, camera)
     count = len(opacity)
     groups = np.zeros(-(-count // GROUP) * GROUP, bool)
     groups[:count] = (opacity > FAINTEST).numpy()
@@ -102,8 +117,12 @@ def _scale(raw: Raw, voxel_size: float) -> Array3f:
     return voxel_size * (SCALE_MIN + (SCALE_MAX - SCALE_MIN) / (1 + dr.exp(-raw["scale"])))
 
 
+def _color(raw: Raw) -> Array3f:
+    return raw["color"] if "color" in raw else _sigmoid(raw["color_logit"])
+
+
 def _sigmoid(x: Float) -> Float:
-    return 1 / (1 + dr.exp(-x))
+    return 0.5 + 0.5 * dr.tanh(0.5 * x)  # the derivative of 1 / (1 + exp(-x)) is NaN below -88
 
 
 def _logit(x: np.ndarray) -> np.ndarray:

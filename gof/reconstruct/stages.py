@@ -36,6 +36,7 @@ from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
 from gof.reconstruct.seen import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
+from gof.reconstruct.unseen import imagine_views
 from gof.reconstruct.windows import Windows
 
 
@@ -178,7 +179,16 @@ def fit(
     """
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
     rates = rates_in_voxels(method.rates, observation.cameras, field.voxels.voxel_size)
-    schedule = Schedule(settings.iterations, rates, method.gas_apart, method.density_control, seed=settings.seed)
+    schedule = Schedule(
+        settings.iterations,
+        rates,
+        method.gas_apart,
+        method.density_control,
+        method.bounded_color,
+        other_plates=method.other_plates,
+        unseen=method.unseen,
+        seed=settings.seed,
+    )
     schedule = ablations.change_schedule(settings.ablation, schedule)
     believed_s = ablations.change_times(settings.ablation, observation.camera_time_s, dt)
     observation = replace(observation, camera_time_s=believed_s)
@@ -195,6 +205,7 @@ def fit(
         if still is None
         else StillScene(still, parts, field.voxels)
     )
+    unseen = imagine_views(field.voxels, observation) if method.unseen > 0 else None
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
     curve = CurveLog(run.out, resumed_s=spent and spent.fitting_s)
@@ -211,7 +222,9 @@ def fit(
     ):
         whole = partial(windows.plates, plates=observation.plate, blocked=observation.blocked)
         monitor = _Monitor(_snapshot(run), held_out, whole, curve, progress, time.perf_counter() - before_s)
-        gaussians, plates = optimize(seeds, observation, windows, surroundings, schedule, units, checkpoint, monitor)
+        gaussians, plates = optimize(
+            seeds, observation, windows, surroundings, schedule, units, checkpoint, monitor, unseen
+        )
     if method.gas_apart:
         gaussians = ablations.change_gas(settings.ablation, gaussians, told_of_gas(gaussians, field))
     return gaussians, whole(plates), curve.curve

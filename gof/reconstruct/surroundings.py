@@ -15,7 +15,7 @@ import numpy as np
 
 from gof.core.cameras import Camera
 from gof.core.gaussians import TransientGaussians
-from gof.reconstruct.parameters import rows
+from gof.reconstruct.parameters import PLATE, rows
 from gof.reconstruct.voxels import ROOM, FlameVoxels
 from gof.render import Splats, render, render_splats
 from gof.render.backend import Array3f, Float
@@ -47,6 +47,12 @@ class Surroundings(Protocol):
             near: m, Gaussians closer to the camera are not drawn.   unknowns: where those of `unknowns` are now.
         """
 
+    def over(self, drawn: Drawn, camera: int, color: list[Float], unknowns: Any) -> list[Float] | None:
+        """What was drawn, over an even plate of this colour in place of its own: planes; differentiable.
+
+        None where what is behind the flame cannot be taken away.
+        """
+
     def moved(self, camera: int, unknowns: Any) -> Any:
         """How far they are from where they started in this camera's view; differentiable.
 
@@ -73,14 +79,14 @@ class Plates:
             move: whether the optimisation may change the plates.
         """
         self._cameras, self._shape, self._blocked, self._move = cameras, plates.shape[1:], blocked, move
-        self._plates = {f"plate_{c}": columns(plate.reshape(-1, 3), Array3f) for c, plate in enumerate(plates)}
+        self._plates = {f"{PLATE}{c}": columns(plate.reshape(-1, 3), Array3f) for c, plate in enumerate(plates)}
         self._through = [Float((~b).ravel().astype(np.float32)) if b.any() else None for b in blocked]
 
     def unknowns(self) -> dict[str, Any]:
         return self._plates if self._move else {}
 
     def moved(self, camera: int, unknowns: Any) -> Any:
-        change = self._at(camera, unknowns) - self._plates[f"plate_{camera}"]
+        change = self._at(camera, unknowns) - self._plates[f"{PLATE}{camera}"]
         return dr.mean(dr.squared_norm(change)) / 3 if self._move else 0.0
 
     def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
@@ -92,13 +98,17 @@ class Plates:
         color = [dr.fma(through, drawn - still, still) for drawn, still in zip(frame.color, planes, strict=True)]
         return Drawn(color, through * frame.alpha, frame)
 
+    def over(self, drawn: Drawn, camera: int, color: list[Float], unknowns: Any) -> list[Float]:
+        plate, left = self._at(camera, unknowns), 1 - drawn.share
+        return [dr.fma(left, new - old, seen) for seen, new, old in zip(drawn.color, color, plate, strict=True)]
+
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
         plates = [rows(self._at(c, unknowns)).reshape(self._shape) for c in range(len(self._cameras))]
         before = [b[..., None].astype(np.float32) for b in self._blocked]
         return flame, [np.concatenate([p, b], -1) if b.any() else p for p, b in zip(plates, before, strict=True)]
 
     def _at(self, camera: int, unknowns: Any) -> Array3f:
-        name = f"plate_{camera}"
+        name = f"{PLATE}{camera}"
         return unknowns[name] if self._move else self._plates[name]
 
 
@@ -112,6 +122,9 @@ class StillScene:
 
     def unknowns(self) -> dict[str, Any]:
         return {}
+
+    def over(self, drawn: Drawn, camera: int, color: list[Float], unknowns: Any) -> None:
+        return None
 
     def moved(self, camera: int, unknowns: Any) -> Any:
         return 0.0

@@ -15,6 +15,19 @@ FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; n
 def tomography(
     voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, rounded: bool = True, iterations: int = 12
 ) -> np.ndarray:
+    """Return how brightly each voxel of one frame shines, relative to the others: see `find_emission`.
+
+    Returns:
+        (V,) float64 emission >= 0, mean 1 over the voxels of the frame's hull, 0 outside it; all 0 for an empty mask.
+    """
+    emission = find_emission(voxels, intensity, mask, rounded, iterations)
+    total = emission.sum()
+    return emission * (np.count_nonzero(emission) / total) if total > 0 else emission
+
+
+def find_emission(
+    voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, rounded: bool = True, iterations: int = 12
+) -> np.ndarray:
     """Emission per voxel of one frame by multiplicative expectation maximisation (Shepp & Vardi 1982).
 
     Few views leave the shape along the rays open; EM fills it with the product closest to its start that the views
@@ -25,7 +38,7 @@ def tomography(
     Args:
         intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.   rounded: do it again from a round flame.
     Returns:
-        (V,) float64 emission >= 0, mean 1 over the voxels of the frame's hull, 0 outside it; all 0 for an empty mask.
+        (V,) float64 >= 0, in one unit for all frames of a clip; 0 outside the frame's hull; all 0 for an empty mask.
     """
     hit = voxels.sample(mask.astype(np.int8), outside=-1)
     hull = (hit != 0).all(0) & (hit == 1).any(0)
@@ -35,8 +48,7 @@ def tomography(
     emission = _maximise(hull.astype(np.float64), views, iterations)
     if rounded and emission.any():
         emission = _maximise(hull * round_flame(voxels, emission), views, iterations)
-    total = emission.sum()
-    return emission * (np.count_nonzero(emission) / total) if total > 0 else np.zeros_like(emission)
+    return emission
 
 
 def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:

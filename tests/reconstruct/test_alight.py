@@ -8,7 +8,7 @@ import pytest
 
 from gof.core.gaussians import TransientGaussians
 from gof.reconstruct import optimize
-from gof.reconstruct.parameters import GROUP, PER_GAUSSIAN, alight, splats, to_raw
+from gof.reconstruct.parameters import GROUP, alight, per_gaussian, splats, to_raw
 from gof.render import render_splats
 from gof.render.adam import Adam
 from tests.conftest import arc
@@ -70,7 +70,7 @@ def test_another_number_of_them_compiles_nothing():
         for k in range(6):
             dr.kernel_history_clear()
             rows = alight(optimizer, VOXEL, 1.5 * k * DT, camera)
-            seen = splats(optimizer.only(PER_GAUSSIAN, rows), VOXEL, 1.5 * k * DT, camera)
+            seen = splats(optimizer.only(per_gaussian(optimizer), rows), VOXEL, 1.5 * k * DT, camera)
             dr.backward(sum(dr.sum(dr.square(c)) for c in render_splats(seen, camera).color))
             optimizer.step()
             dr.eval(list(optimizer.values()))

@@ -12,7 +12,7 @@ from gof.dataset import Dataset
 from gof.reconstruct import density, optimize, pipeline
 from gof.reconstruct.density import _Seen, changed
 from gof.reconstruct.methods import METHODS, PAPER
-from gof.reconstruct.parameters import PER_GAUSSIAN, from_raw, to_raw
+from gof.reconstruct.parameters import from_raw, per_gaussian, to_raw
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.render.adam import Adam
@@ -92,7 +92,9 @@ def test_who_stays_keeps_adams_moments_and_rates():
     optimizer = Adam(lr=1.0, params=to_raw(old, VOXEL, 0.0), epsilon=1e-15)
     rates = {name: 0.001 * (k + 1) for k, name in enumerate(optimizer.keys())}
     optimizer.set_learning_rate(rates)
-    loss = sum(dr.sum(dr.square(x)) for name in ("x0", "color") for x in optimizer[name]) + dr.sum(optimizer["t_mu"])
+    loss = sum(dr.sum(dr.square(x)) for name in ("x0", "color_logit") for x in optimizer[name]) + dr.sum(
+        optimizer["t_mu"]
+    )
     dr.backward(loss)
     optimizer.step()
     before = {name: [np.array(x) for x in optimizer.state[name][3][1:3]] for name in optimizer.keys()}
@@ -126,10 +128,10 @@ def test_pruning_alone_and_no_change_at_all():
     control._seen = seen(*[0] * 6)
     control.change(599, optimizer)
     assert len(from_raw(optimizer, VOXEL, 0.0)) == 5
-    same = [np.array(dr.detach(optimizer[name])) for name in PER_GAUSSIAN]
+    same = [np.array(dr.detach(optimizer[name])) for name in per_gaussian(optimizer)]
     control._seen = seen(*[0] * 5)
     control.change(699, optimizer)
-    for name, before in zip(PER_GAUSSIAN, same, strict=True):
+    for name, before in zip(per_gaussian(optimizer), same, strict=True):
         np.testing.assert_array_equal(np.array(dr.detach(optimizer[name])), before)
     control._seen = seen(*[9] * 5)
     control.change(650, optimizer)  # not the time

@@ -37,7 +37,7 @@ def test_camera_clock_off_by_half_a_frame(tmp_path):
     together, _ = run(write_flame(tmp_path / "together", dt=dt), tmp_path / "together_out")
     assert known.psnr_flame > together.psnr_flame - 0.5, "known clocks cost nothing"
     wrong, _ = run(late, tmp_path / "wrong", ablation="no-sync")
-    assert wrong.psnr_flame < known.psnr_flame - 0.25, "wrong clocks do"
+    assert wrong.psnr_flame < known.psnr_flame - 0.15, "wrong clocks do"
 
 
 def test_flow_uses_the_cameras_own_frame_times(tmp_path, plain):

@@ -1,0 +1,180 @@
+"""Views from where no camera stood: what tomography says of them, which holds the optimisation there.
+
+Pictures from one side leave open how far their light reaches along the rays, and what one Gaussian does wrong another
+one behind it repairs, for these cameras only. Tomography is coarse, but the same flame from everywhere. So what it says
+is drawn from all around, in pixels as large as voxels, and Gaussians may not be something else there.
+
+How light of a clip looks is taken from its own pictures: thickness of flame against linear light, channel by channel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import coo_matrix, csr_matrix
+
+from gof.core.cameras import Camera
+from gof.core.colour import srgb_to_linear
+from gof.reconstruct.observation import Observation
+from gof.reconstruct.tomography import find_emission
+from gof.reconstruct.voxels import FlameVoxels
+from gof.render.bins import BLOCK
+
+VIEWS = 12  # around the flame, one every 30 degrees
+SATURATED, OFTEN = 0.95, 0.02  # linear light; the share of a flame's pixels
+THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
+BLUR = 0.6  # px; voxels are points on a grid, and drawn on another one they would beat
+LEVELS = 48  # of the curve of light by thickness
+
+
+class UnseenView(NamedTuple):
+    """One view. time_s: on the dataset clock.   light: (3, h * w) float32 linear light over black."""
+
+    camera: Camera
+    time_s: float
+    light: np.ndarray
+
+
+@dataclass(frozen=True)
+class UnseenViews:
+    """How the flame looks from V cameras that are not there, in F frames.
+
+    Attributes:
+        cameras: V of one size, with pixels as large as voxels.
+        frames: (F,) which of the observation's frames, ascending; only those that every camera took.
+        time_s: (F,) of these, on the dataset clock.
+        thickness: (F, V, h, w) float16 >= 0, of flame along each pixel's ray, in a unit of the clip's own.
+        levels: (L,) ascending thicknesses.   light: (L, 3) linear light of each.
+    """
+
+    cameras: list[Camera]
+    frames: np.ndarray
+    time_s: np.ndarray
+    thickness: np.ndarray
+    levels: np.ndarray
+    light: np.ndarray
+
+    def view(self, frame: int, camera: int) -> UnseenView:
+        """What a camera sees of a frame; rows of `time_s` and `cameras`."""
+        thickness = self.thickness[frame, camera].astype(np.float32).ravel()
+        light = np.stack([np.interp(thickness, self.levels, curve) for curve in self.light.T])
+        return UnseenView(self.cameras[camera], float(self.time_s[frame]), light.astype(np.float32))
+
+    def choose(self, frame: int, rng: np.random.Generator) -> UnseenView | None:
+        """One of a frame of the observation by chance; None where it has none."""
+        (row,) = np.nonzero(self.frames == frame)
+        return self.view(int(row[0]), int(rng.integers(len(self.cameras)))) if len(row) else None
+
+
+def imagine_views(voxels: FlameVoxels, observation: Observation) -> UnseenViews | None:
+    """Return what tomography of the training frames says of the views all around; None where it says nothing."""
+    light = unsaturated_light(observation)
+    seen = [f for f in range(len(light)) if observation.delivered[f].all()]
+    emission = {f: find_emission(voxels, light[f], observation.mask[f]) for f in seen}
+    frames = np.array([f for f in seen if emission[f].any()], int)
+    if not len(frames):
+        return None
+    shining = np.stack([emission[f] for f in frames], 1)
+    levels, curve = _light_by_thickness(voxels, shining, observation, frames)
+    cameras = cameras_around(voxels, observation.cameras)
+    thickness = np.stack([_thickness(voxels, shining, camera) for camera in cameras], 1)
+    return UnseenViews(cameras, frames, observation.time_s[frames], thickness.astype(np.float16), levels, curve)
+
+
+def unsaturated_light(observation: Observation) -> np.ndarray:
+    """(F, C, H, W) float32 >= 0: the thickness of flame, up to a factor, in the brightest channel that tells it.
+
+    A screen shows no more than white: red does not tell a thick flame from a thicker one. Light l of [0, 1] that every
+    part of a flame adds to what is left of 1 is unrolled by -log(1 - l), which adds up along a ray.
+    """
+    image, plate = srgb_to_linear(observation.image), srgb_to_linear(observation.plate)
+    flame = observation.mask & observation.delivered[..., None, None]
+    often = (image[flame] > SATURATED).mean(0) if flame.any() else np.zeros(3)
+    bright = np.maximum(image - plate, 0)[flame].mean(0) if flame.any() else np.ones(3)
+    told = often <= max(OFTEN, often.min())
+    channel = int(np.argmax(np.where(told, bright, -1)))
+    through = [np.maximum(1 - x[..., channel], THICKEST) for x in (image, plate)]
+    return np.maximum(np.log(through[1]) - np.log(through[0]), 0).astype(np.float32)
+
+
+def cameras_around(voxels: FlameVoxels, cameras: list[Camera], views: int = VIEWS) -> list[Camera]:
+    """Cameras as far from the flame as the given ones, and as high above it, at even angles (+z is up).
+
+    Pixels are as large as voxels in the middle of the flame, and pictures no larger than it needs.
+    """
+    middle = (voxels.center.min(0) + voxels.center.max(0)) / 2
+    away = np.stack([camera.position for camera in cameras]) - middle
+    distance = np.linalg.norm(away, axis=1).mean()
+    climb = np.arctan2(away[:, 2], np.linalg.norm(away[:, :2], axis=1)).mean()
+    first = np.arctan2(*away[len(cameras) // 2, 1::-1]) + np.pi / views
+    around = []
+    for k, angle in enumerate(first + 2 * np.pi * np.arange(views) / views):
+        out = np.array([np.cos(climb) * np.cos(angle), np.cos(climb) * np.sin(angle), np.sin(climb)])
+        right = np.array([-np.sin(angle), np.cos(angle), 0])
+        turn = np.stack([right, np.cross(-out, right), -out])
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, -turn @ (middle + distance * out)
+        K = np.diag([distance / voxels.voxel_size, distance / voxels.voxel_size, 1.0])
+        around.append(Camera(f"unseen_{k}", 1, 1, K, pose))
+    reach = np.nanmax([np.abs(camera.project(voxels.center)[0]).max(0) for camera in around], axis=0)
+    width, height = (-(-(2 * reach + 4) // BLOCK) * BLOCK).astype(int).tolist()
+    centred = np.array([[0, 0, width / 2], [0, 0, height / 2], [0, 0, 0]])
+    return [replace(camera, width=width, height=height, K=camera.K + centred) for camera in around]
+
+
+def _thickness(voxels: FlameVoxels, emission: np.ndarray, camera: Camera) -> np.ndarray:
+    """(F, h, w) of emission (V, F) along the rays of a camera with pixels of about a voxel."""
+    drawn = _footprints(voxels, camera) @ emission
+    pictures = drawn.T.reshape(-1, camera.height, camera.width)
+    return np.stack([gaussian_filter(p, BLUR, mode="constant") for p in pictures]).astype(np.float32)
+
+
+def _footprints(voxels: FlameVoxels, camera: Camera) -> csr_matrix:
+    """(h * w, V): how much of each voxel every pixel has, by bilinear weights; what is in no pixel is left out."""
+    pixel, depth = camera.project(voxels.center)
+    column, row = np.nan_to_num(pixel - 0.5, nan=-9.0).T
+    x, y = np.floor(column).astype(int), np.floor(row).astype(int)
+    fx, fy = column - x, row - y
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = np.where(depth > 0, (voxels.voxel_size * camera.K[0, 0] / depth) ** 2, 0)  # that a voxel's face fills
+    parts = []
+    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        weight = pixels * (fx if dx else 1 - fx) * (fy if dy else 1 - fy)
+        inside = (x + dx >= 0) & (x + dx < camera.width) & (y + dy >= 0) & (y + dy < camera.height)
+        parts.append(((y + dy) * camera.width + x + dx, weight, inside))
+    cell, weight, inside = (np.concatenate(p) for p in zip(*parts, strict=True))
+    voxel = np.tile(np.arange(len(depth)), 4)
+    shape = camera.width * camera.height, len(depth)
+    return coo_matrix((weight[inside], (cell[inside], voxel[inside])), shape).tocsr()
+
+
+def _light_by_thickness(
+    voxels: FlameVoxels, emission: np.ndarray, observation: Observation, frames: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Levels (L,) of thickness, and the median linear light (L, 3) of each in the clip's own pictures; both rise."""
+    thick, bright = [np.zeros(0)], [np.zeros((0, 3))]
+    for c, camera in enumerate(observation.cameras):
+        pixels_per_voxel = voxels.voxel_size * float(np.nanmedian(np.abs(voxels.jacobian[c]).max((-1, -2))))
+        size = [max(round(n / pixels_per_voxel), 1) for n in (camera.width, camera.height)]
+        small = camera.scaled(*size)
+        thickness = _thickness(voxels, emission, small)
+        plate = srgb_to_linear(observation.plate[c])
+        for f, seen in zip(frames, thickness, strict=True):
+            light = cv2.resize(srgb_to_linear(observation.image[f, c]) - plate, size, interpolation=cv2.INTER_AREA)
+            flame = cv2.resize(observation.mask[f, c].astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+            thick.append(seen[flame])
+            bright.append(light[flame])
+    thickness, light = np.concatenate(thick), np.concatenate(bright)
+    if not len(thickness):
+        return np.array([0.0, 1.0]), np.zeros((2, 3))
+    edges = np.unique(np.quantile(thickness, np.linspace(0, 1, LEVELS + 1)))
+    level = np.clip(np.searchsorted(edges, thickness, "right") - 1, 0, max(len(edges) - 2, 0))
+    used = np.unique(level)
+    levels = np.array([np.median(thickness[level == k]) for k in used])
+    curve = np.array([np.median(light[level == k], axis=0) for k in used])
+    curve = np.maximum.accumulate(np.maximum(curve, 0))
+    return np.concatenate([[0.0], np.maximum(levels, 1e-12)]), np.concatenate([np.zeros((1, 3)), curve])

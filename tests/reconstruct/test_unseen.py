@@ -1,0 +1,209 @@
+"""Views from where no camera stood, and a flame over plates that were not filmed."""
+
+from dataclasses import replace
+
+import drjit as dr
+import numpy as np
+import pytest
+
+from gof.reconstruct.observation import Observation
+from gof.reconstruct.optimize import light_and_smoke, over_plain
+from gof.reconstruct.parameters import from_raw, splats, to_raw
+from gof.reconstruct.surroundings import Plates, StillScene
+from gof.reconstruct.unseen import OFTEN, cameras_around, imagine_views, unsaturated_light
+from gof.reconstruct.voxels import carve
+from gof.render import render, render_splats
+from gof.render.backend import Float, opaque
+from gof.render.rasterizer import splats_at
+from tests.conftest import arc
+from tests.reconstruct.test_surroundings import CAMERA, cloud, voxels
+from tests.reconstruct.test_voxels import ball
+
+MIDDLE, RADIUS = np.array([0.1, -0.05, 1.0]), 0.25
+
+
+def shown(linear):
+    """Display values of linear light by the standard's formula (IEC 61966-2-1)."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)
+
+
+def seen(thickness, color, plate=0.02):
+    """(F, C, H, W, 3) display values of a flame that takes nothing away: 1 - (1 - plate) exp(-thickness color)."""
+    return shown(1 - (1 - plate) * np.exp(-thickness[..., None] * np.array(color))).astype(np.float32)
+
+
+def observation(thickness, cameras, color, plate=0.02, delivered=True):
+    image = seen(thickness, color, plate)
+    frames, count, height, width = thickness.shape
+    plates = np.full((count, height, width, 3), shown(np.float64(plate)), np.float32)
+    return Observation(
+        cameras=cameras,
+        frames=np.arange(frames),
+        time_s=0.1 + 0.01 * np.arange(frames),
+        camera_time_s=np.tile(0.1 + 0.01 * np.arange(frames), (count, 1)),
+        image=image,
+        static=plates,
+        plate=plates,
+        intensity=np.zeros(thickness.shape, np.float32),
+        mask=thickness > 0,
+        allowed=thickness > 0,
+        flow=np.zeros((*thickness.shape, 2), np.float32),
+        delivered=np.broadcast_to(np.array(delivered), (frames, count)).copy(),
+        blocked=np.zeros((count, height, width), bool),
+    )
+
+
+def ball_observation(color=(3.0, 1.0, 0.05), frames=2, **kwargs):
+    """A ball of even fire, by exact path lengths (m), seen by three cameras; and its voxels."""
+    cameras = arc(3)
+    masks, lengths = ball(cameras, MIDDLE, RADIUS)
+    voxels = carve(cameras, masks[None], 32)
+    return observation(np.stack([4 * lengths] * frames), cameras, color, **kwargs), voxels
+
+
+def test_a_ball_is_a_ball_from_everywhere():
+    observed, voxels = ball_observation()
+    views = imagine_views(voxels, observed)
+    assert views.thickness.shape[:2] == (2, len(views.cameras)) and views.time_s.tolist() == pytest.approx([0.1, 0.11])
+    for v, camera in enumerate(views.cameras):
+        _, lengths = ball([camera], MIDDLE, RADIUS)
+        light = views.view(1, v).light[1].reshape(camera.height, camera.width)
+        true = 0.98 * (1 - np.exp(-4 * lengths[0]))  # above a plate of 0.02
+        assert np.abs(light - true).mean() < 0.2 * true.mean() and light.max() == pytest.approx(true.max(), rel=0.03)
+        assert light.mean() == pytest.approx(true.mean(), rel=0.06)
+        assert light[lengths[0] == 0].mean() < 0.05 * true.max(), "there is hardly anything beside it"
+
+
+def test_they_stand_around_the_flame_and_have_all_of_it_in_view():
+    cameras = arc(3)
+    masks, _ = ball(cameras, MIDDLE, RADIUS)
+    voxels = carve(cameras, masks[None], 24)
+    around = cameras_around(voxels, cameras, 8)
+    middle = (voxels.center.min(0) + voxels.center.max(0)) / 2
+    offset = np.stack([camera.position for camera in around]) - middle
+    given = np.stack([camera.position for camera in cameras]) - middle
+    assert np.linalg.norm(offset, axis=1) == pytest.approx(np.linalg.norm(given, axis=1).mean())
+    turned = np.diff(np.unwrap(np.arctan2(offset[:, 1], offset[:, 0])))
+    assert turned == pytest.approx(np.pi / 4)
+    for camera in around:
+        pixel, depth = camera.project(voxels.center)
+        assert (depth > 0).all() and (pixel > 0).all() and (pixel < [camera.width, camera.height]).all()
+        assert camera.world_to_camera[1, 2] < 0, "up is up"
+        rotation = camera.world_to_camera[:3, :3]
+        assert rotation @ rotation.T == pytest.approx(np.eye(3)) and np.linalg.det(rotation) == pytest.approx(1)
+    beside = np.array(
+        [middle, middle + voxels.voxel_size * np.cross(offset[0], [0, 0, 1]) / np.linalg.norm(offset[0, :2])]
+    )
+    assert np.linalg.norm(np.diff(around[0].project(beside)[0], axis=0)) == pytest.approx(1, rel=0.02), (
+        "a voxel, a pixel"
+    )
+
+
+@pytest.mark.parametrize("color, told", [((60.0, 1.0, 0.05), 1), ((1.0, 0.3, 0.02), 0), ((0.1, 0.2, 0.9), 2)])
+def test_thickness_is_told_by_the_brightest_channel_that_is_not_white(color, told):
+    observed, _ = ball_observation(color)
+    thickness = unsaturated_light(observed)
+    true = 4 * ball(observed.cameras, MIDDLE, RADIUS)[1] * color[told]
+    saturated = (seen(true[None] / color[told], color)[..., told] > 0.97)[0]
+    assert saturated.mean() < OFTEN
+    np.testing.assert_allclose(thickness[0][~saturated], true[~saturated], atol=0.02)
+
+
+def test_white_pictures_and_white_plates_are_finite():
+    observed, voxels = ball_observation()
+    for image, plate in ((1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)):
+        dull = replace(observed, image=np.full_like(observed.image, image), plate=np.full_like(observed.plate, plate))
+        assert np.isfinite(unsaturated_light(dull)).all()
+        views = imagine_views(voxels, dull)
+        assert views is None or np.isfinite(views.view(0, 0).light).all()
+
+
+def test_frames_that_a_camera_did_not_take_are_left_out():
+    observed, voxels = ball_observation(frames=3)
+    observed.delivered[1, 2] = False
+    views = imagine_views(voxels, observed)
+    assert views.time_s.tolist() == pytest.approx([0.1, 0.12])
+    rng = np.random.default_rng(0)
+    assert [view and view.time_s for view in (views.choose(f, rng) for f in range(3))] == pytest.approx(
+        [0.1, None, 0.12]
+    )
+    observed.delivered[:] = False
+    assert imagine_views(voxels, observed) is None
+
+
+# ---------------------------------------------------------------- over other plates
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_over_another_plate_is_what_the_renderer_draws_there(hidden):
+    rng = np.random.default_rng(0)
+    shape = CAMERA.height, CAMERA.width
+    plate, flame = rng.uniform(0, 1, (*shape, 3)).astype(np.float32), cloud(0.0)
+    blocked = np.zeros((1, *shape), bool)
+    blocked[0, : shape[0] // 2] = hidden
+    surroundings = Plates([CAMERA], plate[None], blocked, move=False)
+    color = [0.1, 0.3, 0.2]
+    drawn = surroundings.draw(splats_at(flame, CAMERA, 0.0), 0, 0.005, {})
+    over = np.stack([p.numpy().reshape(shape) for p in surroundings.over(drawn, 0, [opaque(x) for x in color], {})], -1)
+    true = render(flame, CAMERA, 0.0, background=np.broadcast_to(np.float32(color), plate.shape), near=0.005)["color"]
+    np.testing.assert_allclose(over, np.where(blocked[0, ..., None], color, true), atol=1e-5)
+
+
+def test_what_stands_among_still_gaussians_keeps_them():
+    scene = StillScene(cloud(1.0), [CAMERA], voxels())
+    drawn = scene.draw(splats_at(cloud(0.0), CAMERA, 0.0), 0, 0.005, {})
+    assert scene.over(drawn, 0, [opaque(0.1)] * 3, {}) is None
+
+
+def test_fire_adds_light_and_smoke_takes_a_share():
+    plate = np.array([[0.2, 0.1, 0.05]])
+    fire, smoke = plate + [[0.3, 0.1, 0.0]], plate * [[0.5, 0.5, 0.8]]
+    plain = np.array([0.3, 0.2, 0.1])
+    behind = ((plain + 0.055) / 1.055) ** 2.4
+    for image, wanted in ((fire, behind + [0.3, 0.1, 0.0]), (smoke, behind * [0.5, 0.5, 0.8]), (plate, behind)):
+        drawn = [p.numpy()[0] for p in over_plain(light_and_smoke(image, plate), plain)]
+        np.testing.assert_allclose(drawn, shown(wanted), atol=1e-5)
+    for image, behind_it in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)):  # black plates, white pictures
+        light = light_and_smoke(np.full((1, 3), image, np.float32), np.full((1, 3), behind_it, np.float32))
+        assert np.isfinite([p.numpy()[0] for p in over_plain(light, plain)]).all() and (light >= -1).all()
+
+
+# ---------------------------------------------------------------- colours that every screen can show
+
+
+def colored(color):
+    return replace(cloud(0.0, n=len(color)), color=np.array(color, np.float32), dynamic=np.ones(len(color), bool))
+
+
+def test_colors_come_back_and_stay_in_range():
+    color = [[0.1, 0.5, 0.9], [0.0, 1.0, 0.3], [-0.2, 1.3, 0.5]]
+    raw = to_raw(colored(color), 0.1, 0.0)
+    np.testing.assert_allclose(from_raw(raw, 0.1, 0.0).color, np.clip(color, 0, 1), atol=2e-4)
+    raw["color_logit"] = type(raw["color_logit"])(*[1e4 * (c - 0.5) for c in raw["color_logit"]])
+    far = from_raw(raw, 0.1, 0.0).color
+    assert np.isfinite(far).all() and (far >= 0).all() and (far <= 1).all()
+    free = from_raw(to_raw(colored(color), 0.1, 0.0, bounded_color=False), 0.1, 0.0)
+    np.testing.assert_allclose(free.color, color, atol=1e-6)
+
+
+def test_their_gradient_is_that_of_differences_and_finite_far_away():
+    raw = to_raw(colored([[0.2, 0.6, 0.9]] * 3), 0.1, 0.0)
+    raw["opacity"] = Float([-200.0, 0.0, 200.0])
+
+    def total(logit):
+        same = dr.repeat(logit, 3)
+        now = raw | {"color_logit": type(raw["color_logit"])(same, same, same)}
+        return dr.sum(render_splats(splats(now, 0.1, 0.0, CAMERA), CAMERA).color[1])
+
+    for value in (-2.0, 0.0, 1.5):
+        logit = Float(value)
+        dr.enable_grad(logit)
+        dr.backward(total(logit))
+        step = 0.05
+        difference = (total(Float(value + step)) - total(Float(value - step)))[0] / (2 * step)
+        assert dr.grad(logit)[0] == pytest.approx(difference, rel=2e-2)
+    for value in (-500.0, 500.0):
+        logit = opaque(value)
+        dr.enable_grad(logit)
+        dr.backward(total(logit))
+        assert np.isfinite(dr.grad(logit)[0])
