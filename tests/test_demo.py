@@ -55,13 +55,13 @@ def demo(tmp_path_factory):
 
     first = subprocess.Popen(command(folder, scene), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 240
-    while len(finished()) < 20 and time.monotonic() < deadline:  # 54 files in all
+    while len(finished()) < 20 and time.monotonic() < deadline:  # 108 files in all, with those from all around
         time.sleep(0.02)
     os.kill(first.pid, signal.SIGKILL)
     first.wait()
     time.sleep(1)  # a worker that had survived would go on writing
     before = finished()
-    assert 20 <= len(before) < 54, "the kill must fall into the rendering"
+    assert 20 <= len(before) < 108, "the kill must fall into the rendering"
     done = subprocess.run(command(folder, scene), capture_output=True, text=True, timeout=500)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     return folder, before, done.stdout
@@ -79,6 +79,7 @@ def test_scores_beat_random_and_still_velocities_and_the_plate(demo):
     assert scores["dve"]["l2"] < min(scores["controls"]["zero"]["l2"], scores["controls"]["random"]["l2"])
     assert scores["dve"]["cos_sim"] > scores["controls"]["random"]["cos_sim"] + 0.3
     assert scores["psnr_flame"] > scores["psnr_flame_plate"] + 6
+    assert len(scores["around"]) == 9 and min(view["psnr_flame"] for view in scores["around"]) > 8
     stages = {s["name"]: s for s in scores["stages"]}
     assert {"bake", "render", "ground-truth", "motion", "flow_field", "optimize", "evaluate", "import"} <= set(stages)
     assert all(s["seconds"] > 0 and s["peak_mb"] > 50 for s in stages.values())
@@ -87,7 +88,8 @@ def test_scores_beat_random_and_still_velocities_and_the_plate(demo):
 def test_everything_a_newcomer_opens_is_there(demo):
     out = demo[0] / "demo"
     page = (out / "report.html").read_text()
-    assert page.count("data:image/") >= 5 and 'src="http' not in page
+    assert page.count("data:image/") >= 23 and "From all around" in page and "Flame PSNR from all around" in page
+    assert 'src="http' not in page
     assert (out / "preview.png").stat().st_size > 1000
     player = (out / "share.html").read_text()
     assert "<canvas" in player and '"name":"reconstruction"' in player and "http://" not in player

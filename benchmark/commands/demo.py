@@ -6,10 +6,11 @@ import hashlib
 import json
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
+from gof.commands.evaluate import around_table
 from gof.commands.everywhere import write_figures
 from gof.commands.read import read_options
 from gof.commands.units import Preset
@@ -23,6 +24,10 @@ from gof.host.processes import python_command
 from gof.host.worker import run_worker
 from gof.reconstruct.presets import FLAGS, LEAST
 from gof_benchmark.scenes import load_scene
+from gof_blender.pure.spec import SceneSpec
+from gof_blender.pure.spec import save as save_spec
+
+AROUND_FRAMES = 2  # that the views from all around have
 
 
 @dataclass
@@ -49,6 +54,17 @@ class DemoConfig:
     """Number of Gaussians; default: that of `gof reconstruct`."""
 
 
+def spec_of(config: DemoConfig) -> SceneSpec:
+    """The scene, also seen from all around, so that the flame is scored from where it was not filmed, too.
+
+    Raises GofError: there is no such scene.
+    """
+    spec = load_scene(config.scene, config.preset)
+    if spec.cameras.around_frames:
+        return spec
+    return replace(spec, cameras=replace(spec.cameras, around_frames=min(AROUND_FRAMES, spec.clip.frames)))
+
+
 @dataclass(frozen=True)
 class DemoSettings:
     """demo.json: what a demo's folder is made with. `scene`: name and digits of its spec."""
@@ -66,7 +82,7 @@ class DemoSettings:
         for name, given in (("gaussians", config.gaussians), ("iterations", config.steps)):
             if given is not None and given < LEAST[name]:
                 raise GofError(f"{FLAGS[name]} {given}: must be {LEAST[name]} or more")
-        spec = load_scene(config.scene, config.preset)
+        spec = spec_of(config)
         digits = hashlib.sha256(json.dumps(spec.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
         return cls(f"{spec.name} {digits}", config.gaussians, config.steps)
 
@@ -92,15 +108,14 @@ class Stage:
 
 def stages_of(config: DemoConfig) -> list[Stage]:
     """The steps in order, each a `gof` command."""
-    out, dataset = config.out, config.out / "dataset"
+    out, dataset, scene = config.out, config.out / "dataset", config.out / "scene.json"
     made, result, preview = dataset / "dataset.json", out / "reconstruct" / "result.npz", out / "preview.png"
-    preset = ["--preset", config.preset] if config.preset else []
     effort = [x for name in ("gaussians", "steps") if (n := getattr(config, name)) for x in (f"--{name}", n)]
     into_blender = ["--dataset", dataset, "--out", out / "result.blend", "--preview", preview, "--samples", 8]
     return [
         Stage(
             "generate",
-            ["generate", config.scene, *preset, "--out", dataset],
+            ["generate", scene, "--out", dataset],
             [],
             [made],
             dataset / "costs.json",
@@ -138,6 +153,7 @@ def main(argv: list[str]) -> int:
     """`gof demo [--out DIR]`; see --help."""
     config = read_options(DemoConfig, "demo", argv)
     claim(config.out / "demo.json", DemoSettings.of(config), config.out / "dataset" / "spec.json")
+    save_spec(spec_of(config), config.out / "scene.json")
     start = time.perf_counter()
     run_stages(config)
     scores = Scores.read(evaluation(config))
@@ -195,6 +211,8 @@ def summarise(scores: Scores) -> None:
             f"(plate alone {scores.psnr_flame_plate:.2f} dB), "
             f"SSIM {scores.ssim_flame:.3f} ({scores.ssim_flame_plate:.3f})"
         )
+    if scores.around:
+        console.print(around_table(scores))
 
 
 if __name__ == "__main__":

@@ -131,6 +131,30 @@ def three_views(
     return list(rows.items())
 
 
+def views_around(
+    dataset: Dataset, gaussians: TransientGaussians, angles_deg: dict[str, float]
+) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Rows of pictures of one frame from all around, as `three_views`, without the difference.
+
+    Args:
+        dataset: seen by its cameras around (`Dataset.around_view`).
+        angles_deg: by camera's name, from the nearest given one: whom to show, and in which order.
+    """
+    from gof.render import render
+
+    rows: dict[str, list] = {original(dataset): [], "reconstruction": []}
+    numbers = {camera.name: number for number, camera in enumerate(dataset.cameras)}
+    for name in sorted(angles_deg, key=angles_deg.__getitem__):
+        number, camera = numbers[name], dataset.cameras[numbers[name]]
+        frame = dataset.frames(number)[0]
+        time_s = float(dataset.camera_times_s(number)[frame])
+        background = dataset.static(number) if gaussians.dynamic.all() else None
+        image = np.clip(render(gaussians, camera, time_s, background=background)["color"], 0, 1)
+        for title, picture in zip(rows, (dataset.image(number, frame), image), strict=True):
+            rows[title].append((f"{angles_deg[name]:.0f}°", data_uri(to_bytes(picture))))
+    return list(rows.items())
+
+
 def brightest_frame(dataset: Dataset) -> int:
     """The held-out frame with most flame (without masks: farthest from the plate); any frame when none is held out."""
 

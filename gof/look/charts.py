@@ -418,6 +418,26 @@ def frame_chart(scores: Scores) -> Chart | None:
     return _chart(title, "time (ms)", "DVE L2", ["this result", *levels], COLUMN, fill)
 
 
+def around_chart(scores: Scores) -> Chart | None:
+    """Make a chart of the flame's PSNR by the angle from the nearest given camera; None without such views."""
+    known = [view for view in scores.around if view.psnr_flame is not None]
+    if not known:
+        return None
+    angles = sorted({round(view.angle_deg) for view in known})
+    means = [np.mean([view.psnr_flame for view in known if round(view.angle_deg) == angle]) for angle in angles]
+    lines = ["mean", "a camera"]
+
+    def fill(axes: Axes) -> None:
+        axes.plot(angles, means, color=COLOURS[0], linewidth=1.4, label=lines[0])
+        for k, view in enumerate(known):
+            tip = _tip(view.camera, f"{view.angle_deg:.0f} degrees", f"{view.psnr_flame:.2f} dB")
+            style = {"color": COLOURS[0], "marker": "o", "markersize": 3.5, "linestyle": "none"}
+            axes.plot([view.angle_deg], [view.psnr_flame], label=lines[1] if k == 0 else None, **style, **tip)
+
+    title = "Flame PSNR from all around (higher is better)"
+    return _chart(title, "angle from the nearest given camera (degrees)", "PSNR flame (dB)", lines, COLUMN, fill)
+
+
 # ---------------------------------------------------------------- streams
 
 

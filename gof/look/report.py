@@ -18,7 +18,7 @@ from gof.dataset.plates import background
 from gof.evaluate.scores import ControlScore, Scores, VelocityScore
 from gof.host.machine import machine, versions
 from gof.look import animation as pictures
-from gof.look.charts import frame_chart
+from gof.look.charts import around_chart, frame_chart
 from gof.look.images import data_uri, enlarge, factor_for, file_uri, to_bytes
 from gof.look.pages import PagePicture, template
 from gof.look.preview import Preview
@@ -99,6 +99,8 @@ def build_report(
         "scores": scores,
         "verdicts": verdicts(scores),
         "chart": chart.svg() if (chart := frame_chart(scores)) else "",
+        "around": _around(dataset, gaussians, scores),
+        "around_chart": chart.svg() if (chart := around_chart(scores)) else "",
         "stages": list(stages),
         "preview": _preview(preview, out_dir, dataset),
         "fire_removal": fire_removal,
@@ -128,6 +130,13 @@ def _facts(dataset: Dataset, gaussians: TransientGaussians) -> dict[str, str]:
         "Gaussians": f"{len(gaussians):,}"
         + ("" if gaussians.dynamic.all() else f" ({int(gaussians.dynamic.sum()):,} dynamic)"),
     }
+
+
+def _around(dataset: Dataset, gaussians: TransientGaussians, scores: Scores) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Pictures from all around, where they were scored."""
+    around = dataset.around_view()
+    angles_deg = {view.camera: view.angle_deg for view in scores.around}
+    return pictures.views_around(around, gaussians, angles_deg) if around and angles_deg else []
 
 
 def _preview(preview: Preview | None, folder: Path, dataset: Dataset) -> dict[str, Any] | None:
