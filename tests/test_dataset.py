@@ -64,6 +64,9 @@ CANNOT_BE = {
         _swap(lambda c: {"world_to_camera": [*c["world_to_camera"][:3], [0, 0, 1, 1]]}),
         "world",
     ),
+    "a bent lens": (_swap(lambda c: {"distortion": [0.1, 0, 0, 0]}), "'cam_0' has distortion.*undistort"),
+    "another program's coefficient": (_swap(lambda c: {"k1": -0.2}), "has k1"),
+    "a fisheye": (_swap(lambda c: {"camera_model": "OPENCV_FISHEYE"}), "camera_model OPENCV_FISHEYE"),
     "names of one file": (
         lambda meta: [c.update(name=n) for c, n in zip(meta["cameras"], ("caf\u00e9", "cafe\u0301"), strict=True)],
         "name",

@@ -1,23 +1,19 @@
-"""Every example of README and docs/: run as it is written on a small fire, or named here with the reason why not.
+"""Every command block of README and docs/ runs as printed, page by page and in the order of the page.
 
-The tutorials run in tests/test_site.py; the options of all commands exist, also of those that are not run.
+What a reader has by then is `gof sample` (tests/reader.py), and what the blocks before made. What is not run stands in
+`NOT_RUN` with the reason. The tutorials run in tests/test_site.py.
 """
 
 import contextlib
 import io
-import os
 import re
-import subprocess
-import sys
+import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from gof.commands.cli import main as gof
-from gof.core.fields import VelocityField
-from gof.core.gaussians import TransientGaussians
-from tests.conftest import arc, write_dataset
+from tests.reader import clear, lay_out, run
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -41,23 +37,14 @@ NOT_RUN = {  # (page, words that the example begins with): why
     ("baselines.md", "python FreeTimeGsVanilla"): OTHERS,
     ("baselines.md", "python -m gof_benchmark.evidence.baseline_rows"): OTHERS + ", and hours",
     ("benchmark.md", "gof benchmark list"): HOURS + "; tests/suite walks the same way at toy size",
-    ("benchmark.md", "gof pack"): "packs what the commands above it made; tests/test_pack.py packs and unpacks",
     ("capture.md", "gof capture target"): HARDWARE + " and a printed target; tests/capture films synthetic ones",
-    ("capture.md", "gof capture sync"): "needs films of a RocSync board; tests/capture films synthetic ones",
     ("capture_board.md", ". $IDF_PATH"): HARDWARE,
     ("capture_board.md", "$ firmware/build/emulator"): "needs a compiled emulator; tests/firmware talks to it",
     ("capture_board.md", "$ make -C firmware"): "a C compiler's run; tests/firmware makes it",
     ("cluster.md", "#!/bin/bash"): "needs a cluster; tests/test_cluster.py has one of two processes",
     ("cluster.md", "from pathlib"): "needs a cluster; tests/test_cluster.py has one of two processes",
     ("how_real.md", "python -m gof_benchmark.fires"): HOURS,
-    ("ingest.md", "gof capture sync"): "needs films of a fire; tests/ingest films small ones",
-    ("ingest.md", "gof ingest b/cam"): "needs films of two fires; tests/ingest films small ones",
     ("ingest.md", "gof ingest data/hf"): "needs a published data set",
-    ("ingest.md", "gof background"): "thousands of steps; tests/reconstruct makes small ones",
-    (
-        "leaderboard.md",
-        "gof depth data/fire",
-    ): "stereo finds nothing in noise; tests/ingest/test_frame_depth.py has texture",
     ("renderer.md", "import drjit"): "names every call with placeholders; tests/render makes each of them",
 }
 SAID = {  # page: words that stand for the reader's own files
@@ -67,6 +54,7 @@ SAID = {  # page: words that stand for the reader's own files
         "DATASET": "data/fire",
         "CAMERAS": "data/fire/dataset.json",
         "out.npz | out.ply | out.ftgs.ply | out.glb | out.spz | out.sog | FOLDER": "out.glb",
+        "model/chkpnt30000.pth": "mine.npz",  # a checkpoint of another method
     },
     "leaderboard.md": {"RESULT": "mine.npz", "DATASET": "data/fire", "METHOD": "again"},
 }
@@ -75,23 +63,21 @@ import numpy as np
 from gof.dataset import Dataset
 from gof.core.gaussians import TransientGaussians
 dataset = Dataset.open("data/fire")
-gaussians = TransientGaussians.load("flame.npz")
+gaussians = TransientGaussians.load("boards/theirs/result.npz")
 camera, time_s, field = dataset.cameras[0], 0.12, dataset.velocity.at(0.12)
 points = np.zeros((4, 3))
 """
-BEFORE = {  # (page, words it begins with): what the reader has already
-    (
-        "importers.md",
-        "from gof.io.importers",
-    ): 'import shutil, os; os.makedirs("model"); shutil.copy("flame.npz", "model/flame.npz")\n',
+BEFORE = {  # (page, words that a block begins with): what the reader has already
     ("renderer.md", "from gof.render import rasterize"): """
 import torch
 means, quats, scales = torch.rand(9, 3), torch.rand(9, 4), torch.full((9, 3), 0.1)
 opacities, colors, width, height = torch.rand(9), torch.rand(9, 3), 32, 24
 viewmats, Ks = torch.eye(4)[None], torch.tensor([[[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]])
 """,
+    ("benchmark.md", "gof pack"): "mkdir -p bench/standard; cp -r data/fire bench/standard/jet\n",
+    # the other clips of the rig, and this one's dataset
+    ("ingest.md", "gof ingest b/cam"): "cp -r data/fire data/a; for f in a b c; do mkdir $f; cp cam_?.mp4 $f; done\n",
 }
-INSTEAD = {("importers.md", "model/chkpnt30000.pth"): "model/flame.npz"}  # a checkpoint of another method
 
 pytestmark = pytest.mark.checkout
 
@@ -115,14 +101,20 @@ def is_listing(page: str, text: str) -> bool:
     return not COMMAND.match(text) and not text.startswith(("#", ".", "from", "import"))
 
 
-RUN = [e for e in examples() if reason(e[0], e[2]) is None and not is_listing(e[0], e[2])]
+def blocks() -> dict[str, list[tuple[str, str]]]:
+    """(language, text) of the blocks that are run, by their page."""
+    found: dict[str, list[tuple[str, str]]] = {}
+    for page, language, text in examples():
+        if reason(page, text) is None and not is_listing(page, text):
+            found.setdefault(page, []).append((language, text))
+    return found
 
 
 def test_what_is_not_run_is_there_and_examples_are_found():
     texts = [(page, text) for page, _, text in examples()]
     for page, words in NOT_RUN:
         assert any(of == page and text.startswith(words) for of, text in texts), f"{page} has no example {words!r}"
-    assert len(RUN) >= 12
+    assert sum(map(len, blocks().values())) >= 25
 
 
 @pytest.mark.long
@@ -147,62 +139,31 @@ def test_every_option_that_an_example_names_exists():
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory) -> Path:
-    """A small fire with true velocity, a reconstruction of it, and a result of another method."""
-    from gof.render import render
-
-    folder = tmp_path_factory.mktemp("world")
-    rng = np.random.default_rng(2)
-    n, times = 300, 0.01 * np.arange(36)
-    flame = TransientGaussians(
-        position=rng.normal([0, 0, 0.9], [0.1, 0.1, 0.25], (n, 3)),
-        velocity=np.tile([0.0, 0.0, 1.5], (n, 1)),
-        t_mu=rng.uniform(0, 0.35, n),
-        t_sigma=np.full(n, 0.04),
-        scale=np.full((n, 3), 0.04),
-        rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
-        opacity=np.full(n, 0.5),
-        color=rng.uniform([0.8, 0.3, 0.0], [1.0, 0.6, 0.2], (n, 3)),
-        dynamic=np.ones(n, bool),
-    )
-    cameras = arc(3)
-    plates = np.full((3, 64, 36, 3), 0.1) + 0.02 * rng.random((3, 64, 36, 3))
-    images = [[render(flame, c, t, background=p)["color"] for c, p in zip(cameras, plates, strict=True)] for t in times]
-    up = np.tile(np.array([0, 0, 1.5]), (20, 20, 24, 1))
-    fields = [VelocityField.from_array(up, (-1, -1, -0.5), 0.125, t) for t in times]
-    masks = np.abs(np.array(images) - plates).max(-1) > 0.05
-    held_out = [k for k in range(36) if k % 8 == 4]
-    write_dataset(folder / "data/fire", cameras, images, plates, times, fields, masks, held_out)
-    flame.save(folder / "flame.npz")
-    flame.save(folder / "mine.npz")
-    (folder / "out").mkdir()
-    flame.save(folder / "out/other.ply")
-    run(folder, "bash", "gof reconstruct data/fire --steps 20 --gaussians 300 --voxels 24 --out out/fire")
-    (folder / "out/demo").mkdir()
-    (folder / "out/demo/dataset").symlink_to(folder / "data/fire")
-    (folder / "out/demo/reconstruct").symlink_to(folder / "out/fire")
-    run(folder, "bash", "gof evaluate mine.npz --dataset data/fire --out boards/mine")
+def sample(tmp_path_factory) -> Path:
+    folder = lay_out(tmp_path_factory.mktemp("sample") / "world")
+    shutil.copyfile(folder / "boards/theirs/result.npz", folder / "mine.npz")
+    shutil.copytree(folder / "boards/theirs", folder / "boards/mine")
     return folder
 
 
-def run(folder: Path, language: str, text: str) -> str:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    environment = os.environ | {"PATH": path, "PYTHONPATH": os.environ.get("PYTHONPATH", str(ROOT))}
-    command = ["bash", "-ec", text] if language == "bash" else [sys.executable, "-c", text]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=1500)
-    assert done.returncode == 0, f"{text}\n{done.stdout[-2000:]}\n{done.stderr[-3000:]}"
-    return done.stdout
+@pytest.fixture
+def world(sample, tmp_path) -> Path:
+    """A copy for one page."""
+    return shutil.copytree(sample, tmp_path / "world", symlinks=True)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(3600)  # the first one also makes the world
-@pytest.mark.parametrize("page, language, text", RUN, ids=lambda value: re.sub(r"\W+", "_", value)[:40])
-def test_an_example_runs_as_it_is_written(page, language, text, world):
-    for words, instead in SAID.get(page, {}).items():
-        text = text.replace(words, instead)
-    for (of, words), instead in INSTEAD.items():
-        text = text.replace(words, instead) if of == page else text
-    if language == "python":
-        begun = next((code for (of, words), code in BEFORE.items() if of == page and text.startswith(words)), "")
-        text = START + begun + text
-    run(world, language, text)
+def pages() -> list:
+    """Pages with blocks; those that need Blender's library are marked."""
+    return [pytest.param(page, marks=[pytest.mark.blender] if page == "scenes.md" else []) for page in blocks()]
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1500)
+@pytest.mark.parametrize("page", pages())
+def test_the_blocks_of_a_page_run_in_its_order(page, world):
+    for language, text in blocks()[page]:
+        begun = next((more for (of, words), more in BEFORE.items() if of == page and text.startswith(words)), "")
+        for words, instead in SAID.get(page, {}).items():
+            text = text.replace(words, instead)
+        clear(world, text)
+        run(world, (START if language == "python" else "") + begun + text, language)

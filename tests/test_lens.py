@@ -1,5 +1,7 @@
 """Undistorting and turning against pictures whose content says where each pixel came from; cameras.json."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -43,19 +45,22 @@ def test_a_prepared_picture_shows_what_the_turned_pinhole_sees(turn, code):
     np.testing.assert_allclose(found, expected, atol=0.05)
 
 
+VIDEOS = [Path(f"cam_{k}.mp4") for k in range(3)]
+
+
 def test_cameras_file(tmp_path):
     path = tmp_path / "c.json"
     camera = CalibratedCamera(320, 180, tuple(map(tuple, LENS.K.tolist())), tuple(LENS.distortion.tolist()), "wide")
     write_record(path, CamerasFile((camera,)))
-    cameras = read_cameras(path, 3)
+    cameras = read_cameras(path, VIDEOS)
     assert cameras == [camera] * 3, "one camera stands for all"
     np.testing.assert_array_equal(cameras[2].lens.K, LENS.K)
     np.testing.assert_array_equal(cameras[2].lens.distortion, LENS.distortion)
     write_record(path, CamerasFile((camera, camera)))
     with pytest.raises(DataFormatError, match=r"c\.json: 'cameras' must list one entry, or one per video \(3\)"):
-        read_cameras(path, 3)
+        read_cameras(path, VIDEOS)
     with pytest.raises(DataFormatError, match=r"none\.json: no such file"):
-        read_cameras(tmp_path / "none.json", 3)
+        read_cameras(tmp_path / "none.json", VIDEOS)
 
 
 BY_HAND = {"width": 320, "height": 180, "K": [[280, 0, 163], [0, 280.5, 88], [0, 0, 1]]}
@@ -63,9 +68,34 @@ BY_HAND = {"width": 320, "height": 180, "K": [[280, 0, 163], [0, 280.5, 88], [0,
 
 def test_a_cameras_file_by_hand_needs_no_schema(tmp_path):
     write_json(tmp_path / "c.json", {"cameras": [BY_HAND]})
-    (camera,) = read_cameras(tmp_path / "c.json", 1)
+    (camera,) = read_cameras(tmp_path / "c.json", VIDEOS[:1])
     np.testing.assert_array_equal(camera.lens.K, LENS.K)
     assert camera.lens.distortion.shape == (0,) and camera.world_to_camera is None
+
+
+@pytest.mark.parametrize(
+    "called, right",
+    [
+        (("left", "right"), True),  # the videos'
+        (("right", "left"), False),
+        (("c0", "c1"), True),  # of the films of a target: nothing to compare
+        (("c0", "left"), False),
+        (("left", None), True),
+        ((None, None), True),
+    ],
+)
+def test_cameras_that_are_named_as_the_videos_have_their_order(tmp_path, called, right):
+    """Else each video would get another's lens and pose, silently."""
+    videos = [tmp_path / "left.mp4", tmp_path / "right"]
+    videos[0].touch()
+    videos[1].mkdir()  # of pictures
+    entries = [BY_HAND | ({} if name is None else {"name": name}) for name in called]
+    write_json(tmp_path / "c.json", {"cameras": entries})
+    if right:
+        assert len(read_cameras(tmp_path / "c.json", videos)) == 2
+    else:
+        with pytest.raises(DataFormatError, match=r"c\.json: names the cameras .*left\.mp4 is video 1: give"):
+            read_cameras(tmp_path / "c.json", videos)
 
 
 @pytest.mark.parametrize(
@@ -85,4 +115,4 @@ def test_a_cameras_file_by_hand_needs_no_schema(tmp_path):
 def test_malformed_cameras_files_name_the_field(tmp_path, data, message):
     write_json(tmp_path / "c.json", data)
     with pytest.raises(DataFormatError, match=rf"c\.json.*{message}"):
-        read_cameras(tmp_path / "c.json", 1)
+        read_cameras(tmp_path / "c.json", VIDEOS[:1])

@@ -2,10 +2,12 @@
 
 import hashlib
 import io
+import os
 import shlex
 import shutil
 import subprocess
 import tarfile
+import time
 
 import numpy as np
 import pytest
@@ -57,6 +59,36 @@ def test_the_same_files_make_the_same_archive(dataset, archive, tmp_path):
     shutil.copytree(dataset.path, tmp_path / "fire")
     again = pack(Dataset.open(tmp_path / "fire"), tmp_path / "out", "CC-BY-4.0", ("A. Author", "B. | <b>Bold</b>"))
     assert again.read_bytes() == archive.read_bytes()
+
+
+CHANGED_NS = 1_234_567_890_123_456_789  # in 2009; a float of seconds would lose the last three digits
+
+
+@pytest.mark.parametrize("by", ["gof unpack", "tar"])
+def test_files_keep_their_times_of_change(dataset, tmp_path, by):
+    folder = shutil.copytree(dataset.path, tmp_path / "fire")
+    os.utime(folder / "dataset.json", ns=(CHANGED_NS, CHANGED_NS))
+    archive = pack(Dataset.open(folder), tmp_path / "packed", "CC0-1.0", ("A",))
+    if by == "tar":
+        (tmp_path / "out").mkdir()
+        subprocess.run(["tar", "-xf", archive, "-C", tmp_path / "out"], check=True)
+    else:
+        unpack(archive, tmp_path / "out")
+    assert (tmp_path / "out/fire/dataset.json").stat().st_mtime_ns == CHANGED_NS
+    for name in files_of(folder):
+        assert (tmp_path / "out/fire" / name).stat().st_mtime_ns == (folder / name).stat().st_mtime_ns, name
+
+
+@pytest.mark.parametrize("stated", ["0", "-5", "nan", "1e300", "99999999999", "soon", ""])
+def test_times_that_no_file_can_have_are_not_taken(archive, tmp_path, stated):
+    def change(members):
+        for member, _ in members:
+            member.pax_headers = {"mtime": stated}
+            member.mtime = 0
+
+    before = time.time()
+    folder = unpack(rewritten(archive, tmp_path / "fire.tar", change), tmp_path / "out")
+    assert before - 60 < (folder / "dataset.json").stat().st_mtime < time.time() + 60
 
 
 @pytest.mark.parametrize("damage", ["a bit", "cut off", "no tar"])

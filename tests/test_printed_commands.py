@@ -6,19 +6,20 @@ else is changed. What is not run stands in `NOT_RUN` with the reason. What error
 
 import ast
 import contextlib
+import importlib
 import io
 import re
-import shlex
 import shutil
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gof.commands.cli import commands, main
-from gof.sample import unpack_sample
+from gof.commands.read import read_options
+from gof.core.errors import GofError
+from tests.reader import clear, lay_out, run
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -52,16 +53,10 @@ BEFORE = {  # page: what its reader has done before
     "gof unpack": "gof pack data/fire --licence CC0-1.0 --authors A --out .",
     "gof report": "gof evaluate out/fire --dataset data/fire --no-images",
 }
-SMALL = {  # command: words put behind it
-    "gof background": "--steps 5",
-    "gof generate": "--preset toy",
-    "gof reconstruct": "--steps 20 --gaussians 300 --voxels 24",
-    "gof study dve": "--gaussians 100",
-    "gof video": "--max-size 64 --fps 2",
-}
 BLENDER = ("gof demo", "gof generate", "gof import")
 
 
+@cache
 def help_of(*words: str) -> str:
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
@@ -100,29 +95,15 @@ def test_what_is_not_run_is_printed_somewhere():
 # ---------------------------------------------------------------- running them
 
 
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory) -> Path:
+    return lay_out(tmp_path_factory.mktemp("sample") / "world")
+
+
 @pytest.fixture
-def world(tmp_path) -> Path:
-    """A folder with the sample under the names that the pages use."""
-    unpack_sample(tmp_path / "sample")
-    shutil.copytree(tmp_path / "sample/fire", tmp_path / "data/fire")
-    for name, part in (("out/fire", "result"), ("boards/ours", "result"), ("boards/theirs", "submission/fire")):
-        shutil.copytree(tmp_path / "sample" / part, tmp_path / name)
-    run("gof evaluate boards/ours --dataset data/fire --no-images", tmp_path)
-    run("gof convert boards/theirs/result.npz out/other.ply", tmp_path)
-    (tmp_path / "out/demo").mkdir()
-    (tmp_path / "out/demo/dataset").symlink_to(tmp_path / "data/fire")
-    (tmp_path / "out/demo/reconstruct").symlink_to(tmp_path / "out/fire")
-    for film in (tmp_path / "sample/clip").iterdir():
-        shutil.copyfile(film, tmp_path / film.name)
-    return tmp_path
-
-
-def run(line: str, folder: Path) -> subprocess.CompletedProcess:
-    """The line as a shell runs it, made small."""
-    small = next((more for words, more in SMALL.items() if line.startswith(words)), "")
-    program = shlex.quote(str(Path(sys.executable).with_name("gof")))
-    command = re.sub(r"^gof", program, line) + f" {small}"
-    return subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True, timeout=550)
+def world(sample, tmp_path) -> Path:
+    """A copy for one page."""
+    return shutil.copytree(sample, tmp_path / "world", symlinks=True)
 
 
 def cases() -> list:
@@ -139,12 +120,9 @@ def cases() -> list:
 @pytest.mark.long
 @pytest.mark.parametrize("page, lines", cases())
 def test_what_a_page_prints_runs_in_its_order(page, lines, world):
-    for line in lines:
-        for made in re.findall(r"^gof (?:generate|ingest|reconstruct) .*--out (\S+)", line):
-            shutil.rmtree(world / made, ignore_errors=True)  # of the sample; now the reader makes it
     for line in [*([BEFORE[page]] if page in BEFORE else []), *lines]:
-        done = run(line, world)
-        assert done.returncode == 0, f"{page}: {line}\n{done.stdout[-1500:]}\n{done.stderr[-1500:]}"
+        clear(world, line)
+        run(world, line)
 
 
 # ---------------------------------------------------------------- what messages name
@@ -187,3 +165,151 @@ def test_every_option_that_a_message_names_exists():
                 wrong += [f"{path.relative_to(ROOT)}:{line}: gof {' '.join(words)} has no {o}" for o in missing]
     assert seen > 30
     assert not wrong, "\n".join(wrong)
+
+
+@cache
+def parsers() -> dict[str, type]:
+    """The class of options of each command, by the words that call it."""
+    found = {}
+    for path in SOURCES:
+        for config, name in re.findall(r"read_options\((\w+), \"([a-z ]+)\", argv\)", path.read_text(encoding="utf-8")):
+            module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            found[name] = getattr(importlib.import_module(re.sub("^benchmark", "gof_benchmark", module)), config)
+    return found
+
+
+def parses(name: str, words: list[str]) -> bool:
+    with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            read_options(parsers()[name], name, words)
+        except (SystemExit, GofError):
+            return False
+    return True
+
+
+@pytest.mark.checkout
+@pytest.mark.long
+def test_every_command_line_that_a_message_names_parses():
+    """Whole ones, with what they are given; 1 is what stands for a word in capitals: a path, a name and a number."""
+    wrong, seen = [], 0
+    for path in SOURCES:
+        for line, text in texts(path):
+            for name, rest in NAMED.findall(text):
+                name, *more = [*name.split(), *rest.rstrip(".:").split()]
+                if name in GROUPS:
+                    name = f"{name} {more.pop(0)}" if more else name
+                if name not in parsers() or "--" not in rest or not more or more[0][0] in "-[" or "[--" in rest:
+                    continue
+                more = [re.sub(r"^(.*=)?([A-Z_]+|\{\w+\})$", r"\g<1>1", word) for word in more if word != "..."]
+                tries = [more, [*more, "1"]] if more[-1].startswith("--") else [more]
+                seen += 1
+                if not any(parses(name, words) for words in tries):
+                    wrong.append(f"{path.relative_to(ROOT)}:{line}: gof {name} {' '.join(more)}")
+    assert seen > 40
+    assert not wrong, "\n".join(wrong)
+
+
+FOOTAGE = ("ingest", "capture sync", "capture annotate", "capture calibrate", "depth", "background")
+PRINTED_BY = {  # a part of the house: the commands that print its messages
+    "gof/capture": ("capture board", "capture draw", "capture target", *FOOTAGE),
+    "gof/ingest": FOOTAGE,
+    "gof/footage": FOOTAGE,
+    "gof/reconstruct": ("reconstruct", "background"),
+    "gof/render": (),
+    "gof/io/importers": (),  # every command that takes a result; only `gof convert` has options for it
+    "gof/io": ("convert",),
+    "gof/evaluate": ("evaluate", "leaderboard"),
+    "gof/look": ("figure compare", "figure modalities", "figure removal", "report", "share", "video", "view"),
+    "gof/dataset": ("pack", "unpack"),
+}
+ANYWHERE = {"--out", "--json", "--quiet", "--verbose", "--overwrite", "--preset", "--dataset", "--help", "--help-all"}
+ANYWHERE |= {"--host", "--duration"}  # one that is gone, and one of another program
+
+
+@pytest.mark.checkout
+@pytest.mark.long
+def test_an_option_that_a_message_names_alone_is_one_of_a_command_that_prints_it():
+    wrong, seen = [], 0
+    for path in SOURCES:
+        part = next((p for p in PRINTED_BY if path.relative_to(ROOT).as_posix().startswith(p + "/")), None)
+        own = re.search(r"gof/commands/([a-z_]+)\.py", path.as_posix())
+        names = PRINTED_BY.get(part, ())
+        if own and own[1].replace("_", " ") in parsers():
+            part, names = "own", (own[1].replace("_", " "),)
+        if part is None:
+            continue
+        for line, text in texts(path):
+            if " " not in text or "\n\n    " in text:
+                continue  # a name for the program, or a docstring
+            here = [*names, *(name for name in parsers() if f"gof {name}" in text)]
+            if text.startswith("--"):
+                here.append("convert")  # on what was given; only it has options for all results
+            for option in re.findall(r"(?<![\w-])(--[a-z][a-z-]+)", text):
+                seen += 1
+                has = any(re.search(rf"{option}(?![\w-])", help_of(*name.split())) for name in here)
+                if option not in ANYWHERE and not has:
+                    wrong.append(f"{path.relative_to(ROOT)}:{line}: {option}, of no command of {here}: {text[:90]!r}")
+    assert seen > 100
+    assert not wrong, "\n".join(wrong)
+
+
+def _without_unit(world: Path) -> None:
+    """A result of FreeTimeGS's kind that says neither its frames nor its seconds."""
+    n = 6
+    values = {"means": (n, 3), "velocities": (n, 3), "times": (n, 1), "durations": (n, 1), "scales": (n, 3)}
+    arrays = {name: np.full(shape, 0.1, np.float32) for name, shape in values.items()}
+    arrays |= {"quats": np.eye(4, dtype=np.float32)[[0] * n], "opacities": np.zeros(n, np.float32)}
+    arrays |= {"sh0": np.zeros((n, 1, 3), np.float32), "shN": np.zeros((n, 0, 3), np.float32)}
+    np.savez(world / "out/theirs.npz", **arrays)
+
+
+def _without_number_unit(world: Path) -> None:
+    run(world, "gof convert out/fire/result.npz out/plys --frame-time 0.01 --clip 0 0.03 --quiet")
+
+
+REMEDIES = {  # what has happened: how, the command that stops, and what stands for the words of its message
+    "no scores": (None, "report out/fire --dataset data/fire", {"RESULT": "out/fire"}),
+    "damaged scores": (
+        lambda world: (world / "out/fire/scores.json").write_text("{"),
+        "report out/fire --dataset data/fire",
+        {"RESULT": "out/fire"},
+    ),
+    "scores of another version": (
+        lambda world: (world / "out/fire/scores.json").write_text('{"schema": "gof-scores", "version": 99}'),
+        "report out/fire --dataset data/fire",
+        {"RESULT": "out/fire"},
+    ),
+    "one of a board without scores": (
+        None,
+        "leaderboard boards/ours out/fire --dataset data/fire --out out/board",
+        {"RESULT": "out/fire"},
+    ),
+    "no unit of time": (
+        _without_unit,
+        "evaluate out/theirs.npz --dataset data/fire --no-images",
+        {"RESULT": "out/theirs.npz", "--time-unit": "--time-unit 0.13"},
+    ),
+    "no seconds between PLYs": (
+        _without_number_unit,
+        "evaluate out/plys --dataset data/fire --no-images",
+        {"RESULT": "out/plys", "--time-unit": "--time-unit 0.01"},
+    ),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", REMEDIES)
+def test_what_an_error_recommends_mends_it(case, world, monkeypatch, capsys):
+    fault, command, words = REMEDIES[case]
+    monkeypatch.chdir(world)
+    if fault:
+        fault(world)
+    assert main(command.split()) == 1
+    said = capsys.readouterr().err
+    remedy = re.findall(r"gof ((?:evaluate|convert) [^(,;'\n]*)", said)[-1].rstrip(". ")
+    for word, value in (words | {"DATASET": "data/fire"}).items():
+        remedy = re.sub(rf"{word}(?![\w-])", value, remedy)
+    if remedy.startswith("evaluate"):
+        remedy += " --no-images"
+    assert main(remedy.split()) == 0, said
+    assert main(command.split()) == 0

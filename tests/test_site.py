@@ -71,7 +71,8 @@ SEARCH = """new Promise(async (done) => {
 })"""
 
 
-@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.timeout(1500)
 @pytest.mark.blender
 @pytest.mark.parametrize("page", ["benchmark", "score"])
 def test_a_tutorial_runs_as_it_is_written(page, tmp_path):

@@ -54,7 +54,8 @@ def annotate(
     names = [video.name for video in footage or ()]
     if names != made_of and sorted(names) == sorted(made_of):
         raise GofError(f"--footage: the dataset was made of {', '.join(made_of)}, in this order; give them in the same")
-    lenses = [camera.lens for camera in read_cameras(cameras, count)] if cameras else [None] * count
+    videos = footage or [Path(camera.name) for camera in dataset.cameras]
+    lenses = [camera.lens for camera in read_cameras(cameras, videos)] if cameras else [None] * count
     entries = {entry.name: entry for entry in dataset.description.cameras}
     notes: dict[str, str] = {}
     made_from = dict(dataset.description.made_from)

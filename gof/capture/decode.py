@@ -359,12 +359,12 @@ def _row_time(options: DecodeOptions, seen: StripReadings, time: np.ndarray, per
     if along is None:
         raise NotDecodable(
             "the frames meet the board at too few phases of its period to measure the row time; set another tick "
-            "(gof capture board set --tick-us 410), or give --row-time-us and --readout"
+            "(gof capture board set --tick-us 410), or give --row-time and --readout"
         )
     if span < MIN_SPAN_PX:
         raise NotDecodable(
             "the strips run across the readout direction; turn the board by 90 degrees, or give "
-            "--row-time-us and --readout"
+            "--row-time and --readout"
         )
     if options.row_time_us is not None:
         return float(np.sign(along)) * options.row_time_us, False

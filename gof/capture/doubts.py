@@ -91,7 +91,7 @@ def _odd_row_time(times: VideoTimes, others: list[VideoTimes]) -> list[str]:
         edge = abs(times.row_time_us - usual) * lines / 2
         found.append(
             f"its row time, {times.row_time_us:.2f} us per line, is not that of the others ({usual:.2f}): unless it is "
-            f"another camera or mode, its edges are {edge:.0f} us off; look at its residuals, or give --row-time-us"
+            f"another camera or mode, its edges are {edge:.0f} us off; look at its residuals, or give --row-time"
         )
     directions = {o.readout for o in alike}
     if len(alike) > 1 and len(directions) == 1 and times.readout not in directions:

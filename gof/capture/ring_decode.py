@@ -303,7 +303,7 @@ def _fit_shared(
     if np.linalg.eigvalsh(scaled)[0] < LEAST_KNOWN:
         raise NotDecodable(
             "the frames show too few places of the ring to tell the delay of the picture's lines; film at another rate "
-            "or longer, or give --row-time-us and --readout"
+            "or longer, or give --row-time and --readout"
         )
     spread = robust_scale(miss(found.x)) + 1e-3
     error = spread * np.sqrt(np.diag(np.linalg.inv(scaled))) / size

@@ -142,7 +142,7 @@ TABLE: dict[str, Changes] = {
         | {
             "--truth": New("--dataset"),
             "--depth": New("--published"),
-            "--disparity": Gone("is found in the folder of gof depth that --published names"),
+            "--disparity": Gone("is found in the folder of --published, which gof depth writes"),
             "--order": Gone("is varied by gof study score RESULT --dataset DATASET --order 3 5; scores have order 3"),
             "--opacity": Gone("is varied by gof study score RESULT --dataset DATASET --opacity temporal base"),
         }

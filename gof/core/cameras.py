@@ -16,6 +16,8 @@ from .files import is_name
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes (y up, looking along -z) to OpenCV's, and back
 PICTURES = frozenset("avif bmp dng exr gif hdr heic heif jp2 jpeg jpg jxl pgm png ppm raw tga tif tiff webp".split())
 READOUT_DIRECTIONS = ("down", "up", "right", "left")
+BENT = "k1 k2 k3 k4 k5 k6 p1 p2 is_fisheye distortion distortion_params rolling_shutter latlong equirectangular".split()
+STRAIGHT = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "FULL_OPENCV", "RADIAL", "SIMPLE_RADIAL")  # without coefficients
 
 
 @dataclass(frozen=True)
@@ -195,6 +197,18 @@ class Camera:
             raise DataFormatError(f"{source}: camera field cannot be read ({e})") from e
         except (DataFormatError, NonFiniteError) as e:
             raise type(e)(f"{source}: {e}") from e
+
+
+def bent_by(fields: dict[str, Any]) -> list[str]:
+    """The fields of another program's camera by which its pictures are distorted; none of `Camera`'s are."""
+    found = [name for name in fields if (name in BENT or name.startswith("ftheta_p")) and _says(fields[name])]
+    models = {name: fields[name] for name in ("camera_model", "model") if fields.get(name, "OPENCV") not in STRAIGHT}
+    return found + [f"{name} {str(model)[:40]}" for name, model in models.items()]
+
+
+def _says(value: Any) -> bool:
+    """Whether a field of distortion says that there is some."""
+    return any(map(_says, value)) if isinstance(value, list) else bool(value)
 
 
 def names_by_pictures(pictures: Sequence[str]) -> list[str]:

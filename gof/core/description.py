@@ -11,11 +11,11 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from .cameras import Camera
+from .cameras import Camera, bent_by
 from .datum import Datum
 from .errors import DataFormatError
-from .files import is_relative_path
-from .records import read_record, write_record
+from .files import is_relative_path, read_json
+from .records import from_json, write_record
 
 FILE = "dataset.json"
 FRAME = re.compile(r"\{frame(?::0?([1-9])d)?\}")  # all of Python's format language that file names may use
@@ -209,7 +209,15 @@ class DatasetDescription:
                 f"{folder}: no {FILE}; not a dataset, or its generation has not finished "
                 "(run 'gof generate' on it again to resume)"
             )
-        return read_record(cls, path)
+        data = read_json(path)
+        entries = data.get("cameras") if isinstance(data, dict) else None
+        for entry in entries if isinstance(entries, list) else ():
+            if isinstance(entry, dict) and (bent := bent_by(entry)):
+                raise DataFormatError(
+                    f"{path}: camera {str(entry.get('name'))[:80]!r} has {', '.join(bent)}: distortion, which a "
+                    "dataset's pictures have not: undistort them"
+                )
+        return from_json(cls, data, path)
 
     def write(self, folder: Path) -> None:
         """Write `folder/dataset.json`. Written last, it says that the dataset is complete."""

@@ -297,8 +297,10 @@ class Scores(PictureFigures):
         try:
             return read_record(cls, path)._with_paths(lambda name: os.path.normpath(path.parent / name))
         except DataFormatError as e:
-            where = f"--out {path.parent}" if path.name == "scores.json" else f"--json {path}"
-            raise DataFormatError(f"{e}; to write it: gof evaluate RESULT --dataset DATASET {where}") from e
+            remedy = f"gof evaluate RESULT --dataset DATASET --json {path}"
+            if path.name == "scores.json":
+                remedy = f"gof evaluate RESULT --dataset DATASET --out {path.parent}"
+            raise DataFormatError(f"{e}; to write it: {remedy}{' --overwrite' if path.exists() else ''}") from e
 
     def write(self, path: Path) -> None:
         """Write it, atomically; an older file is replaced. Paths in it count from its folder."""

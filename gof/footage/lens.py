@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -109,18 +109,28 @@ class CamerasFile:
     cameras: tuple[CalibratedCamera, ...]
 
 
-def read_cameras(path: Path, count: int) -> list[CalibratedCamera]:
-    """The `count` cameras of a cameras.json. A file by hand may leave out schema and version.
+def read_cameras(path: Path, videos: Sequence[Path]) -> list[CalibratedCamera]:
+    """The camera of each video by a cameras.json. A file by hand may leave out schema and version.
 
     Raises:
-        DataFormatError: absent, not JSON, a missing or malformed field, or another number of cameras.
+        DataFormatError: absent, not JSON, a missing or malformed field, another number of cameras, or names that say
+            another order than the videos'.
     """
+    count = len(videos)
     data = read_json(path)
     if isinstance(data, dict):
         data = {"schema": CamerasFile.SCHEMA, "version": CamerasFile.VERSION} | data
     cameras = list(from_json(CamerasFile, data, path, ignore_unknown=False).cameras)
     if len(cameras) not in (1, count):
         raise DataFormatError(f"{path}: 'cameras' must list one entry, or one per video ({count})")
+    called = [camera.name for camera in cameras]
+    stems = [video.stem if video.is_file() else video.name for video in videos]
+    for place, (stem, video) in enumerate(zip(stems, videos, strict=True)):
+        if len(cameras) == count and stem in called and called[place] != stem and stems.count(stem) == 1:
+            raise DataFormatError(
+                f"{path}: names the cameras {', '.join(map(str, called))}, and {video} is video {place + 1}: give the "
+                "videos in the order of the cameras, or name the entries otherwise"
+            )
     return cameras * count if len(cameras) == 1 else cameras
 
 

@@ -107,7 +107,7 @@ class Footage:
             raise GofError("give the intrinsics with either --cameras FILE or --fov DEGREES")
         require_different(videos)
         require_one_film_each(videos)
-        known = None if cameras is None else read_cameras(cameras, len(videos))
+        known = None if cameras is None else read_cameras(cameras, videos)
         infos = [_read(video) for video in videos]
         if known is None:
             require_square_pixels(infos)

@@ -90,7 +90,7 @@ def through(cameras: Sequence[Camera]) -> Journey:
     from scipy.spatial.transform import Rotation, RotationSpline
 
     if len(cameras) < 2:
-        raise GofError("--path cameras: the dataset has one camera; --path orbit turns around the flame")
+        raise GofError("--camera-path cameras: the dataset has one camera; --camera-path orbit turns around the flame")
     size = cameras[0].width, cameras[0].height
     places = np.stack([camera.position for camera in cameras])
     knots = np.r_[0, np.cumsum(np.maximum(np.linalg.norm(np.diff(places, axis=0), axis=1), NO_STEP))]

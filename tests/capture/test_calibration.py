@@ -220,7 +220,7 @@ def test_command_writes_what_gof_ingest_reads(views, tmp_path, capsys):
     )
     for entry in entries:
         assert entry["K"][0][0] == pytest.approx(560, abs=1) and entry["rms_px"] < 0.1
-    first, second = read_cameras(out, 2)
+    first, second = read_cameras(out, [out.with_name("a.mp4"), out.with_name("b.mp4")])
     assert first.name == "photos" and first.lens.width == 640 and len(second.lens.distortion) == 5
     assert gof(["capture", "calibrate", str(tmp_path / "photos"), "--out", str(out)]) == 1
     assert "--overwrite" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 import base64
 import io
 import re
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -100,6 +101,20 @@ def test_it_draws_what_the_renderer_draws(browser, page):
             later = np.clip(render(g, camera, time_s + 0.02)["color"], 0, 1)
             assert psnr(picture, later) < 35, "20 ms later is another picture"
     clean(browser, page)
+
+
+@pytest.mark.parametrize("name", ["createImageBitmap", "ResizeObserver"])
+def test_what_a_browser_lacks_is_named(page, name):
+    with Browser(WIDTH, HEIGHT) as old:
+        old.ask("Page.enable")
+        old.ask("Page.addScriptToEvaluateOnNewDocument", {"source": f"delete window.{name}"})
+        old.open(page_address(page[0]))
+        said = "document.getElementById('failure').textContent"
+        for _ in range(100):
+            if old.run(said):
+                break
+            time.sleep(0.1)
+        assert old.run(said) == f"This page needs {name}, which this browser does not offer."
 
 
 def test_it_draws_over_the_plate_of_a_camera_and_over_black_from_elsewhere(browser, page):

@@ -15,14 +15,12 @@ from typing import Any
 import numpy as np
 
 from ...core import colmap
-from ...core.cameras import FLIP, names_by_pictures
+from ...core.cameras import FLIP, bent_by, names_by_pictures
 from ...core.description import FILE, CameraEntry, DatasetDescription
 from ...core.errors import DataFormatError
 from ...core.files import is_name, read_json, write_json, write_text
 from ...core.rotations import quaternions_wxyz
 
-DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye", "distortion_params", "rolling_shutter")
-STRAIGHT = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "FULL_OPENCV", "RADIAL", "SIMPLE_RADIAL")  # without distortion
 COLMAP = tuple(f"{name}.{kind}" for name in ("cameras", "images", "points3D") for kind in ("txt", "bin"))
 MOST = 10_000  # cameras
 
@@ -88,11 +86,7 @@ def _of_transforms(path: Path) -> Iterator[CameraEntry]:
     names = names_by_pictures([str(frame.get("file_path", "cam")) for frame in frames])
     for number, (own, name) in enumerate(zip(frames, names, strict=True)):
         frame, what = whole | own, f"{path}: frame {number}"
-        bent = [name for name in DISTORTION if _says(frame.get(name))]
-        bent += [name for name in frame if name.startswith("ftheta_p") or name in ("latlong", "equirectangular")]
-        if frame.get("camera_model", "OPENCV") not in STRAIGHT:
-            bent.append(f"camera_model {str(frame['camera_model'])[:40]}")
-        if bent:
+        if bent := bent_by(frame):
             raise DataFormatError(
                 f"{what} has {', '.join(bent)}: distortion, which Blender's cameras have not: undistort the pictures"
             )
@@ -120,11 +114,6 @@ def _of_colmap(folder: Path) -> Iterator[CameraEntry]:
     names = names_by_pictures([image.name for image, _ in found])
     for (image, lens), name in zip(found, names, strict=True):
         yield _entry(name, lens.width, lens.height, lens[2:], image.pose)
-
-
-def _says(value: Any) -> bool:
-    """Whether a field of distortion says that there is some."""
-    return any(map(_says, value)) if isinstance(value, list) else bool(value)
 
 
 def _entry(name: str, width: int, height: int, lens, to_camera: np.ndarray) -> CameraEntry:

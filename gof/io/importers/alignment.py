@@ -178,6 +178,6 @@ def require_same_world(source: dict[str, np.ndarray], target: dict[str, np.ndarr
     if off > SAME_WORLD * max(reach, 1e-12) or turned > SAME_WORLD * 100:
         raise DataFormatError(
             f"{path}: its cameras stand up to {off:.3g} m and {turned:.2g} degrees from the dataset's, so its world is "
-            f"another one; add --align {path}"
+            f"another one; bring it there: gof convert RESULT OUT.npz --align {path} --dataset DATASET"
         )
     return f"the training's cameras are the dataset's, to {off * 1000:.2g} mm and {turned:.2g} degrees"

@@ -30,7 +30,7 @@ def matches(source: Source) -> bool:
 
 def read(source: Source, options: ImportOptions) -> Imported:
     values, facts = ftgs.read(source.ply) if source.path.suffix == ".ply" else _from_splats(source)
-    remedy = "give --time-unit (seconds of the whole sequence, first to last frame)"
+    remedy = "give gof convert RESULT --time-unit (seconds of the whole sequence, first to last frame)"
     start, unit = ftgs.place_in_time(
         source.path, facts, options.time_zero_s, options.time_unit_s, options.frame_time_s, remedy
     )
@@ -119,18 +119,3 @@ def _vanilla_facts(content: dict, path: Path) -> dict:
         if not isinstance(value, (bool, int, float)) or not 0 <= value < np.inf:
             raise DataFormatError(f"{path}: '{name}' is {str(value)[:40]!r}, not a number")
     return facts
-
-
-def _sequence(path: Path, meta: dict, options: ImportOptions) -> tuple[float, float]:
-    """Second of its time 0, and seconds from there to its time 1."""
-    start, frames = options.time_zero_s, meta.get("n_frames")
-    if options.time_unit_s is not None:
-        return start, options.time_unit_s
-    if len(clip := meta.get("clip_s", ())) == 2 and clip[1] > clip[0]:
-        return start or clip[0], clip[1] - clip[0]
-    if frames and frames > 1 and options.frame_time_s:
-        return start, (frames - 1) * options.frame_time_s
-    raise DataFormatError(
-        f"{path}: its time runs from 0 to 1 and the file does not say how many seconds that is: give gof convert "
-        "RESULT --time-unit (seconds of the whole sequence, first to last frame)"
-    )

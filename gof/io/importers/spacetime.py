@@ -40,7 +40,9 @@ def read(source: Source, options: ImportOptions) -> Imported:
     lite = not ply.has("f_t_0")
     notes = [
         f"its time 0..1 taken as {unit:g} s from {options.time_zero_s:g} s on; velocities are the polynomials' own",
-        "colours as stored" if lite else "its colours need its own decoder: grey here, so score it with --no-images",
+        "colours as stored"
+        if lite
+        else "its colours need its own decoder, so they are grey: gof evaluate RESULT --dataset DATASET --no-images",
     ]
     first, count = options.clip_s[0] if options.clip_s else options.time_zero_s, 101
     times = np.linspace(first, options.clip_s[1] if options.clip_s else first + unit, count)

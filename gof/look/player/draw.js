@@ -32,7 +32,10 @@ class Drawer {
    */
   constructor(canvas, shaders, clouds, scheme) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, powerPreference: "high-performance" });
-    if (!gl) throw new Error("This page needs WebGL 2, which this browser does not offer.");
+    const missing = ["createImageBitmap", "ResizeObserver"].find((name) => !(name in window));
+    if (!gl || missing) {
+      throw new Error(`This page needs ${missing ?? "WebGL 2"}, which this browser does not offer.`);
+    }
     this.gl = gl;
     this.canvas = canvas;
     this.exact = !!(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"));
