@@ -62,13 +62,13 @@ def _checkpoint(folder):
 
 
 def _flip(folder):
-    from gof.evaluate.perceptual import flip
+    from gof.evaluate.image import flip
 
     flip(np.zeros((40, 40, 3)), np.zeros((40, 40, 3)))
 
 
 def _lpips(folder):
-    from gof.evaluate.perceptual import lpips
+    from gof.evaluate.image import lpips
 
     lpips(np.zeros((40, 40, 3)), np.zeros((40, 40, 3)), folder)
 
@@ -203,14 +203,13 @@ NATIVE = ROOT / "gof" / "render" / "native"  # imported where `backend.kernels` 
 ON_CPU = ROOT / "gof" / "on_cpu"  # a process of its own, which only who trains with torch begins
 ASKED = {
     "torch": (
-        "gof/evaluate/perceptual.py",
         "gof/ingest/depth.py",
         "gof/io/importers/source.py",
     )
     + ("gof/reconstruct/optical_flow.py", "gof/render/torch_api.py", "gof/render/gsplat.py")
     + tuple(f"gof/on_cpu/{p.name}" for p in ON_CPU.glob("*.py")),
-    "torchvision": ("gof/evaluate/perceptual.py",),
-    "torchmetrics": ("gof/evaluate/perceptual.py",),
+    "torchvision": ("gof/evaluate/image.py",),
+    "torchmetrics": ("gof/evaluate/image.py",),
     "gsplat": ("gof/on_cpu/methods.py",),
     "transformers": ("gof/ingest/depth.py",),
     "memfof": ("gof/reconstruct/optical_flow.py",),

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from gof.commands.everywhere import write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Preset
+from gof.commands.read import Preset, read_options
 from gof.core.cameras import in_words
 from gof.core.costs import StageCost, StageLog
 from gof.core.errors import GofError

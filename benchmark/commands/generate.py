@@ -9,8 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gof.commands.everywhere import require_writable, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Preset
+from gof.commands.read import Preset, read_options
 from gof.core.costs import Costs, StageLog
 from gof.core.errors import GofError
 from gof.host.terminal import console

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.capture.brightness import sample
+from gof.capture.locate import sample
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
 from gof.core.files import write_json

@@ -21,7 +21,7 @@ from unittest.mock import patch
 import numpy as np
 import tyro
 
-from gof.commands.units import Preset
+from gof.commands.read import Preset
 from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.reconstruct.presets import effort_of

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.commands.everywhere import write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Seconds
+from gof.commands.read import Seconds, read_options
 from gof.core.fields import VelocitySequence
 from gof.core.files import atomic_path, read_json, write_json
 from gof.core.zarr_array import ZarrArray

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from gof.commands.everywhere import next_to, write_figures
-from gof.commands.units import Pixels, Preset
+from gof.commands.read import Pixels, Preset
 from gof.core.costs import StageLog
 from gof.core.files import atomic_path, read_json, write_json
 from gof.dataset import Dataset

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gof.capture import clock, counter, strips
+from gof.capture.clock import WANDER, board_seen, only_frames, positions, wander_us
 from gof.capture.counter import CountVote
-from gof.capture.hidden import WANDER, board_seen, only_frames, positions, wander_us
 from gof.capture.signals import Signals
 from gof.capture.strips import NotDecodable, StripFit, StripReadings
 from gof.capture.template import BoardTemplate

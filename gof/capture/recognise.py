@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from gof.capture.ring_board import RING_BOARDS, RingBoard, load_board
 from gof.capture.ring_signals import find_board, read_frame
 from gof.capture.template import BUILT_IN, BoardTemplate
 from gof.core.errors import GofError
+from gof.footage.videos import distinct_names, stored_frames
 
 AUTO = "auto"
 LOOK_AT = 160  # frames
@@ -221,3 +223,12 @@ def require_strips(board: Board | None, for_what: str) -> BoardTemplate:
             "no camera shows the marker of an LED board: is it whole, lit, and at least about 20 pixels wide?"
         )
     raise BoardNotFound(f"'{board.name}' is a ring board, which gives times only; {for_what} needs a board with strips")
+
+
+# ----------------------------------------------------------------
+# The first frames of the footage of each camera, in which a board is recognised.
+
+
+def first_frames(videos: list[Path]) -> dict[str, Iterable[np.ndarray]]:
+    """Each video's first frames, read when they are asked for, by the camera's name."""
+    return dict(zip(distinct_names(videos), (islice(stored_frames(video), LOOK_AT) for video in videos), strict=True))

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.capture.brightness import sample
-from gof.capture.locate import MARKER_CORNERS, bright_spots, in_picture, marker_in, project
+from gof.capture.locate import MARKER_CORNERS, bright_spots, in_picture, marker_in, project, sample
 from gof.capture.ring_board import RingBoard
 from gof.footage.videos import stored_frames
 

@@ -6,8 +6,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.resources import files
 from itertools import chain
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,7 +20,6 @@ from gof.capture.flame_clock import estimate_times, read_light
 from gof.capture.ring_board import RingBoard
 from gof.capture.ring_decode import decode_ring
 from gof.capture.ring_signals import read_ring_signals
-from gof.capture.sensors import Sensor
 from gof.capture.signals import read_signals
 from gof.capture.strips import NotDecodable
 from gof.capture.template import BoardTemplate
@@ -31,7 +32,8 @@ from gof.capture.times import (
     SyncedVideo,
     VideoTimes,
 )
-from gof.core.errors import GofError
+from gof.core.errors import DataFormatError, GofError
+from gof.core.records import read_record
 from gof.footage.videos import distinct_names, fingerprint, require_different, stated_fps, stated_frames
 from gof.host.progress import progress_bar
 
@@ -270,3 +272,57 @@ def _describe(found: _Decoded, container_fps: float | None) -> VideoTimes:
             round(len(t.time_us) / (found.read_s + found.decode_s), 1),
         ),
     )
+
+
+# ----------------------------------------------------------------
+# What is known of rolling-shutter sensors, as data (sensors.json).
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A camera mode.
+
+    Attributes:
+        width, height: native size in pixels.
+        row_time_us: from sensor row to sensor row.
+        source: where that is from.
+    """
+
+    camera: str
+    width: int
+    height: int
+    fps: float
+    row_time_us: float
+    source: str
+
+    def image_row_time_us(self, lines: int) -> float:
+        """Row time of a picture whose `lines` lines show all sensor rows.
+
+        Raises: ValueError for lines < 1.
+        """
+        if lines < 1:
+            raise ValueError(f"a picture with {lines} lines")
+        return self.row_time_us * self.height / lines
+
+
+@dataclass(frozen=True)
+class SensorTable:
+    """sensors.json, by name of the mode. What else it holds (measurements, notes) is for people."""
+
+    SCHEMA: ClassVar[str] = "gof-sensors"
+    VERSION: ClassVar[int] = 1
+
+    sensors: dict[str, Sensor]
+
+
+def sensor(name: str) -> Sensor:
+    """A sensor of the table by name.
+
+    Raises: DataFormatError: not in the table (names those that are).
+    """
+    table = read_record(SensorTable, files("gof.capture") / "sensors.json").sensors
+    if name not in table:
+        raise DataFormatError(
+            f"no sensor '{name}' in the table; it has {', '.join(table)}. Or give the row time itself"
+        )
+    return table[name]

@@ -11,8 +11,7 @@ import tyro
 from gof.capture.controller import RESET_SAID, Board, BoardError, ask_ports, candidate_ports, only_board
 from gof.capture.protocol import State, Status
 from gof.commands.everywhere import write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Seconds
+from gof.commands.read import Seconds, read_options
 from gof.host.options import require_number
 
 MOST_JITTER_US = 20.0  # of a tick: the order of what cameras' times are read to

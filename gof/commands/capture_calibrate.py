@@ -10,7 +10,7 @@ import tyro
 
 from gof.capture.calibration import Calibration, calibrate, sharpest
 from gof.capture.charuco import Charuco
-from gof.commands.charuco_options import CharucoOptions
+from gof.commands.capture_target import CharucoOptions
 from gof.commands.everywhere import require_free, require_writable, write_figures
 from gof.commands.read import read_options
 from gof.core.errors import GofError

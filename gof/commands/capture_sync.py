@@ -13,15 +13,12 @@ from gof.capture.aligned import Codec, Layout, write_aligned
 from gof.capture.board_points import read_board_points
 from gof.capture.decode import DecodeOptions
 from gof.capture.doubts import missing_frames
-from gof.capture.recognise import AUTO, recognise
+from gof.capture.recognise import AUTO, first_frames, recognise
 from gof.capture.ring_board import RingBoard
-from gof.capture.sensors import Sensor, sensor
-from gof.capture.sync import synchronise
+from gof.capture.sync import Sensor, sensor, synchronise
 from gof.capture.times import FILE, FrameTimesFile, Readout, SyncedVideo
 from gof.commands.everywhere import require_free, require_writable, write_figures
-from gof.commands.first_frames import first_frames
-from gof.commands.read import read_options
-from gof.commands.units import Microseconds, Rate
+from gof.commands.read import Microseconds, Rate, read_options
 from gof.core.errors import GofError
 from gof.core.records import write_record
 from gof.footage.videos import distinct_names, require_different

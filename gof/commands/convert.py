@@ -10,8 +10,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gof.commands.everywhere import may_overwrite, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Seconds
+from gof.commands.read import Seconds, read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.host.terminal import console

@@ -9,9 +9,7 @@ from typing import Annotated
 import tyro
 
 from gof.commands.everywhere import beside, require_free, write_figures
-from gof.commands.read import read_options
-from gof.commands.results import Results, named
-from gof.commands.units import Inches, Seconds
+from gof.commands.read import Inches, Results, Seconds, named, read_options
 from gof.commands.video import camera_number
 from gof.core.errors import GofError
 from gof.dataset import Dataset

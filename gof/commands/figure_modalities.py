@@ -10,8 +10,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gof.commands.everywhere import beside, require_free, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Inches, Seconds
+from gof.commands.read import Inches, Seconds, read_options
 from gof.commands.video import camera_number
 from gof.core.errors import GofError
 from gof.dataset import Dataset

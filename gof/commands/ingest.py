@@ -10,12 +10,10 @@ from typing import Annotated, ClassVar, Literal, get_args
 
 import tyro
 
-from gof.capture.recognise import BoardUnclear, recognise, require_strips
+from gof.capture.recognise import BoardUnclear, first_frames, recognise, require_strips
 from gof.capture.template import BoardTemplate
 from gof.commands.everywhere import require_writable, write_figures
-from gof.commands.first_frames import first_frames
-from gof.commands.read import read_options
-from gof.commands.units import Degrees, Metres, Millimetres, Pixels
+from gof.commands.read import Degrees, Metres, Millimetres, Pixels, read_options
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
 from gof.dataset.poses import UpReport

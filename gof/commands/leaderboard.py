@@ -11,8 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from gof.commands.everywhere import require_free, require_writable, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Seconds
+from gof.commands.read import Seconds, read_options
 from gof.core.files import atomic_path
 from gof.core.records import write_record
 from gof.dataset import Dataset

@@ -18,10 +18,9 @@ from gof.evaluate.scores import Scores
 from gof.host.progress import progress_bar
 from gof.look.animation import brightest_frame
 from gof.look.charts import Kind, frame_chart, require_figure
-from gof.look.fire_removal import fire_removal
+from gof.look.comparison import fire_removal
 from gof.look.pages import page_pictures
-from gof.look.preview import Preview
-from gof.look.report import build_report
+from gof.look.report import Preview, build_report
 
 
 @dataclass

@@ -7,9 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from gof.commands.everywhere import beside, require_free, write_figures
-from gof.commands.read import read_options
-from gof.commands.results import Results, named
-from gof.commands.units import Megabytes
+from gof.commands.read import Megabytes, Results, named, read_options
 from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.host.progress import progress_bar

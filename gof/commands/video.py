@@ -9,9 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gof.commands.everywhere import beside, write_figures
-from gof.commands.read import read_options
-from gof.commands.results import Results, named
-from gof.commands.units import Pixels, Rate
+from gof.commands.read import Pixels, Rate, Results, named, read_options
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
 from gof.core.files import digest, read_json

@@ -14,9 +14,8 @@ from gof.core.cameras import sizes_px
 from gof.core.errors import MissingDependencyError, NonFiniteError
 from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
-from gof.evaluate import perceptual
 from gof.evaluate.depth import read_depth, rmse_to_map
-from gof.evaluate.image import psnr, ssim, temporal_l2
+from gof.evaluate.image import flip, lpips, psnr, ssim, temporal_l2
 from gof.evaluate.published import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
 from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore, PublishedFigures
 
@@ -144,11 +143,11 @@ def image_scores(
 def _metrics(extras: Extras) -> Metrics:
     """What can be computed here."""
     metrics = Metrics({"psnr": psnr, "ssim": ssim}, [])
-    optional: dict[str, Metric] = {"flip": perceptual.flip}
+    optional: dict[str, Metric] = {"flip": flip}
     if extras.weights is None:
         metrics.absent.append("LPIPS: give --weights, the folder with its weight file")
     else:
-        optional["lpips"] = lambda image, truth, weight: perceptual.lpips(
+        optional["lpips"] = lambda image, truth, weight: lpips(
             _faded(image, weight), _faded(truth, weight), extras.weights
         )
     black = np.zeros((64, 64, 3))

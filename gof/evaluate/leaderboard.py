@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import csv
+import html
 import io
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
 from gof.core.costs import StageCost, StageLog
-from gof.core.errors import DataFormatError
-from gof.evaluate.cells import in_csv, in_markdown
+from gof.core.errors import DataFormatError, printable
 from gof.evaluate.controls import BOUNDS
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.published import NAME, OTHER_FOOTAGE, THEIRS
@@ -328,3 +329,23 @@ def pareto(points: Sequence[tuple[float, float]], better: int) -> list[int]:
             best = points[i][1]
             front.append(i)
     return front
+
+
+# ----------------------------------------------------------------
+# Names as text in the cells of tables that other programs read: a name from a file is no formula, link or markup.
+
+
+def in_csv(name: str) -> str:
+    """Spreadsheets run cells that begin like a formula, also in quotes, but not after an apostrophe."""
+    line = one_line(name)
+    return f"'{line}" if line.startswith(("=", "+", "-", "@")) else line
+
+
+def in_markdown(name: str) -> str:
+    """One line, without another column, a link, a style or HTML."""
+    return re.sub(r"([\\`*_\[\]()|!~#])", r"\\\1", html.escape(one_line(name), quote=False))
+
+
+def one_line(name: str) -> str:
+    """Without line ends, tabs, and what acts on terminals."""
+    return printable(" ".join(name.split()))

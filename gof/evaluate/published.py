@@ -16,8 +16,7 @@ import numpy as np
 from gof.core.cameras import Camera
 from gof.core.errors import MissingDependencyError
 from gof.core.gaussians import TransientGaussians
-from gof.evaluate import perceptual
-from gof.evaluate.image import psnr, ssim
+from gof.evaluate.image import lpips, psnr, ssim
 from gof.evaluate.scores import PublishedFigures
 
 Flow = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of two pictures (H, W) uint8: (H, W, 2) px
@@ -137,6 +136,6 @@ def drawn_disparity(state: TransientGaussians, camera: Camera, time_s: float) ->
 def _lpips(image: np.ndarray, truth: np.ndarray, weights: Path) -> float | None:
     """As their port of LPIPS: it takes pictures in [0, 1] for such in [-1, 1]."""
     try:
-        return perceptual.lpips((image + 1) / 2, (truth + 1) / 2, weights)
+        return lpips((image + 1) / 2, (truth + 1) / 2, weights)
     except MissingDependencyError:
         return None  # `image_scores` says so

@@ -15,7 +15,7 @@ from typing import BinaryIO
 import numpy as np
 
 from gof.core.errors import DataFormatError
-from gof.footage.mp4 import boxes, inside, read_header
+from gof.footage.containers import boxes, inside, read_header
 
 Stream = dict[str, "np.ndarray | str"]  # the entries of one sensor by name: (N, size) numbers, or text
 

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gof.evaluate.cells import in_markdown
-from gof.evaluate.leaderboard import COLUMNS
+from gof.evaluate.leaderboard import COLUMNS, in_markdown
 from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
 from gof.look.charts import line_chart

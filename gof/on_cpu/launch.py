@@ -6,13 +6,13 @@ import os
 import runpy
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import ModuleType
 
 from gof.core.errors import GofError, MissingDependencyError
 from gof.host.processes import run
-from gof.on_cpu import gaussian_rasterizer, repairs
-from gof.on_cpu.curve import Curve
+from gof.on_cpu import gaussian_rasterizer, methods
 from gof.on_cpu.devices import ProcessorForCuda, replace_cuda
 from gof.on_cpu.methods import Method, replace_gsplat
 from gof.on_cpu.small_modules import Unused
@@ -33,7 +33,7 @@ def launch(
     mode = ProcessorForCuda(record.add if record else None)
     _begin(method, script, mode)
     if without_lpips:
-        repairs.perceptual_loss_left_out()
+        methods.perceptual_loss_left_out()
     if record:
         _count_gaussians(record)
     sys.argv = [str(script), *arguments]
@@ -116,3 +116,33 @@ def provenance(method: Method, script: Path) -> str:
     state = f"{len(changed.splitlines())} files changed" if changed else "no file changed"
     known = "" if not method.commit or head.startswith(method.commit) else f"; known to run: {method.commit[:12]}"
     return f"commit {head[:12]}, {state}{known}"
+
+
+# ----------------------------------------------------------------
+# How a training went: one line per `loss.backward()`, thinned, as CSV.
+
+EVERY = 10  # steps; a line is their mean
+
+
+class Curve:
+    """Attributes: count, the Gaussians of the last picture drawn."""
+
+    def __init__(self, path: Path):
+        self.count = 0
+        self._path, self._began = path, time.perf_counter()
+        self._losses: list[float] = []
+        self._step = 0
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("step,seconds,processor_seconds,loss,gaussians\n")
+
+    def add(self, loss: float) -> None:
+        """Count one step."""
+        self._step += 1
+        self._losses.append(loss)
+        if len(self._losses) < EVERY:
+            return
+        mean = sum(self._losses) / EVERY
+        now = time.perf_counter() - self._began
+        with self._path.open("a") as file:
+            file.write(f"{self._step},{now:.2f},{time.process_time():.2f},{mean:.6g},{self.count}\n")
+        self._losses.clear()

@@ -11,10 +11,10 @@ import pytest
 
 from gof.capture import clock, counter
 from gof.capture.aligned import align, place
+from gof.capture.clock import positions
 from gof.capture.decode import DecodeOptions, decode
 from gof.capture.doubts import doubts, refusal
 from gof.capture.flame_clock import FlameLight, NoFlameClock, estimate_times, find_offset, read_light
-from gof.capture.hidden import positions
 from gof.capture.signals import make_signals, read_signals
 from gof.capture.sync import synchronise
 from gof.capture.synthetic import SyntheticShot, render, write_video

@@ -17,7 +17,7 @@ from gof.evaluate.scores import FrameScore, PictureScore, Scores
 from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference
 from gof.evaluate.training_curve import TrainingCurve
 from gof.look.suite_page import marks_of, remark, to_html, to_markdown
-from gof.on_cpu.curve import Curve
+from gof.on_cpu.launch import Curve
 
 GOLDEN = Scores.read(Path(__file__).parents[1] / "golden/gof-scores.json")
 FRAMES = 36

@@ -18,8 +18,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
 from gof.evaluate.scores import Scores
-from gof.look.preview import Preview
-from gof.look.report import build_report, verdicts
+from gof.look.report import Preview, build_report, verdicts
 from gof.reconstruct.captions import Caption, Captions
 from tests.evaluate.synthetic_flame import flame_dataset
 

@@ -65,7 +65,7 @@ def _names(folder: Path) -> None:
 def _captions(folder: Path) -> None:
     import cv2
 
-    from gof.look.preview import Preview
+    from gof.look.report import Preview
     from gof.reconstruct.captions import Caption, Captions
 
     dataset = _beside_secrets(folder)
@@ -116,8 +116,7 @@ def _use_names(folder: Path):
 def _use_captions(folder: Path):
     """The pictures that a report takes from files beside it."""
     from gof.dataset import Dataset
-    from gof.look.preview import Preview
-    from gof.look.report import _preview, _stage_pictures
+    from gof.look.report import Preview, _preview, _stage_pictures
 
     dataset = folder / "dataset"
     if not (dataset / "dataset.json").exists():
@@ -214,7 +213,7 @@ def _show_pages(folder: Path):
     """The suite's board, a shared page and a data card, with the texts of the files; only our own tags are in them."""
     from gof.core.records import read_record
     from gof.dataset import Dataset
-    from gof.dataset.card import card, description_lines
+    from gof.dataset.pack import card, description_lines
     from gof.evaluate.suite_board import SuiteBoard
     from gof.look.player.page import assemble
     from gof.look.suite_page import to_html, to_markdown
