@@ -22,7 +22,7 @@ from gof.evaluate.scores import Scores
 from gof.evaluate.submission import ADDING, PICTURES, SCORES, Run, write_pictures
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.io.importers import ImportOptions
 from gof.io.importers.said import with_said
 from gof_benchmark.suite.made import MadeScene, scene_of

@@ -15,8 +15,7 @@ from gof.dataset import Dataset
 from gof.host.terminal import console
 from gof_benchmark.fires.making import make, predicted_s
 from gof_benchmark.suite import Size, choose
-from gof_benchmark.suite.made import folder_of
-from gof_benchmark.suite.truths import compare
+from gof_benchmark.suite.made import compare, folder_of
 from gof_blender.pure.cost_model import duration
 
 SIGNS = {"same": "✓", "not to the bit": "?", "unknown": "?"}

@@ -28,9 +28,9 @@ from gof.evaluate.suite_board import ScoredScene, board
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.host.terminal import console
+from gof.look.boards import suite_html, suite_markdown
 from gof.look.comparison import Moment
 from gof.look.pages import PageGrid, side_by_side
-from gof.look.suite_page import to_html, to_markdown
 from gof_benchmark.suite import pick, scenes_of, split_of, suite_name
 from gof_benchmark.suite.made import MadeScene, made_scenes, size_of
 
@@ -85,10 +85,10 @@ def main(argv: list[str]) -> int:
     write_record(out / "board.json", found)
     write_figures(found)
     grids = {made.scene.name: _pictures(made, scored) for made, scored in zip(here, scenes, strict=True)}
-    for name, text in (("board.html", to_html(found, grids)), ("board.md", to_markdown(found))):
+    for name, text in (("board.html", suite_html(found, grids)), ("board.md", suite_markdown(found))):
         with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    console().print(to_markdown(found), markup=False, highlight=False)
+    console().print(suite_markdown(found), markup=False, highlight=False)
     print(f"written to {out}/board.html, .md, .json")
     return 0
 

@@ -14,7 +14,7 @@ from gof.core.costs import Costs, StageLog
 from gof.core.errors import GofError
 from gof.host.terminal import console
 from gof_benchmark.generator import graph
-from gof_benchmark.generator.looks import require_look
+from gof_benchmark.generator.blender_process import require_look
 from gof_benchmark.generator.workers import require_certificate
 from gof_benchmark.scenes import claimed, load_scene
 from gof_blender.core.checked_json import SpecError

@@ -21,8 +21,7 @@ from gof.look.charts import line_chart, require_figure
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import observe
-from gof_benchmark.training.field_score import within
-from gof_benchmark.training.preview_field import open_small, preview_field
+from gof_benchmark.training.field_score import open_small, preview_field, within
 
 PARTS = 10
 

@@ -32,8 +32,7 @@ from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import shrink
 from gof_benchmark.evidence.small import SMALL
-from gof_benchmark.training.field_score import score, within
-from gof_benchmark.training.preview_field import open_small, preview_field
+from gof_benchmark.training.field_score import open_small, preview_field, score, within
 
 
 @dataclass(frozen=True)

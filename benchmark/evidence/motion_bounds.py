@@ -26,7 +26,7 @@ from gof.reconstruct.fusion import fuse_frame
 from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import observe
 from gof.reconstruct.voxels import FlameVoxels
-from gof_benchmark.training.preview_field import open_small, preview_field
+from gof_benchmark.training.field_score import open_small, preview_field
 
 BLUR = 1.5  # px, std-dev with which voxels are drawn into a picture: they are about as large as a pixel
 

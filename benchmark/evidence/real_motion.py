@@ -19,7 +19,7 @@ from gof.core.cameras import Camera
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import Observation, observe
-from gof_benchmark.training.preview_field import open_small, preview_field
+from gof_benchmark.training.field_score import open_small, preview_field
 
 
 @dataclass(frozen=True)

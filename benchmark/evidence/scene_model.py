@@ -24,7 +24,7 @@ from gof.evaluate import evaluate
 from gof.footage.pictures import write_picture
 from gof.reconstruct.curve import Curve
 from gof.render import render
-from gof_benchmark.training.preview_field import open_small
+from gof_benchmark.training.field_score import open_small
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ import tyro
 
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import DatasetDescription
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.look.charts import line_chart
 from gof_benchmark.fires import SPLITS, measures
 from gof_benchmark.fires.flames import Axis, Flame, Truth, View, flame_of
-from gof_benchmark.fires.laws import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
+from gof_benchmark.fires.measures import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
 
 BANDS = ((0.1, 0.4), (0.4, 0.7), (0.7, 1.0))  # of the flame's height, through which structures are followed
 LOWEST = 0.02  # m/kW^(2/5): nearer to the burner its rim, not its heat, decides
@@ -29,7 +29,7 @@ class HowReal:
     """Print how fires of any solver, and filmed ones, compare with what real fires are known to do.
 
     Speed on the axis over McCaffrey's zones, flame height, puffing, flicker of the light, and how fast bright
-    structures rise. The laws and their sources: `gof_benchmark/fires/laws.py`; what the columns mean:
+    structures rise. The laws and their sources: `gof_benchmark/fires/measures.py`; what the columns mean:
     docs/how_real.md.
     """
 

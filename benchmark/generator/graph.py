@@ -16,7 +16,7 @@ from pathlib import Path
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
 from gof.host import extras
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof_benchmark.generator import machine
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, StageRefused, run_stage
 from gof_benchmark.generator.workers import RETRIES, ClusterWorkers, LocalWorkers, workers_for

@@ -20,7 +20,7 @@ import numpy as np
 
 from gof.core.errors import DataFormatError, GofError
 from gof.core.records import read_record, write_record
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof_benchmark.generator.blender_process import Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.core.checked_json import SpecError

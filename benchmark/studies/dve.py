@@ -23,7 +23,7 @@ from gof.core.rotations import rotation_matrices
 from gof.evaluate.expectation import expected_velocity_plain
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import ORDERS
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.look.charts import line_chart
 
 HALF = 0.6  # m; the Gaussians stay well inside the box of this half width

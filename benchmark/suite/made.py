@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import ClassVar, Literal, get_args
 
 from gof.core.errors import DataFormatError
 from gof.core.files import read_json
+from gof.core.records import read_record
 from gof.dataset import Dataset
-from gof_benchmark.suite import SEALED, Size, SuiteScene, scenes_of
+from gof.dataset.truth import Truth
+from gof_benchmark.suite import FOLDER, SEALED, Size, SuiteScene, scenes_of
 from gof_benchmark.views.shrunk import SHRUNK
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.layout import Layout
@@ -86,3 +88,39 @@ def _require_spec(scene: SuiteScene, layout: Layout) -> None:
             f"{layout.root}: was made from another spec ({', '.join(different)} differ) and is not the suite's scene; "
             "remove the folder and make it again"
         )
+
+
+# ----------------------------------------------------------------
+# The recorded truths of the suite's fires: truth.json.
+#
+# Cameras and surroundings do not change a fire: scenes of one fire share its truth, and it is recorded once a size. A
+# size that has not been made yet has no record.
+
+FILE = FOLDER / "truth.json"
+
+Verdict = Literal["same", "not to the bit", "unknown"]
+
+
+@dataclass(frozen=True)
+class SuiteTruths:
+    """truth.json: `fires[FIRE][SIZE]`, sizes as in SEALED; `made_with`: the programs that made them."""
+
+    SCHEMA: ClassVar[str] = "gof-suite-truth"
+    VERSION: ClassVar[int] = 1
+
+    made_with: dict[str, str]
+    fires: dict[str, dict[str, Truth]]
+
+
+def compare(scene: SuiteScene, size: Size, dataset: Dataset) -> tuple[Verdict, str]:
+    """A made scene's truth against the recorded one, and in words."""
+    truths = read_record(SuiteTruths, FILE)
+    recorded = truths.fires.get(scene.fire, {}).get(SEALED[size])
+    if recorded is None:
+        return "unknown", f"no truth of {scene.fire} is recorded in this size: nobody has made it yet"
+    differs = Truth.of(dataset).differs(recorded)
+    if not differs:
+        return "same", "its truth is the recorded one, to the bit"
+    made_with = truths.made_with[scene.solver]
+    said = f"{differs}. {scene.solver} is not bit-stable between processors ({made_with} made the recorded one)"
+    return "not to the bit", f"{said}: scores may differ a little"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -10,8 +11,13 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate import dve
 from gof.reconstruct.flame_axis import FlameAxis
-from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_prior import VOXELS
+from gof.reconstruct.methods import OURS
+from gof.reconstruct.observation import Observation
 from gof.reconstruct.pace import GRAVITY, LAW
+from gof.reconstruct.presets import PRESETS
+from gof.reconstruct.shrink import shrink
 from gof.reconstruct.voxels import FlameVoxels
 
 HALF_WIDTH = (
@@ -122,3 +128,19 @@ def _straight(field: FlowField, axis: FlameAxis, speed: np.ndarray, direction: n
     half = HALF_WIDTH * np.sqrt(axis.radius * axis.length)
     velocity = (speed * 0.5 ** ((offset**2).sum(1) / half**2))[:, None] * direction
     return replace(field, frames=tuple(replace(frame, velocity=velocity) for frame in field.frames))
+
+
+# ----------------------------------------------------------------
+# What `gof reconstruct --preset preview` makes of a dataset up to the flow field that is seen, before any prior.
+
+EFFORT = PRESETS["preview"]
+
+
+def open_small(path: Path) -> Dataset:
+    """The dataset in a folder, its pictures no larger than the preset's."""
+    return shrink(Dataset.open(path), EFFORT.longest_side)
+
+
+def preview_field(observation: Observation) -> FlowField:
+    """The fused flow on the flow prior's voxels, m/s."""
+    return seen_flow_field(observation, OURS, VOXELS)

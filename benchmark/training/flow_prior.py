@@ -26,7 +26,7 @@ import tyro
 from gof.core.errors import GofError
 from gof.core.files import atomic_path, read_json
 from gof.dataset import Dataset
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
 from gof.reconstruct.observation import observe
@@ -37,10 +37,11 @@ from gof_benchmark.training.field_score import (
     buoyant_law,
     fluctuation_cos_sim,
     mean_per_height,
+    open_small,
+    preview_field,
     score,
     within,
 )
-from gof_benchmark.training.preview_field import open_small, preview_field
 
 
 @dataclass

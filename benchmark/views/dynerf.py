@@ -10,8 +10,7 @@ import numpy as np
 
 from gof.core.files import atomic_path, path_in
 
-from .links import link
-from .source import ViewSource
+from .source import ViewSource, link
 
 
 def write(source: ViewSource) -> None:

@@ -30,8 +30,7 @@ from gof.reconstruct.presets import PRESETS
 from gof.reconstruct.shrink import shrink
 
 from .dnerf import is_centred
-from .links import link
-from .source import ViewSource
+from .source import ViewSource, link
 
 FOLDER, FORMAT = "fire_bundle", "fire-bundle-v2"
 # Their fusion, but our masks and our hull: theirs, of any two cameras, reaches far behind the flame.

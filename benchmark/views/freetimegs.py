@@ -18,9 +18,8 @@ from gof.core.errors import DataFormatError
 from gof.core.files import atomic_path, path_in
 
 from .colmap import write_model
-from .links import link
 from .points import StartingPoints
-from .source import ViewSource
+from .source import ViewSource, link
 
 FOLDER = "freetimegs"
 VALIDATION = "00_validation"

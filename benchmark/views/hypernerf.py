@@ -15,9 +15,8 @@ from gof.core.errors import DataFormatError
 from gof.core.files import atomic_path, path_in
 
 from .dnerf import field_of_view
-from .links import link
 from .points import StartingPoints, write_ply
-from .source import ViewSource
+from .source import ViewSource, link
 
 FOLDER = "hypernerf"
 TIMES = 2  # the size that lenses are written for, over that of the pictures

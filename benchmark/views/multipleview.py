@@ -19,9 +19,8 @@ from gof.core.rotations import quaternions_wxyz
 
 from .dnerf import field_of_view
 from .dynerf import poses_bounds
-from .links import link
 from .points import StartingPoints, write_ply
-from .source import ViewSource
+from .source import ViewSource, link
 
 FOLDER = "multipleview"
 PINHOLE = 1

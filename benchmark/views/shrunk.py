@@ -26,8 +26,7 @@ from gof.host.terminal import console
 from gof_blender.pure.layout import Layout
 
 from . import write as write_view
-from .links import link
-from .source import ViewSource
+from .source import ViewSource, link
 
 SHRUNK = "pictures"  # in a dataset's provenance: how its pictures were made smaller
 

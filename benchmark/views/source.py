@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.core.errors import DataFormatError
-from gof.core.files import path_in
+from gof.core.files import atomic_path, path_in
 from gof.dataset import Dataset
 from gof.host import extras
 
@@ -63,3 +65,16 @@ class ViewSource:
         except (OSError, RuntimeError, KeyError) as error:
             raise DataFormatError(f"{path}: holds no readable depth 'Z' ({error})") from error
         return np.where(depth < FAR, depth, np.inf)
+
+
+# ----------------------------------------------------------------
+# A second name for a file, where a layout insists on its own names.
+
+
+def link(source: Path, target: Path) -> None:
+    """A second name for a file, or a copy where the file system has no hard links."""
+    with atomic_path(target) as temporary:
+        try:
+            os.link(source, temporary)
+        except OSError:
+            shutil.copyfile(source, temporary)

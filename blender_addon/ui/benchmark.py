@@ -19,7 +19,7 @@ from ..pure.sense import require_sense
 from ..pure.spec import BACKGROUND, BlendFile, SceneSpec
 from ..scene import bodies, compat, place
 from ..scene.backgrounds import blend_file
-from ..scene.view import require_display
+from ..scene.render import require_display
 from . import scene_spec
 from .job_operator import JobOperator, blender
 from .panel import SidebarPanel, number, show_text, write_lines

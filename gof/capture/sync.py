@@ -35,7 +35,7 @@ from gof.capture.times import (
 from gof.core.errors import DataFormatError, GofError
 from gof.core.records import read_record
 from gof.footage.videos import distinct_names, fingerprint, require_different, stated_fps, stated_frames
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 
 
 def synchronise(

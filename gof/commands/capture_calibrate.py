@@ -18,7 +18,7 @@ from gof.core.records import write_record
 from gof.footage.lens import CamerasFile
 from gof.footage.videos import distinct_names, stated_frames, stored_frames
 from gof.host.options import require_number
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from gof.commands.everywhere import may_overwrite, next_to, write_figures
 from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.ingest.depth import write_plate_depths
 from gof.ingest.frame_depth import write_frame_depths
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gof.core.errors import GofError
-from gof.host.progress import QUIET_VARIABLE
+from gof.host.terminal import QUIET_VARIABLE
 
 DEBUG_VARIABLE, FAULTS = "GOF_DEBUG", "faults"  # with this value for faults of ours alone, as tests have it
 

@@ -15,8 +15,7 @@ from gof.commands.video import camera_number
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.host.options import require_number
-from gof.host.progress import progress_bar
-from gof.host.terminal import console
+from gof.host.terminal import console, progress_bar
 from gof.look.charts import require_figure
 from gof.look.modalities import Sources, modalities, training_frame
 from gof.look.paper import WIDTH_IN, write_sheet

@@ -27,9 +27,9 @@ from gof.evaluate.leaderboard import (
 )
 from gof.host.options import require_number
 from gof.host.terminal import console
+from gof.look.boards import leaderboard_html, stream_plots
 from gof.look.charts import Kind, accuracy_charts, require_figure
 from gof.look.comparison import Moment
-from gof.look.leaderboard_page import stream_plots, to_html
 from gof.look.pages import side_by_side
 
 SHOWN = (
@@ -88,7 +88,7 @@ def main(argv: list[str]) -> int:
     write_figures(Leaderboard(tuple(rows)))
     middle = Moment.near(dataset, len(dataset.cameras) // 2, config.time) if dataset else None
     grid = side_by_side(results, middle) if middle else None
-    page = to_html(rows, streams, config.title, grid)
+    page = leaderboard_html(rows, streams, config.title, grid)
     pages = {"csv": to_csv(rows), "md": to_markdown(rows), "html": page}
     for suffix, text in pages.items():
         with atomic_path(folder / f"leaderboard.{suffix}") as temporary:

@@ -14,7 +14,7 @@ from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.dataset.pack import pack
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 
 
 @dataclass

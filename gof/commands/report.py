@@ -15,7 +15,7 @@ from gof.commands.video import camera_number
 from gof.core.costs import StageCost, StageLog
 from gof.dataset import Dataset
 from gof.evaluate.scores import Scores
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.look.animation import brightest_frame
 from gof.look.charts import Kind, frame_chart, require_figure
 from gof.look.comparison import fire_removal

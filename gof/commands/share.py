@@ -10,8 +10,7 @@ from gof.commands.everywhere import beside, require_free, write_figures
 from gof.commands.read import Megabytes, Results, named, read_options
 from gof.dataset import Dataset
 from gof.host.options import require_number
-from gof.host.progress import progress_bar
-from gof.host.terminal import console
+from gof.host.terminal import console, progress_bar
 from gof.look.player.opened import dataset_beside, open_result
 from gof.look.player.page import in_words, share_page
 

@@ -19,8 +19,7 @@ from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.evaluate.scoring import is_flame_alone
 from gof.host.options import require_number, require_positive
-from gof.host.progress import progress_bar
-from gof.host.terminal import console
+from gof.host.terminal import console, progress_bar
 from gof.io.importers import ImportOptions
 from gof.io.importers.said import with_said
 from gof.look.encoder import STILL, require_film

@@ -13,7 +13,7 @@ from typing import Any
 from gof.core.costs import StageCost
 from gof.core.errors import GofError
 from gof.host.processes import end, start
-from gof.host.progress import WORKER_VARIABLE, progress_bar
+from gof.host.terminal import WORKER_VARIABLE, progress_bar
 
 
 def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCost:

@@ -13,7 +13,7 @@ from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Splits, held_out
 from gof.footage.lens import CalibratedCamera, Lens, Turn, preparation, read_cameras
 from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_different
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turn_by_tags
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times

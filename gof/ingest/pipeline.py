@@ -15,7 +15,7 @@ from gof.core.files import only_run_in
 from gof.dataset import DatasetDescription
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
 from gof.ingest.footage import Clip, Footage

@@ -12,11 +12,11 @@ from gof.core.errors import GofError
 from gof.core.fire import FireDescription, Hearth
 from gof_benchmark.commands import generate
 from gof_benchmark.fires import __file__ as FIRES
-from gof_benchmark.generator import looks
+from gof_benchmark.generator import blender_process
 from gof_benchmark.scenes import FOLDER as SCENES
 from gof_benchmark.solvers.grids import FireFrame, write_fire
 from gof_blender.core.checked_json import SpecError
-from gof_blender.pure import camera_poses, cost_model, rooms, sense
+from gof_blender.pure import camera_poses, cost_model, sense
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.effects import moving_emitter, obstacles
 from gof_blender.pure.fires import Domain, Fire, GridFire
@@ -121,8 +121,8 @@ def test_what_a_camera_sees_is_what_the_library_projects(roll):
 def test_rooms_refuse_what_does_not_fit_and_the_studio_grows():
     workshop = replace(POOL, background="workshop")
     assert "the shelves of the workshop stand at y = 1.4: they would be in the fire" in fatal(workshop)
-    assert not fatal(POOL) and rooms.studio_scale(PLAIN) == 1.0
-    scale = rooms.studio_scale(POOL)
+    assert not fatal(POOL) and sense.studio_scale(PLAIN) == 1.0
+    scale = sense.studio_scale(POOL)
     cameras = camera_poses.positions(POOL.cameras)
     assert 1.95 * scale > 4 and 4 * scale > abs(cameras[:, :2]).max() and 5 * scale > 12
     assert "behind the shelves" in fatal(replace(PLAIN, background="workshop", cameras=Rig(azimuth_deg=90.0)))
@@ -192,7 +192,7 @@ def test_the_studio_is_built_around_a_large_fire(tmp_path):
 
 def test_what_cannot_be_made_is_refused_before_a_folder_is_claimed(tmp_path, monkeypatch):
     monkeypatch.setattr(cost_model, "known_machine", lambda: cost_model.REFERENCE)
-    monkeypatch.setattr(looks, "known_looks", lambda view: ["None", "High Contrast"])
+    monkeypatch.setattr(blender_process, "known_looks", lambda view: ["None", "High Contrast"])
     gone = replace(PLAIN, background="blend_file", blend_file=BlendFile("gone.blend"))
     cases = {
         "there is no file .*gone.blend": gone,
@@ -246,7 +246,7 @@ def test_looks_are_those_of_the_installed_blender():
     import ast
 
     for view, known in found.items():
-        assert looks.known_looks(view) == list(ast.literal_eval(known))
+        assert blender_process.known_looks(view) == list(ast.literal_eval(known))
 
 
 def test_what_cannot_be_read_or_made_is_said_in_words(tmp_path):

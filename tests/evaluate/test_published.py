@@ -22,7 +22,7 @@ from gof.evaluate.published import (
     rmse_disparity,
 )
 from gof.evaluate.scores import ControlScore, Origin, VelocityScore
-from gof.look.leaderboard_page import to_html
+from gof.look.boards import leaderboard_html
 from tests.conftest import look_at
 from tests.reconstruct.rising_flame import column, write_flame
 
@@ -223,8 +223,8 @@ def test_the_leaderboard_shows_theirs_and_lets_them_not_compete():
     assert [row.flow_prior for row in rows] == ["yes", "no", None, None] and "learned flow prior" in text
     header, *lines = to_csv(rows).splitlines()
     assert header.split(",")[3] == "other_footage" and ",0,1," in lines[3]
-    page = to_html(rows, [], "t")
+    page = leaderboard_html(rows, [], "t")
     assert "what its\nauthors published" in page and 'class="control"><td data-value="Gaussians on Fire' in page
     alone = rows_of([result("a", None)])
     assert len(alone) == 1, "without these figures nothing of theirs is shown"
-    assert "authors published" not in to_html(alone, [], "t")
+    assert "authors published" not in leaderboard_html(alone, [], "t")

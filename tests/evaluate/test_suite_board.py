@@ -16,7 +16,7 @@ from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import FrameScore, PictureScore, Scores
 from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference
 from gof.evaluate.training_curve import TrainingCurve
-from gof.look.suite_page import marks_of, remark, to_html, to_markdown
+from gof.look.boards import marks_of, remark, suite_html, suite_markdown
 from gof.on_cpu.launch import Curve
 
 GOLDEN = Scores.read(Path(__file__).parents[1] / "golden/gof-scores.json")
@@ -135,7 +135,7 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
         scene("c", full=0, other=0.1),
     ]
     found = board("t", methods("full", "other", "part"), scenes)
-    page, table = to_html(found, {}), to_markdown(found)
+    page, table = suite_html(found, {}), suite_markdown(found)
     assert page.count("<small>in 1 of 3 scenes</small>") == 1
     assert re.search(r"^\| \*part\* .*\(in 1 of 3 scenes\) \| poses \| nothing \|", table, re.MULTILINE)
     assert "| full | poses | nothing |" in table
@@ -147,10 +147,10 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
 
 def test_where_nobody_is_everywhere_controls_stay_and_it_is_said():
     found = board("t", methods("one", "two"), [scene("a", one=0.0), scene("b", two=0.1)])
-    assert not any(row.competes for row in found.rows) and "so none is ranked here" in to_html(found, {})
+    assert not any(row.competes for row in found.rows) and "so none is ranked here" in suite_html(found, {})
     zero = rows(found)["control: zero"]
     assert zero.scenes == 2 and zero.what.endswith("on the Gaussians of one, then two")
-    page = to_html(found, {})
+    page = suite_html(found, {})
     assert [alone.controls_on for alone in found.scenes] == ["one", "two"]
     for alone in found.scenes:
         assert alone.controls["control: zero"]["l2"].mean == pytest.approx(1, abs=1e-6)
@@ -210,11 +210,11 @@ def test_page_and_tables(tmp_path):
     found = board("A <b>title</b>", methods("one", "two"), scenes)
     write_record(tmp_path / "board.json", found)
     assert read_record(SuiteBoard, tmp_path / "board.json") == found
-    page = to_html(found, {})
+    page = suite_html(found, {})
     assert "A &lt;b&gt;title&lt;/b&gt;" in page and "3 of 3 wins" in page and "seeds ±" in page
     assert "given: poses" in page and "knew before: nothing" in page and page.count("<h3>") == 3
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is fetched"
-    assert "| **0.5" in to_markdown(found) and "*control: zero*" in to_markdown(found)
+    assert "| **0.5" in suite_markdown(found) and "*control: zero*" in suite_markdown(found)
 
 
 def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
@@ -229,10 +229,10 @@ def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
         "flame": True,
         "whole": False,
     }
-    page = to_html(found, {})
+    page = suite_html(found, {})
     assert page.count("a flame alone, drawn over") == 1 and page.count("drawn as it is, as a whole scene") == 1
     assert re.findall(r"<td[^>]*>(\w+)<small>(in 1 of 2 scenes)</small>", page) == [("whole", "in 1 of 2 scenes")]
-    assert "*whole* (in 1 of 2 scenes)" in to_markdown(found)
+    assert "*whole* (in 1 of 2 scenes)" in suite_markdown(found)
 
 
 def test_frames_that_are_independent_are_called_so():
@@ -240,7 +240,7 @@ def test_frames_that_are_independent_are_called_so():
     found = board(
         "t", methods("one"), [replace(scene("a", one=0.1), eddy_time=EddyTime(0.0, False)), scene("b", one=0.1)]
     )
-    page = to_html(found, {})
+    page = suite_html(found, {})
     assert page.count("which count as independent") == 1 and page.count("of them long") == 1
     assert "eddy time 20 ms, so the clip is 17.5 of them long" in page  # 0.35 s
 
@@ -260,7 +260,7 @@ def test_curves_are_on_the_page(tmp_path):
     found = board("t", methods("one", "two"), [here, scene("b", one=0.1, two=0.2)])
     write_record(tmp_path / "board.json", found)
     assert read_record(SuiteBoard, tmp_path / "board.json") == found
-    page = to_html(found, {})
+    page = suite_html(found, {})
     assert page.count("Had the trainings converged?") == 1
     assert "<td>1000</td><td>500</td>" in page
     chart = page[page.index("<svg") : page.index("</svg>")]
@@ -338,7 +338,7 @@ def test_a_row_that_is_better_than_the_truth_allows_has_an_alarm():
     assert rows(found)["honest"].alarm == ""
     assert "is it the truth itself?" in rows(found)["truth"].alarm
     assert "0.2000 is below 0.3000" in rows(found)["low"].alarm
-    for page in (to_html(found, {}), to_markdown(found)):
+    for page in (suite_html(found, {}), suite_markdown(found)):
         assert "is it the truth itself?" in page and "below 0.3000" in page
 
 
@@ -351,6 +351,6 @@ def test_the_page_says_whose_velocity_was_scored():
         for name, scores in (("says gas", gas), ("moves", light))
     }
     here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
-    page = to_html(board("t", methods(*runs), [here]), {})
+    page = suite_html(board("t", methods(*runs), [here]), {})
     assert page.split("<b>says gas</b>")[1].split("</li>")[0].count("that of the gas, as the result says it") == 1
     assert page.split("<b>moves</b>")[1].split("</li>")[0].count("that of its Gaussians") == 1

@@ -14,11 +14,11 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
 from gof.io.importers import ImportOptions
+from gof.look.images import frames_within
 from gof.look.player import legend
 from gof.look.player.opened import Opened, dataset_beside, middle_of, newest, open_result
 from gof.look.player.page import front_camera, share_page
 from gof.look.player.quantise import measure, pack, unpack
-from gof.look.player.recorded import frames_within
 from tests.conftest import arc, random_gaussians, write_dataset
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.core.records import from_json, to_json
-from gof_benchmark.solvers.openfoam import installation
+from gof_benchmark.solvers.openfoam import run
 from gof_benchmark.solvers.openfoam.__main__ import main
 from gof_benchmark.solvers.openfoam.case import (
     Burner,
@@ -126,17 +126,17 @@ def test_an_unknown_fire_is_named_and_so_are_those_there_are(capsys):
 
 
 def test_without_openfoam_the_package_is_named(monkeypatch):
-    monkeypatch.setattr(installation.shutil, "which", lambda name: None)
+    monkeypatch.setattr(run.shutil, "which", lambda name: None)
     with pytest.raises(MissingDependencyError, match="apt-get install openfoam"):
-        installation.find_installation()
+        run.find_installation()
 
 
 def test_openfoam_without_its_data_is_named(monkeypatch, tmp_path):
     (tmp_path / "bin").mkdir()
-    monkeypatch.setattr(installation.shutil, "which", lambda name: str(tmp_path / "bin" / name))
+    monkeypatch.setattr(run.shutil, "which", lambda name: str(tmp_path / "bin" / name))
     monkeypatch.setenv("WM_PROJECT_DIR", str(tmp_path / "gone"))
     with pytest.raises(MissingDependencyError, match="gone"):
-        installation.find_installation()
+        run.find_installation()
 
 
 def ask(foam, case, program, *arguments) -> str:

@@ -77,7 +77,7 @@ class FoamFire:
         radiating_share: of the heat release that soot radiates away at once (the gases' own radiation is solved for).
         draught_m_s: standard deviation of the air's motion at the start, and of what the flame is shaken with on the
             fine mesh; `seed` draws it, and with it the whole flame.
-        emission: how light follows from the gas (`emission.py`).
+        emission: how light follows from the gas (`fields.py`).
     """
 
     SCHEMA: ClassVar[str] = "gof-foam-fire"

@@ -24,12 +24,11 @@ from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.look.images import VIRIDIS, base64_text, ramp
+from gof.look.images import PLATE_QUALITY, PLATE_SIDE, VIRIDIS, base64_text, frames_within, ramp, webp
 from gof.look.pages import template
 from gof.look.player import legend
 from gof.look.player.opened import Opened, middle_of, time_span
 from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
-from gof.look.player.recorded import PLATE_QUALITY, PLATE_SIDE, frames_within, webp
 
 PLAYER = Path(__file__).parent
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")

@@ -1,17 +1,23 @@
-"""A suite's board for people: one self-contained HTML page, and a Markdown table."""
+"""Boards for people: a suite's as one self-contained HTML page and a Markdown table, and the leaderboard's page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from gof.evaluate.leaderboard import COLUMNS, in_markdown
+from gof.core.errors import GofError
+from gof.dataset import Dataset
+from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult, Row, best_rows, in_markdown, used_columns
+from gof.evaluate.sparse_grid import StoredField
 from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
-from gof.look.charts import line_chart
+from gof.look.charts import accuracy_charts, line_chart
+from gof.look.comparison import read_again
 from gof.look.pages import PageGrid, template
+from gof.look.streams import KINDS, stream_charts
 
 
 def used(rows: tuple[BoardRow, ...]) -> list[str]:
@@ -85,7 +91,7 @@ def marks(row: BoardRow) -> tuple[str, str]:
     return ", ".join(row.given) or "not said", knew
 
 
-def to_markdown(board: SuiteBoard) -> str:
+def suite_markdown(board: SuiteBoard) -> str:
     """The best mean of a column in bold; rows that do not compete in italics."""
     keys = used(board.rows)
     leaders = {key: best(competing(board.rows, key), key) for key in keys}
@@ -111,7 +117,7 @@ def _in_brackets(text: str) -> str:
     return f"({text})" if text else ""
 
 
-def to_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
+def suite_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
     """The page; everything is inside it.
 
     Args:
@@ -205,3 +211,60 @@ def _loss_chart(curves: Mapping[str, TrainingCurve]) -> str:
         places = zip(curve.processor_seconds, curve.loss, strict=True)
         lines[name] = [(seconds, loss / curve.loss[0], "") for seconds, loss in places]
     return line_chart("Training loss", "CPU seconds", "loss / its first value", lines).svg()
+
+
+# ----------------------------------------------------------------
+# The leaderboard as one self-contained HTML page: the table, stream plots of velocity, accuracy against time.
+
+
+@dataclass(frozen=True)
+class StreamPlots:
+    """Stream plots of a result as SVG by what they show (`streams.KINDS`), or the `reason` why there are none."""
+
+    name: str
+    time_s: float
+    images: dict[str, str] = field(default_factory=dict)
+    reason: str = ""
+
+
+def stream_plots(
+    results: Sequence[EvaluatedResult], dataset: Dataset, time_s: float | None = None
+) -> list[StreamPlots]:
+    """Stream plots of every result that can be read again, beside the truth; by default at the middle frame."""
+    time_s = float(dataset.times_s[len(dataset.times_s) // 2]) if time_s is None else time_s
+    truth = StoredField(dataset.velocity, time_s) if dataset.has_velocity else None
+    out = []
+    for result in results:
+        try:
+            state = read_again(result).measured_from(dataset.datum).state_at(time_s)
+            if not (state.dynamic & (state.at(time_s)[1] > 0)).any():
+                raise GofError(f"no dynamic Gaussian lives at {time_s:g} s")
+            charts = stream_charts(result.name, state, time_s, truth)
+            images = {label: charts[kind].svg() for kind, label in KINDS.items() if kind in charts}
+            out.append(StreamPlots(result.name, time_s, images))
+        except GofError as e:
+            out.append(StreamPlots(result.name, time_s, reason=str(e)))
+    return out
+
+
+def leaderboard_html(
+    rows: Sequence[Row], streams: Sequence[StreamPlots], title: str, grid: PageGrid | None = None
+) -> str:
+    """The page; everything is inside it."""
+    keys, best = used_columns(rows), best_rows(rows)
+    cells = [
+        [
+            {"text": row.text(key), "value": getattr(row, key), "mark": "best" if best.get(key) == i else ""}
+            for key in keys
+        ]
+        for i, row in enumerate(rows)
+    ]
+    return template("leaderboard.html").render(
+        title=title,
+        headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
+        table=list(zip(rows, cells, strict=True)),
+        rows_of_others=any(row.other_footage for row in rows),
+        streams=streams,
+        grid=grid,
+        charts=[chart.svg() for chart in accuracy_charts(rows).values()],
+    )
