@@ -10,8 +10,7 @@ import tyro
 
 from gof.commands.everywhere import write_figures
 from gof.commands.read import read_options
-from gof.evaluate.submission import Submission
-from gof.evaluate.submission_check import Finding, check
+from gof.evaluate.submission import Finding, Submission, check
 from gof.host.terminal import console
 from gof_benchmark.suite.made import made_scenes
 

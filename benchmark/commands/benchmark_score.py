@@ -22,8 +22,7 @@ from gof.evaluate.eddy_time import eddy_time
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
-from gof.evaluate.submission import PICTURES, SCORES, Run, Submission
-from gof.evaluate.submission_check import OPACITY, ORDER, check, score_again
+from gof.evaluate.submission import OPACITY, ORDER, PICTURES, SCORES, Run, Submission, check, score_again
 from gof.evaluate.suite_board import ScoredScene, board
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve

@@ -18,7 +18,7 @@ from gof_benchmark.generator.blender_process import require_look
 from gof_benchmark.generator.workers import require_certificate
 from gof_benchmark.scenes import claimed, load_scene
 from gof_blender.core.checked_json import SpecError
-from gof_blender.pure import look_process
+from gof_blender.pure import dataset_process
 from gof_blender.pure.child import JobError, python
 from gof_blender.pure.layout import Layout, leaving
 from gof_blender.pure.sense import require_sense
@@ -126,7 +126,7 @@ def _checked(spec: SceneSpec, layout: Layout, estimate: bool) -> list[str]:
 def _in_its_scene(spec: SceneSpec) -> list[str]:
     """What the user should know of objects in a .blend of theirs. Raises GofError: it cannot be the surroundings."""
     try:
-        return look_process.notes(spec, python())
+        return dataset_process.scene_notes(spec, python())
     except (SpecError, JobError) as error:
         raise GofError(f"{spec.name}: {error}") from error
 

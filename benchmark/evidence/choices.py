@@ -24,7 +24,12 @@ from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import shrink
-from gof_benchmark.evidence.small import SMALL
+
+# ----------------------------------------------------------------
+# How much work the reconstructions are that evidence compares with each other.
+
+SMALL = Effort(iterations=800, gaussians=15_000, voxels=72, longest_side=160)
+"""Under a minute each of two free cores on the demo."""
 
 
 def _seeding(**fields) -> Method:

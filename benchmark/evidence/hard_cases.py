@@ -31,7 +31,7 @@ from gof.reconstruct.observation import observe
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import shrink
-from gof_benchmark.evidence.small import SMALL
+from gof_benchmark.evidence.choices import SMALL
 from gof_benchmark.training.field_score import open_small, preview_field, score, within
 
 

@@ -33,7 +33,7 @@ from gof.evaluate.depth import read_depth
 from gof.evaluate.image_scores import VISIBLE
 from gof.evaluate.published import drawn_disparity, inside, moving, rmse_disparity
 from gof.host.terminal import progress_bar
-from gof.ingest.frame_depth import write_frame_depths
+from gof.ingest.depth import write_frame_depths
 from gof.reconstruct.optical_flow import dis
 from gof.render import render
 

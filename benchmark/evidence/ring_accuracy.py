@@ -2,7 +2,7 @@
 
     python -m gof_benchmark.evidence.ring_accuracy [--frames 60] [--only TEXT] [--json FILE]
 
-The pictures have exact rolling shutter and exposure (gof/capture/synthetic_ring.py, which shares only the board's
+The pictures have exact rolling shutter and exposure (gof/capture/synthetic.py, which shares only the board's
 template with the reader) and are read from files, as `gof capture sync --board rocsync` reads a camera's.
 """
 
@@ -19,8 +19,7 @@ from gof.capture.decode import DecodeOptions
 from gof.capture.ring_board import RingBoard
 from gof.capture.ring_decode import decode_ring
 from gof.capture.ring_signals import read_ring_signals
-from gof.capture.synthetic import SyntheticShot
-from gof.capture.synthetic_ring import RingShot, render_ring
+from gof.capture.synthetic import RingShot, SyntheticShot, render_ring
 from gof.core.files import write_json
 from gof.footage.pictures import write_picture
 

@@ -24,7 +24,7 @@ from gof.evaluate import evaluate
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
-from gof_benchmark.evidence.small import SMALL
+from gof_benchmark.evidence.choices import SMALL
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,19 @@ What a stopped job has finished stays, and the next job for the same folder goes
 
 from __future__ import annotations
 
+import json
 import subprocess
+import tempfile
 import time
 from html import escape
 from pathlib import Path
 
+from ..core.checked_json import SpecError
 from ..core.costs import StageCost, StageLog
 from ..core.description import CameraEntry, DatasetDescription
 from ..core.files import read_json, write_text
 from . import cost_model, effects
+from . import spec as scene_spec
 from .brightness import Brightness
 from .child import JobError, Said, code, last_lines
 from .layout import Layout
@@ -269,3 +273,43 @@ def _row(camera: CameraEntry, frames: list[int], times: tuple[float, ...]) -> st
     images = [(camera.static, "without fire")] + [(camera.rgb.format(frame=k), f"{times[k]:.3f} s") for k in frames]
     pictures = "".join(f'<img src="{escape(path)}" title="{text}" alt="{text}">' for path, text in images)
     return f"<h2>{escape(camera.name)}{' (evaluation)' if camera.role == 'eval' else ''}</h2><p>{pictures}</p>"
+
+
+# ----------------------------------------------------------------
+# A look into a spec's .blend by a Blender process of its own, before anything is made of it.
+
+WRONG = 2  # exit status of the worker where the spec or its .blend is wrong
+
+
+def scene_notes(spec: SceneSpec, python: list[str]) -> list[str]:
+    """What the maker of the scene should know of its objects (`pure.bodies`); nothing without a .blend.
+
+    Args:
+        python: a command that runs the Python code given as its next argument, in a Blender without a window.
+    Raises:
+        SpecError: the .blend cannot be the surroundings, and why.
+        JobError: the process failed.
+    """
+    if not spec.blend_file:
+        return []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "spec.json"
+        scene_spec.save(spec, path)
+        command = [*python, code("look", ["--spec", str(path)])]
+        status, out, errors = _run(command, Path(folder))
+    last = (errors if status else out).strip().splitlines()[-1:] or [""]
+    if status == WRONG:
+        raise SpecError(last[0])
+    if status:
+        raise JobError(f"looking into {spec.blend_file.path} failed with status {status}: {last[0]}")
+    said = [line for line in out.splitlines() if line.startswith('{"notes"')]
+    return json.loads(said[-1])["notes"]
+
+
+def _run(command: list[str], folder: Path) -> tuple[int, str, str]:
+    """Status, output and errors. The process ends with its standard input, hence with this one; a folder for files."""
+    with (folder / "out").open("wb") as out, (folder / "errors").open("wb") as errors:
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=out, stderr=errors) as process:
+            process.wait()
+    texts = ((folder / name).read_text(encoding="utf-8", errors="replace") for name in ("out", "errors"))
+    return process.returncode, *texts

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.checked_json import SpecError
-from .camera_poses import HALF_SENSOR, positions, seen
 from .fires import MOST_CELLS, Domain, Fire
+from .rig import HALF_SENSOR, positions, seen
 
 if TYPE_CHECKING:
     from .spec import SceneSpec

@@ -7,8 +7,7 @@ import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
 from ..core.description import CameraEntry
-from ..pure import camera_poses
-from ..pure.rig import AROUND, Rig, role_of
+from ..pure.rig import AROUND, Rig, positions, role_of
 from ..pure.spec import SceneSpec
 
 SENSOR_MM = 36.0  # long side of the sensor
@@ -111,7 +110,7 @@ def as_picture(values: np.ndarray, spec: SceneSpec) -> np.ndarray:
 def poses(rig: Rig) -> list[Matrix]:
     """Camera to world of all cameras, in the order of their names: as they were placed, on the arc, or around."""
     placed = [Matrix.LocRotScale(Vector(pose.position), Quaternion(pose.rotation), None) for pose in rig.placed]
-    places = camera_poses.positions(rig)[len(placed) :].tolist()
+    places = positions(rig)[len(placed) :].tolist()
     turns = [(Vector(rig.look_at) - Vector(position)).to_track_quat("-Z", "Y") for position in places]
     return placed + [
         Matrix.LocRotScale(Vector(position), turn, None) for position, turn in zip(places, turns, strict=True)

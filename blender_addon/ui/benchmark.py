@@ -9,7 +9,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..core.checked_json import SpecError
 from ..core.errors import GofError
-from ..pure import cost_model, look_process
+from ..pure import cost_model, dataset_process
 from ..pure import spec as spec_file
 from ..pure.dataset_process import Job, expected_s, left_s
 from ..pure.effects import changes_bake, name_of
@@ -173,7 +173,9 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
         if not layout.bake_marker.is_file():
             cost_model.require_room(spec, layout.root)
             brings = _brings_its_scene(spec, layout)
-            notes += _in_this_scene(context, spec, again=True) if brings else look_process.notes(spec, blender())
+            notes += (
+                _in_this_scene(context, spec, again=True) if brings else dataset_process.scene_notes(spec, blender())
+            )
         for note in notes:
             self.report({"WARNING"}, note)
         layout.claim(spec)

@@ -13,8 +13,7 @@ from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.host.terminal import progress_bar
-from gof.ingest.depth import write_plate_depths
-from gof.ingest.frame_depth import write_frame_depths
+from gof.ingest.depth import write_frame_depths, write_plate_depths
 
 LITTLE = 0.05  # of the pixels; where stereo finds less the maps are mostly guessed
 

@@ -20,7 +20,7 @@ from gof.evaluate.controls import BOUNDS
 from gof.evaluate.published import THEIRS
 from gof.evaluate.scores import VelocityScore
 from gof.host.terminal import console, progress_bar
-from gof.ingest.frame_depth import KINDS, write_frame_depths
+from gof.ingest.depth import KINDS, write_frame_depths
 from gof.reconstruct.optical_flow import dis
 
 FILE, MAPS = "scores.json", "depth_maps"

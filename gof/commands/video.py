@@ -22,7 +22,7 @@ from gof.host.options import require_number, require_positive
 from gof.host.terminal import console, progress_bar
 from gof.io.importers import ImportOptions
 from gof.io.importers.said import with_said
-from gof.look.encoder import STILL, require_film
+from gof.look.animation import STILL, require_film
 from gof.look.film import FilmOptions, Recorded, fitted, make_film
 from gof.look.panels import Panel, Subject
 from gof.look.path import Clock, Journey, Shot, Way, clock, orbit, shots, stay, through

@@ -18,12 +18,20 @@ from gof.dataset.poses import Poses
 from gof.host.terminal import progress_bar
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
-from gof.ingest.footage import Clip, Footage
+from gof.ingest.footage import (
+    Clip,
+    Footage,
+    StoredView,
+    camera_entries,
+    resized,
+    stored_view,
+    write_picture,
+    write_pictures,
+)
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import darkest
 from gof.ingest.place import Placed
 from gof.ingest.published import CAMERAS_FILE
-from gof.ingest.stored import StoredView, camera_entries, resized, stored_view, write_picture, write_pictures
 
 WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records
 UNFINISHED = ".unfinished-ingest"

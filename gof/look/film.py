@@ -16,8 +16,7 @@ import gof
 from gof.core.files import only_run_in
 from gof.dataset import Dataset
 from gof.footage.pictures import read_picture, write_picture
-from gof.look.animation import original
-from gof.look.encoder import require_film, write_film
+from gof.look.animation import original, require_film, write_film
 from gof.look.images import to_bytes
 from gof.look.panels import (
     MOST_ERROR,

@@ -16,12 +16,12 @@ from gof_benchmark.generator import blender_process
 from gof_benchmark.scenes import FOLDER as SCENES
 from gof_benchmark.solvers.grids import FireFrame, write_fire
 from gof_blender.core.checked_json import SpecError
-from gof_blender.pure import camera_poses, cost_model, sense
+from gof_blender.pure import cost_model, sense
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.effects import moving_emitter, obstacles
 from gof_blender.pure.fires import Domain, Fire, GridFire
 from gof_blender.pure.layout import Layout
-from gof_blender.pure.rig import Pose, Rig
+from gof_blender.pure.rig import Pose, Rig, positions, seen
 from gof_blender.pure.spec import BlendFile, Clip, Display, Render, SceneSpec
 from tests.blender.runs import in_blender
 
@@ -102,8 +102,8 @@ def test_what_a_camera_sees_is_what_the_library_projects(roll):
     rig = Rig(count=3, eval_count=1, roll_deg=roll)
     width, height = (720, 1280) if roll else (1280, 720)
     points = np.random.default_rng(0).uniform(-2.5, 2.5, (400, 3))
-    found = camera_poses.seen(rig, points)
-    for index, place in enumerate(camera_poses.positions(rig)):
+    found = seen(rig, points)
+    for index, place in enumerate(positions(rig)):
         forward = np.array(rig.look_at) - place
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, [0, 0, 1])
@@ -123,7 +123,7 @@ def test_rooms_refuse_what_does_not_fit_and_the_studio_grows():
     assert "the shelves of the workshop stand at y = 1.4: they would be in the fire" in fatal(workshop)
     assert not fatal(POOL) and sense.studio_scale(PLAIN) == 1.0
     scale = sense.studio_scale(POOL)
-    cameras = camera_poses.positions(POOL.cameras)
+    cameras = positions(POOL.cameras)
     assert 1.95 * scale > 4 and 4 * scale > abs(cameras[:, :2]).max() and 5 * scale > 12
     assert "behind the shelves" in fatal(replace(PLAIN, background="workshop", cameras=Rig(azimuth_deg=90.0)))
     assert "below the floor" in fatal(replace(PLAIN, cameras=Rig(height=-0.2)))

@@ -20,7 +20,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.records import read_record, write_record
 from gof.evaluate.leaderboard import Leaderboard, best_rows, collect, pareto, rows_of, to_csv, to_markdown, used_columns
 from gof.host.terminal import console
-from gof.look.streams import max_projection, volume, x_slice
+from gof.look.boards import max_projection, volume, x_slice
 from tests.evaluate.synthetic_flame import flame_dataset
 
 pytestmark = pytest.mark.long

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from gof.core.datum import require_digits
 from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import MovingGaussians, TransientGaussians
-from gof.core.precision import require_digits
 from gof.io.importers import authors, freetime, own, ply_sequence, spacetime, unreadable, yang
 from gof.io.importers.said import in_words, with_said
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
