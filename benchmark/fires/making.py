@@ -7,7 +7,7 @@ from pathlib import Path
 from gof.core.costs import StageLog
 from gof_benchmark.generator import graph
 from gof_benchmark.scenes import claimed
-from gof_benchmark.solvers.openfoam.case import FoamFire
+from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 from gof_benchmark.solvers.openfoam.run import bake
 from gof_blender.pure.cost_model import REFERENCE, known_machine, predict
 from gof_blender.pure.layout import Layout

@@ -19,7 +19,7 @@ from gof.core.files import read_json
 from gof.core.records import read_record
 from gof_benchmark.fires import SPLITS, Split, check_seal, fires
 from gof_benchmark.scenes import FOLDER as BUILT_IN
-from gof_benchmark.solvers.openfoam.case import FoamFire
+from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 from gof_blender.pure.spec import SceneSpec
 
 FOLDER = Path(__file__).parent

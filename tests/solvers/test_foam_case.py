@@ -12,18 +12,15 @@ from gof.core.records import from_json, to_json
 from gof_benchmark.solvers.openfoam import run
 from gof_benchmark.solvers.openfoam.__main__ import main
 from gof_benchmark.solvers.openfoam.case import (
-    Burner,
-    FoamFire,
     burner_areas,
     draught,
     edges,
-    growing,
     write_case,
     write_control,
     write_fields,
 )
 from gof_benchmark.solvers.openfoam.dictionary import named, render, write_dictionary
-from gof_benchmark.solvers.openfoam.shipped import FIRES, find_fire
+from gof_benchmark.solvers.openfoam.foam_fire import FIRES, Burner, FoamFire, find_fire, growing
 from tests.solvers.conftest import toy_fire
 
 pytestmark = pytest.mark.long

@@ -14,8 +14,9 @@ from gof.core.files import atomic_path
 from gof.core.fire import FireDescription, Hearth
 from gof.core.records import to_json
 from gof_benchmark.solvers.grids import FireFrame, FireHistory, write_fire
-from gof_benchmark.solvers.openfoam.case import FoamFire, edges, probe_points
+from gof_benchmark.solvers.openfoam.case import edges, probe_points
 from gof_benchmark.solvers.openfoam.chemistry import Fuel
+from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 
 
 def read_internal(path: Path, cells: int) -> np.ndarray:
