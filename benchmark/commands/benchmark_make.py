@@ -41,7 +41,7 @@ class MakeConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof benchmark make`; 1 where a scene could not be made."""
+    """Run `gof benchmark make`; 1 where a scene could not be made."""
     config = read_options(MakeConfig, "benchmark make", argv)
     chosen = choose(config.size, config.scenes)
     out, left_out, found = console(), [], {}

@@ -36,7 +36,7 @@ from gof_benchmark.suite.made import MadeScene, made_scenes, size_of
 
 @dataclass
 class ScoreConfig:
-    """Score submissions and write one page: means with intervals, ranks that are shared where nobody can tell, wins.
+    """Score submissions and write one page: means with intervals, ranks that are shared where scores cannot tell, wins.
 
     Examples:
       gof benchmark score mine others bench/preview --out board
@@ -57,7 +57,7 @@ class ScoreConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof benchmark score`."""
+    """Run `gof benchmark score`."""
     config = read_options(ScoreConfig, "benchmark score", argv)
     if len(config.folders) < 2:
         raise GofError("give one submission or more, and last the folder of the suite's size: mine WORK/standard")
@@ -104,7 +104,8 @@ def crosses(submission: Submission, here: list[MadeScene], kept: Path) -> tuple[
 
 
 def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> ScoredScene:
-    """A scene with the scores of every submission that has it; what cannot be read is left out, as the check says."""
+    """Return a scene with the scores of every submission that has it; what cannot be read is left out, as the check
+    says."""
     runs, curves = {}, {}
     for submission in submissions:
         folders = submission.runs.get(made.scene.name, ())
@@ -124,13 +125,13 @@ def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> 
 
 
 def _pictures(made: MadeScene, scored: ScoredScene) -> PageGrid | None:
-    """The first run of every method, from the middle camera."""
+    """Return the first run of every method, from the middle camera."""
     first = [replace(runs[0], name=name) for name, runs in scored.runs.items()]
     return side_by_side(first, Moment.near(made.dataset, len(made.dataset.cameras) // 2, None))
 
 
 def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> EvaluatedResult:
-    """A run's scores, computed here or kept from before."""
+    """Return a run's scores, computed here or kept from before."""
     scores = kept_scores(run, made.dataset, kept)
     # of one scene: its own costs, where they are there, else what the method says of itself
     costs_here = (run.folder / "costs.json").is_file()
@@ -138,7 +139,7 @@ def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> Eval
 
 
 def kept_scores(run: Run, dataset: Dataset, kept: Path) -> Scores:
-    """A run's scores: computed, or of an earlier time when nothing was different that has a part in them."""
+    """Return a run's scores: computed, or of an earlier time when nothing was different that has a part in them."""
     path = kept / f"{_digits(run, dataset)}.json"
     if path.is_file():
         return Scores.read(path)

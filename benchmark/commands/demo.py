@@ -61,7 +61,7 @@ class DemoSettings:
 
     @classmethod
     def of(cls, config: DemoConfig) -> DemoSettings:
-        """Raises GofError: there is no such scene, or an option is out of range."""
+        """Build it. Raises GofError: there is no such scene, or an option is out of range."""
         for name, given in (("gaussians", config.gaussians), ("iterations", config.steps)):
             if given is not None and given < LEAST[name]:
                 raise GofError(f"{FLAGS[name]} {given}: must be {LEAST[name]} or more")
@@ -90,7 +90,7 @@ class Stage:
 
 
 def stages_of(config: DemoConfig) -> list[Stage]:
-    """The steps in order, each a `gof` command."""
+    """Return the steps in order, each a `gof` command."""
     out, dataset = config.out, config.out / "dataset"
     made, result, preview = dataset / "dataset.json", out / "reconstruct" / "result.npz", out / "preview.png"
     preset = ["--preset", config.preset] if config.preset else []
@@ -129,7 +129,7 @@ def stages_of(config: DemoConfig) -> list[Stage]:
 
 
 def evaluation(config: DemoConfig) -> Path:
-    """Where the stage "evaluate" writes its `Scores`."""
+    """Return where the stage "evaluate" writes its `Scores`."""
     return config.out / "evaluate" / "evaluation.json"
 
 
@@ -169,7 +169,7 @@ def run_stages(config: DemoConfig) -> None:
 
 
 def stage_costs(config: DemoConfig) -> list[StageCost]:
-    """What every stage cost, part by part where it keeps account."""
+    """Return what every stage cost, part by part where it keeps account."""
     logs = [stage.costs for stage in stages_of(config) if stage.costs] + [config.out / "costs.json"]
     return [cost for log in logs for cost in StageLog(log).stages()]
 

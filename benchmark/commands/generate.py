@@ -106,8 +106,8 @@ def _default_out(scene: str, spec: SceneSpec) -> Path:
 
 
 def _checked(spec: SceneSpec, layout: Layout, estimate: bool) -> list[str]:
-    """What the user should know of a spec before anything is made. Raises GofError: it would be no dataset, or, but for
-    an estimate, this machine cannot make it."""
+    """Return what the user should know of a spec before anything is made. Raises GofError: it would be no dataset, or,
+    but for an estimate, this machine cannot make it."""
     try:
         notes = require_sense(spec)
         require_look(spec.display)
@@ -124,7 +124,8 @@ def _checked(spec: SceneSpec, layout: Layout, estimate: bool) -> list[str]:
 
 
 def _in_its_scene(spec: SceneSpec) -> list[str]:
-    """What the user should know of objects in a .blend of theirs. Raises GofError: it cannot be the surroundings."""
+    """Return what the user should know of objects in a .blend of theirs. Raises GofError: it cannot be the
+    surroundings."""
     try:
         return dataset_process.scene_notes(spec, python())
     except (SpecError, JobError) as error:
@@ -153,7 +154,7 @@ def _make(spec: SceneSpec, layout: Layout, log: StageLog, config: GenerateConfig
 
 
 def _summary(costs: Costs) -> str:
-    """What the clock on the wall says, and what the processes say, which work at the same time."""
+    """Return what the clock on the wall says, and what the processes say, which work at the same time."""
     stages = ", ".join(f"{cost.name} {cost.settings.get('wall_s', cost.seconds):.0f} s" for cost in costs.stages)
     processes = sum(cost.seconds for cost in costs.stages)
     return f"{costs.wall_s:.0f} s by the clock ({stages}; they overlap), {processes:.0f} s summed over processes"

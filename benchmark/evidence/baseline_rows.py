@@ -55,7 +55,7 @@ class BaselineRows:
     out: tyro.conf.Positional[Path]
     """Folder for all of it."""
     scenes: tuple[str, ...] = ("jet", "logs", "foam_two_burners")
-    """Of the suite, of one split."""
+    """For the suite, of one split."""
     wu: Path | None = None
     """Checkout of hustvl/4DGaussians."""
     yang: Path | None = None
@@ -63,15 +63,15 @@ class BaselineRows:
     freetime: Path | None = None
     """Checkout of raiscui/FreeTimeGsVanilla."""
     steps: int = 3000
-    """Of every training, one picture each."""
+    """For every training, one picture each."""
     longest_side: int = 160
-    """Of the pictures, px."""
+    """For the pictures, px."""
     ours: tuple[str, ...] = tuple(OURS)
     """Which rows of ours, or none; `gof_long` takes as long as the slowest of the others that are there."""
     seeds: int = 1
     """Runs of each of ours; the others have one, with the seed that their scripts set."""
     split: str = "test"
-    """Of the scenes: test or dev."""
+    """For the scenes: test or dev."""
     python: Path = Path(sys.executable)
     """The Python that has the other methods' packages."""
 
@@ -155,7 +155,7 @@ OptimizationParams: {{iterations: {steps}, position_lr_init: 0.00016, position_t
 
 
 def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
-    """Its `default_keyframe_small`; starting points by its own script.
+    """Return its `default_keyframe_small`; starting points by its own script.
 
     It writes nothing at a step whose frame it was not given (one in eight is held out), hence the last eight steps.
     """
@@ -177,7 +177,7 @@ OTHERS = {"wu": wu, "yang": yang, "freetime": freetime}
 
 
 def duration(data: Path) -> float:
-    """Of the clip, s."""
+    """Return the length of the clip, s."""
     times = Dataset.open(data).times_s
     return float(times[-1] - times[0])
 
@@ -232,7 +232,7 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
 
 
 def last_of(result: Path) -> Path:
-    """The file of that name, or of the files that match it the one that was written last."""
+    """Return the file of that name, or of the files that match it the one that was written last."""
     return max(result.parent.glob(result.name), key=lambda path: path.stat().st_mtime_ns, default=result)
 
 
@@ -255,7 +255,7 @@ def train_ours(config: BaselineRows, name: str, data: Path, out: Path, seed: int
 
 
 def equal_steps(config: BaselineRows, data: Path, out: Path) -> int:
-    """Steps of ours that take as many processor seconds as the slowest of the others took on this scene."""
+    """Return steps of ours that take as many processor seconds as the slowest of the others took on this scene."""
     runs = [out / "submissions" / name / data.name for name in OTHERS]
     theirs = [seconds(run) for run in runs if (run / "costs.json").is_file()]
     ours = seconds(out / "submissions/gof" / data.name / "seed_0")

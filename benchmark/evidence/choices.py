@@ -1,4 +1,4 @@
-"""What each choice of the method is worth today: ours, and ours with one choice after another undone; and the paper's.
+"""The worth of each choice of the method today: ours, and ours with one choice after another undone; and the paper's.
 
     python -m gof_benchmark.evidence.choices DATASET --out out/choices [--only "paper's fusion" ...] [--json FILE]
 
@@ -41,7 +41,8 @@ def _rates(**fields) -> Method:
 
 
 def _one_velocity(times: float) -> Method:
-    """What the method was before gas and light had a velocity each: it hardly moves in the optimisation, times 1."""
+    """Return what the method was before gas and light had a velocity each: it hardly moves in the optimisation, times
+    1."""
     return replace(OURS, gas_apart=False, rates=replace(OURS.rates, velocity=0.0002 * times))
 
 
@@ -82,7 +83,7 @@ class Choices:
     only: tuple[str, ...] = ()
     """Names of rows; all of them without."""
     effort: tyro.conf.OmitArgPrefixes[Effort] = SMALL
-    """Of every reconstruction."""
+    """For every reconstruction."""
     seed: int = 0
     json: Path | None = None
     """Also write the figures to this file."""

@@ -46,7 +46,7 @@ class Usage:
 
 @dataclass(frozen=True)
 class Real:
-    """What a dataset took; `processor_s` is over all cores, `load` the machine's at the end."""
+    """The cost of a dataset; `processor_s` is over all cores, `load` the machine's at the end."""
 
     wall_s: float
     cpu_s: float
@@ -72,7 +72,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def specs() -> list[SceneSpec]:
-    """A part of the studio's draft, and a small cloister.
+    """Return a part of the studio's draft, and a small cloister.
 
     Other surroundings, fires, sizes and effects than the calibration's.
     """
@@ -128,7 +128,7 @@ def spec_file(spec: SceneSpec, work: Path) -> Path:
 
 
 def bare_usage(spec: SceneSpec, work: Path) -> Usage:
-    """What `bare` takes for a spec, measured once."""
+    """Return what `bare` takes for a spec, measured once."""
     result = work / "bare.json"
     if not result.exists():
         write_json(result, asdict(usage(child.command(bare, str(spec_file(spec, work)), str(work / "bare")))))
@@ -147,7 +147,7 @@ def usage(command: list[str]) -> Usage:
 
 
 def bare(spec_path: str, folder: str) -> None:
-    """The bake and the renders of a spec with Blender's own calls; in a process of its own."""
+    """Run the bake and the renders of a spec with Blender's own calls; in a process of its own."""
     import bpy
 
     from gof_blender.scene import build, fire, render, rig

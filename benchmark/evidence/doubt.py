@@ -37,7 +37,8 @@ class Doubt:
 
 
 def reliability(field: FlowField, dataset: Dataset) -> np.ndarray:
-    """(PARTS, 2): mean standard deviation and RMS error of a component, over the true mean speed, surest part first."""
+    """Return (PARTS, 2): mean standard deviation and RMS error of a component, over the true mean speed, surest part
+    first."""
     truth = np.stack([dataset.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames])
     emission, deviation = field.emission, np.stack([frame.velocity_sd for frame in field.frames])
     speed = (emission * np.linalg.norm(truth, axis=-1)).sum() / emission.sum()

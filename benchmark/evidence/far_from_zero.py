@@ -36,7 +36,7 @@ class FarFromZero:
     out: Path = Path("out/far")
     """Folder for the copy and the reconstructions; finished ones are kept."""
     effort: tyro.conf.OmitArgPrefixes[Effort] = SMALL
-    """Of both reconstructions."""
+    """For both reconstructions."""
     seed: int = 0
 
 

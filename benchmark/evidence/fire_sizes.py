@@ -48,7 +48,7 @@ class FireSizes:
 
 
 def sized(name: str, resolution: int, speeds: str = "physical", light: str = "soot") -> SceneSpec:
-    """One of SIZES as a spec, seen by a camera at two heights' distance."""
+    """Return one of SIZES as a spec, seen by a camera at two heights' distance."""
     fire, box, fps, warm_up = SIZES[name]
     tall = max(box.size)
     return SceneSpec(
@@ -63,7 +63,7 @@ def sized(name: str, resolution: int, speeds: str = "physical", light: str = "so
 
 
 def bake(spec: SceneSpec, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(velocity (T, X, Y, Z, 3) m/s, flame (T, X, Y, Z), z (Z,) m above the burner) of a spec's frames.
+    """Return (velocity (T, X, Y, Z, 3) m/s, flame (T, X, Y, Z), z (Z,) m above the burner) of a spec's frames.
 
     Baked and read in a Blender process of its own.
     """
@@ -102,7 +102,7 @@ def bake_inside(folder: Path) -> None:
 
 
 def row(spec: SceneSpec, folder: Path) -> str:
-    """A line of the table."""
+    """Return a line of the table."""
     velocity, flame, height = bake(spec, folder)
     diameter = 2 * spec.fire.radius
     speed = np.linalg.norm(velocity, axis=-1)

@@ -50,7 +50,7 @@ class RealDepth:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is scored under a name: `whole` for inverse depth, `part` of it for the distance of the flame alone."""
+    """The picture scored under a name: `whole` for inverse depth, `part` of it for the distance of the flame alone."""
 
     whole: TransientGaussians
     part: TransientGaussians
@@ -83,7 +83,7 @@ def what_is_drawn(folder: Path) -> dict[str, Drawn]:
 
 
 def moments(dataset: Dataset, maps: Path) -> Iterator[Moment]:
-    """Of every held-out frame that another follows."""
+    """Yield every held-out frame that another follows."""
     for c, camera in enumerate(dataset.cameras):
         board = dataset.board_weight(c)
         for k in dataset.test_frames:
@@ -106,7 +106,7 @@ def scores(drawn: Drawn, moment: Moment) -> tuple[float, float]:
 
 
 def row(path: Path, out: Path) -> str:
-    """A line of the table: means over a clip's held-out pictures."""
+    """Return a line of the table: means over a clip's held-out pictures."""
     dataset, folder = Dataset.open(path), out / path.name
     drawn = what_is_drawn(folder)
     with progress_bar("depth") as progress:

@@ -64,7 +64,8 @@ class RingAccuracy:
 
 
 def measure(shot: RingShot, frames: int) -> dict[str, float]:
-    """Errors in us of the fused times and of single frames (which see no arc within one step), and the row time."""
+    """Return errors in us of the fused times and of single frames (which see no arc within one step), and the row
+    time."""
     board = RingBoard.load("rocsync")
     with tempfile.TemporaryDirectory() as folder:
         for k, picture in enumerate(render_ring(shot, board, frames)):

@@ -42,13 +42,13 @@ class RiseSpeed:
 
 
 def flames_place(dataset: Dataset, camera: int) -> np.ndarray:
-    """(H, W) bool: where the footage ever has flame, which a board's lights are not."""
+    """Return (H, W) bool: where the footage ever has flame, which a board's lights are not."""
     static = dataset.static(camera)
     return np.any([flame_mask(dataset.image(camera, k), static) for k in range(len(dataset.times_s))], axis=0)
 
 
 def rows_of(picture: np.ndarray, plate: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """(R,) light above the plate in every row that the flame's place has."""
+    """Return (R,) light above the plate in every row that the flame's place has."""
     light = light_above(picture, plate[..., :3])[..., 1] * place
     return light.sum(1)[place.any(1)]
 
@@ -56,7 +56,7 @@ def rows_of(picture: np.ndarray, plate: np.ndarray, place: np.ndarray) -> np.nda
 def drawn_rows(
     gaussians: TransientGaussians, camera: Camera, plate: np.ndarray, place: np.ndarray, times: np.ndarray
 ) -> np.ndarray:
-    """(T, R) light of the reconstruction at these times."""
+    """Return (T, R) light of the reconstruction at these times."""
     behind = plate if gaussians.dynamic.all() else None
     pictures = (render(gaussians, camera, float(t), background=behind)["color"] for t in times)
     return np.stack([rows_of(np.clip(picture, 0, 1), plate, place) for picture in pictures])
@@ -114,7 +114,8 @@ FARTHEST = 0.25  # of the height: no structure is followed farther
 
 
 def traces(light: np.ndarray) -> np.ndarray:
-    """(T, H): what of a clip's light per row and frame moves: without its mean over time, and without broad shapes.
+    """Return (T, H): what of a clip's light per row and frame moves: without its mean over time, and without broad
+    shapes.
 
     Args:
         light: (T, H) light of every row, from the top of the picture, >= 0.
@@ -126,7 +127,8 @@ def traces(light: np.ndarray) -> np.ndarray:
 
 
 def climb(light: np.ndarray, frame_s: float, frames_apart: tuple[int, ...] = (2, 3, 4, 5, 6)) -> float:
-    """Speed of the traces, px/s, positive towards the top: that at which rows agree best with later ones above them.
+    """Return speed of the traces, px/s, positive towards the top: that at which rows agree best with later ones above
+    them.
 
     Args:
         light: (T, H).   frame_s: between frames.
@@ -154,7 +156,7 @@ def climb(light: np.ndarray, frame_s: float, frames_apart: tuple[int, ...] = (2,
 
 
 def _offset(values: np.ndarray, best: int) -> float:
-    """Where the parabola through the best value and its neighbours is highest, in steps."""
+    """Return where the parabola through the best value and its neighbours is highest, in steps."""
     if not 0 < best < len(values) - 1:
         return 0.0
     left, middle, right = values[best - 1 : best + 2]

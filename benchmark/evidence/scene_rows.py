@@ -54,7 +54,7 @@ def _fall(run: Path) -> str:
 
 
 def _controls(scores: Scores) -> list[str]:
-    """The controls' lines: pooled over frames as the methods' own figures are."""
+    """Return the controls' lines: pooled over frames as the methods' own figures are."""
     known = {name: {"l2": control.l2, "cos_sim": control.cos_sim} for name, control in scores.controls.items()}
     emission = None if scores.dve is None else scores.dve.on_emission
     if emission is not None and "constant" in known:

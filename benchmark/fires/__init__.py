@@ -45,7 +45,7 @@ class BenchmarkFire:
 
 
 def fires(split: Split, folder: Path = FOLDER) -> list[BenchmarkFire]:
-    """All fires of a split, by name.
+    """Return all fires of a split, by name.
 
     Raises:
         DataFormatError: a spec is wrong, is not named as its file, or is of the test split and not as it was sealed.

@@ -35,7 +35,7 @@ class StageRefused(GofError):
 
 @dataclass(frozen=True)
 class ProcessCost:
-    """What a piece of work cost: seconds on the clock and of the processor, and peak resident memory in MB."""
+    """The cost of a piece of work: seconds on the clock and of the processor, and peak resident memory in MB."""
 
     seconds: float
     cpu_s: float
@@ -175,7 +175,7 @@ LOOK = re.compile(r"^\s*-\s*!<Look>\s*\n?\s*\{?\s*name:\s*\"?([^\"\n,}]+)", re.M
 
 
 def known_looks(view_transform: str) -> list[str] | None:
-    """Names that Blender takes with a view transform; None where there is no Blender of Python's to ask."""
+    """Return names that Blender takes with a view transform; None where there is no Blender of Python's to ask."""
     configuration = os.environ.get("OCIO") or _of_blender()
     if configuration is None or not Path(configuration).is_file():
         return None

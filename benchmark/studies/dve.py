@@ -98,7 +98,7 @@ def main(argv: list[str]) -> int:
 
 
 def run(count: int = 20_000, samples: int = 1_000_000, progress: Callable[[int, int], None] | None = None) -> list[Row]:
-    """All rows; progress(parts done, parts)."""
+    """Return all rows; progress(parts done, parts)."""
     k = WAVE_NUMBER
     flows = [linear(), taylor_green(k), abc(k), gaussian_vortex(1.5 / k)]
     parts = [partial(order_rows, flow, width, count // 10) for flow in flows for width in WIDTHS]
@@ -154,7 +154,7 @@ def precision_rows(flow: Flow, count: int) -> Iterator[Row]:
 
 
 def monte_carlo_rows(flow: Flow, most: int) -> Iterator[Row]:
-    """Numbers of random samples per Gaussian, on the flow itself."""
+    """Yield numbers of random samples per Gaussian, on the flow itself."""
     x, s, q = gaussians(20, 0.5)
     truth = flow.mean(x, _covariance(s, q))
     rng = np.random.default_rng(1)
@@ -231,7 +231,7 @@ def write_charts(rows: list[Row], folder: Path) -> list[Path]:
 
 
 def _points(rows: list[Row], flow: str, study: str, k_sigma: float) -> list[tuple[float, float, str]]:
-    """(seconds, error, label) of one line of a chart."""
+    """Return (seconds, error, label) of one line of a chart."""
     found = [row for row in rows if (row.flow, row.study, row.k_sigma) == (flow, study, k_sigma)]
     if study == "grid":
         found = [row for row in found if row.setting.endswith("order 3")]

@@ -36,7 +36,7 @@ class MadeScene:
 
 
 def made_scenes(folder: Path, split: str = "all") -> dict[str, MadeScene]:
-    """The finished scenes of WORK/SIZE, by name.
+    """Return the finished scenes of WORK/SIZE, by name.
 
     Raises:
         DataFormatError: not a size's folder, nothing finished in it, or a scene there was made from another spec.
@@ -56,19 +56,19 @@ def made_scenes(folder: Path, split: str = "all") -> dict[str, MadeScene]:
 
 
 def size_of(folder: Path) -> Size | None:
-    """The size whose scenes a folder holds, by its name; None where it is none."""
+    """Return the size whose scenes a folder holds, by its name; None where it is none."""
     name = folder.resolve().name
     return next((size for size in SIZES if name in (size, SEALED[size])), None)
 
 
 def folder_of(work: Path, size: Size) -> Path:
-    """Where the scenes of a size are made: WORK/SIZE, or the folder that the version before has begun."""
+    """Return where the scenes of a size are made: WORK/SIZE, or the folder that the version before has begun."""
     former = work / SEALED[size]
     return former if former.is_dir() and not (work / size).is_dir() else work / size
 
 
 def scene_of(dataset: Path) -> MadeScene:
-    """The scene whose dataset lies in WORK/SIZE/SCENE. Raises DataFormatError: it is none of the suite."""
+    """Return the scene whose dataset lies in WORK/SIZE/SCENE. Raises DataFormatError: it is none of the suite."""
     name = dataset.resolve().name
     found = made_scenes(dataset.resolve().parent)
     if name not in found:
@@ -77,7 +77,7 @@ def scene_of(dataset: Path) -> MadeScene:
 
 
 def _require_spec(scene: SuiteScene, layout: Layout) -> None:
-    """Raises DataFormatError: the dataset is of another spec than the suite's."""
+    """Raise DataFormatError: the dataset is of another spec than the suite's."""
     try:
         made = SceneSpec.from_dict(read_json(layout.spec))
     except SpecError as e:
@@ -113,11 +113,11 @@ class SuiteTruths:
 
 
 def compare(scene: SuiteScene, size: Size, dataset: Dataset) -> tuple[Verdict, str]:
-    """A made scene's truth against the recorded one, and in words."""
+    """Return a made scene's truth against the recorded one, and in words."""
     truths = read_record(SuiteTruths, FILE)
     recorded = truths.fires.get(scene.fire, {}).get(SEALED[size])
     if recorded is None:
-        return "unknown", f"no truth of {scene.fire} is recorded in this size: nobody has made it yet"
+        return "unknown", f"no truth of {scene.fire} is recorded in this size: it has not been made yet"
     differs = Truth.of(dataset).differs(recorded)
     if not differs:
         return "same", "its truth is the recorded one, to the bit"

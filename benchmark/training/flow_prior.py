@@ -77,7 +77,7 @@ class Samples:
 
     @classmethod
     def of(cls, describer: FlameDescriber, truth: np.ndarray, rng: np.random.Generator, most: int = 30_000) -> Samples:
-        """At most so many voxels of a flame.
+        """Return at most so many voxels of a flame.
 
         Args:
             truth: (F, V, 3) true velocity over its pace.
@@ -102,7 +102,7 @@ class Samples:
 
     @classmethod
     def joined(cls, flames: list[Samples]) -> Samples:
-        """Every flame counts alike, whatever it has of voxels."""
+        """Return every flame counts alike, whatever it has of voxels."""
         mean = sum(len(flame) for flame in flames) / len(flames)
         parts = [replace(flame, weight=flame.weight * mean / len(flame)) for flame in flames]
         names = cls.__dataclass_fields__
@@ -221,7 +221,7 @@ def pace_error(clip: Clip, pace: Pace, metres: bool = True) -> np.ndarray:
 
 
 def mean_speed(velocity: np.ndarray, emission: np.ndarray) -> float:
-    """Of velocity (F, V, 3), weighted by emission (F, V)."""
+    """Return the mean speed of velocity (F, V, 3), weighted by emission (F, V)."""
     return float((emission * np.linalg.norm(velocity, axis=-1)).sum() / emission.sum())
 
 
@@ -245,7 +245,7 @@ class Scaling:
 
 
 def train_velocity(flames: list[Samples], seed: int = 0, members: int = 4, steps: int = 700) -> tuple[Scaling, Network]:
-    """The ensemble that gives the velocity over the pace, by AdamW with noise on the features."""
+    """Return the ensemble that gives the velocity over the pace, by AdamW with noise on the features."""
     torch.manual_seed(seed)
     samples = Samples.joined(flames)
     scaling = Scaling.of(samples)
@@ -273,7 +273,7 @@ def velocity_loss(
 def train_doubt(
     scaling: Scaling, flames: list[Samples], errors: list[torch.Tensor], seed: int = 0, steps: int = 500
 ) -> Network:
-    """One network for the log of the standard deviation, over the pace, by maximum likelihood.
+    """Return one network for the log of the standard deviation, over the pace, by maximum likelihood.
 
     Args:
         errors: per flame (N, 3), over the pace, of ensembles and lines that had not been fitted to it: they are surer
@@ -293,7 +293,7 @@ def train_doubt(
 
 
 def forward(layers: Layers, features: torch.Tensor, noise: float = 0.1) -> torch.Tensor:
-    """(members, B, out) from features (members, B, K), which are shaken so that no flame is learned by heart."""
+    """Return (members, B, out) from features (members, B, K), which are shaken so that no flame is learned by heart."""
     h = features + noise * torch.randn(features.shape)
     for weight, bias in layers[:-1]:
         h = torch.tanh(h @ weight + bias)
@@ -326,7 +326,7 @@ def plain(layers: Layers) -> Network:
 
 
 def held_out_error(scaling: Scaling, network: Network, samples: Samples, pace: float = 1.0) -> torch.Tensor:
-    """(N, 3) of an ensemble on a flame that it was not trained on, over the pace that was estimated for it.
+    """Return (N, 3) of an ensemble on a flame that it was not trained on, over the pace that was estimated for it.
 
     Args:
         pace: estimated over true one.
@@ -399,7 +399,7 @@ def fitted_pace(clips: list[Clip]) -> Pace:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What is learned of a clip from others alone, and how wrong it is there; errors as `held_out_error`, by flame."""
+    """A clip's prediction learned from others alone, and its error there; errors as `held_out_error`, by flame."""
 
     pace: Pace
     scaling: Scaling

@@ -26,7 +26,8 @@ VALIDATION = "00_validation"
 
 
 def write(source: ViewSource) -> None:
-    """Raises DataFormatError: a camera's name comes before that of the held-out one, or no flame to start from."""
+    """Write the view. Raises DataFormatError: a camera's name comes before that of the held-out one, or no flame to
+    start from."""
     dataset = source.dataset
     numbers = [number for number, trains in enumerate(source.trains) if trains]
     held_out = next((number for number, trains in enumerate(source.trains) if not trains), numbers[0])

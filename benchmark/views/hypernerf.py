@@ -23,8 +23,8 @@ TIMES = 2  # the size that lenses are written for, over that of the pictures
 
 
 def write(source: ViewSource) -> None:
-    """Raises DataFormatError: lenses differ or are off centre (its readers have one), times that are not even, no
-    held-out frame (its readers would choose some), or no flame to start from."""
+    """Write the view. Raises DataFormatError: lenses differ or are off centre (its readers have one), times that are
+    not even, no held-out frame (its readers would choose some), or no flame to start from."""
     dataset = source.dataset
     field_of_view(dataset)
     steps = np.diff(dataset.times_s)
@@ -55,7 +55,8 @@ def _name(camera: int, frame: int) -> str:
 
 
 def _camera(source: ViewSource, number: int) -> dict:
-    """A camera as Nerfies writes it: the world seen from it is ``orientation (x - position)``, axes as OpenCV's."""
+    """Return a camera as Nerfies writes it: the world seen from it is ``orientation (x - position)``, axes as
+    OpenCV's."""
     lens = source.dataset.cameras[number]
     rotation, shift = lens.world_to_camera[:3, :3], lens.world_to_camera[:3, 3]
     return {

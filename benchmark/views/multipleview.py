@@ -27,7 +27,8 @@ PINHOLE = 1
 
 
 def write(source: ViewSource) -> None:
-    """Raises DataFormatError: lenses differ or are off centre (the layout has one focal length), or no flame."""
+    """Write the view. Raises DataFormatError: lenses differ or are off centre (the layout has one focal length), or no
+    flame."""
     dataset = source.dataset
     field_of_view(dataset)
     numbers = [number for number, trains in enumerate(source.trains) if trains]

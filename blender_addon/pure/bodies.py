@@ -1,7 +1,7 @@
 """Bodies of a user's scene in the domain of a fire that we simulate: which of them the gas does not feel.
 
 The solver knows obstacles alone. What else stands in the domain is drawn, and gas and flame pass through it: a spec may
-mean that, so it is said and never refused.
+mean that, so it is a warning and never refused.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BORDER = 0.5  # cells inside the domain's sides, which a floor or a wall may tou
 
 @dataclass(frozen=True)
 class Body:
-    """What one object of a scene, or all instances of it, looks like in a render."""
+    """One object of a scene, or all instances of it, as it looks in a render."""
 
     name: str
     triangles: np.ndarray
@@ -38,7 +38,7 @@ def air(spec: SceneSpec) -> tuple[np.ndarray, np.ndarray]:
 
 
 def notes(spec: SceneSpec, bodies: Iterable[Body]) -> list[str]:
-    """What the maker of the scene should know of them; nothing where no gas is simulated."""
+    """Return what the maker of the scene should know of them; nothing where no gas is simulated."""
     if not isinstance(spec.fire, Fire):
         return []
     low, high = air(spec)
@@ -53,7 +53,7 @@ def notes(spec: SceneSpec, bodies: Iterable[Body]) -> list[str]:
 
 
 def reach_into(triangles: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(T,) whether each triangle (T, 3, 3) and the box have a point in common, by separating axes.
+    """Return (T,) whether each triangle (T, 3, 3) and the box have a point in common, by separating axes.
 
     Source: Akenine-Moeller, Fast 3D triangle-box overlap testing, 2001. A surface around the box has none.
     """
@@ -71,7 +71,7 @@ def reach_into(triangles: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.n
 
 
 def _told(bodies: list[Body], told, spec: SceneSpec) -> Iterator[str]:
-    """A line for each of the first, and one for all others."""
+    """Yield a line for each of the first, and one for all others."""
     for body in bodies[:TOLD]:
         yield told(body, spec)
     if others := [body.name for body in bodies[TOLD:]]:
@@ -98,7 +98,7 @@ def _in_gas(body: Body, spec: SceneSpec) -> str:
 
 
 def _block(triangles: np.ndarray, spec: SceneSpec) -> Obstacle | None:
-    """An obstacle as large as what of a body is in the domain; None where it would stand on the burner."""
+    """Return an obstacle as large as what of a body is in the domain; None where it would stand on the burner."""
     domain: Domain = spec.domain
     corners = triangles.reshape(-1, 3)
     low, high = np.maximum(corners.min(0), domain.min), np.minimum(corners.max(0), domain.max)

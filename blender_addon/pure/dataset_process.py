@@ -28,14 +28,14 @@ UNITS = {"bake": " steps", "render": " pictures", "ground-truth": " frames"}
 
 
 def stages(spec: SceneSpec) -> list[str]:
-    """The stages that a spec needs, in order."""
+    """Return the stages that a spec needs, in order."""
     video = ["video"] if any(map(effects.encodes, spec.effects)) else []
     flow = ["flow"] if "flow" in spec.ground_truth else []
     return ["bake", "render", *video, "ground-truth", *flow, "finish"]
 
 
 def expected_s(spec: SceneSpec, prediction: cost_model.Prediction) -> dict[str, float]:
-    """Seconds on the clock that each stage should take when nothing else runs.
+    """Return seconds on the clock that each stage should take when nothing else runs.
 
     The prediction is in processor seconds over cores; bake and export keep one core busy, not all.
     """
@@ -48,7 +48,7 @@ def expected_s(spec: SceneSpec, prediction: cost_model.Prediction) -> dict[str, 
 
 
 def left_s(spec: SceneSpec, layout: Layout, expected: dict[str, float]) -> dict[str, float]:
-    """Of the expected seconds those that a dataset still needs that was begun in the folder."""
+    """Return those of the expected seconds that a dataset still needs that was begun in the folder."""
     if not layout.bake_marker.is_file():
         return expected  # an unfinished bake starts over, and what was rendered of it is the same again
     missing = max(1 - layout.pictures() / len(spec.pictures), 0.0)
@@ -185,7 +185,7 @@ class Job:
         self._note(f"{self.stage}: {seconds:.0f} s, {self._said.peak_mb:.0f} MB")
 
     def _left_here(self) -> float:
-        """Seconds left in this stage: by its own pace as soon as there is one."""
+        """Return seconds left in this stage: by its own pace as soon as there is one."""
         if not self.stage:
             return 0.0
         if self._said.made <= 0:
@@ -282,7 +282,7 @@ WRONG = 2  # exit status of the worker where the spec or its .blend is wrong
 
 
 def scene_notes(spec: SceneSpec, python: list[str]) -> list[str]:
-    """What the maker of the scene should know of its objects (`pure.bodies`); nothing without a .blend.
+    """Return what the maker of the scene should know of its objects (`pure.bodies`); nothing without a .blend.
 
     Args:
         python: a command that runs the Python code given as its next argument, in a Blender without a window.

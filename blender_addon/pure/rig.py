@@ -92,7 +92,7 @@ class Rig:
 
 
 def role_of(name: str) -> str:
-    """The role of a rig's camera in dataset.json, by its name."""
+    """Return the role of a rig's camera in dataset.json, by its name."""
     return "around" if name in AROUND else "eval" if name.startswith("eval") else "train"
 
 
@@ -103,7 +103,7 @@ HALF_SENSOR = 18.0  # mm of the long side that a focal length refers to
 
 
 def on_the_arc(rig: Rig) -> list[tuple[float, float, float]]:
-    """World positions of cameras that are not placed one by one, those for evaluation last."""
+    """Return World positions of cameras that are not placed one by one, those for evaluation last."""
     step = rig.arc_deg / (rig.count - 1) if rig.count > 1 else 0.0
     first = rig.azimuth_deg - (rig.arc_deg / 2 if rig.count > 1 else 0.0)
     places = [(first + index * step, rig.height) for index in range(rig.count)]
@@ -119,7 +119,8 @@ def on_the_arc(rig: Rig) -> list[tuple[float, float, float]]:
 
 
 def around(rig: Rig) -> list[tuple[float, float, float]]:
-    """World positions of the cameras around, as far from the point they look at as those for training, and as high."""
+    """Return World positions of the cameras around, as far from the point they look at as those for training, and as
+    high."""
     place = np.array([pose.position for pose in rig.placed] or on_the_arc(rig), float)[: rig.count]
     x, y, z = rig.look_at
     radius = float(np.hypot(place[:, 0] - x, place[:, 1] - y).mean()) or rig.radius
@@ -136,13 +137,13 @@ def around(rig: Rig) -> list[tuple[float, float, float]]:
 
 
 def positions(rig: Rig) -> np.ndarray:
-    """(C, 3) world metres of all cameras."""
+    """Return (C, 3) world metres of all cameras."""
     places = [pose.position for pose in rig.placed] if rig.placed else on_the_arc(rig)
     return np.array([*places, *(around(rig) if rig.around_frames else ())], float)
 
 
 def seen(rig: Rig, points: np.ndarray) -> np.ndarray:
-    """(C, N) whether a camera's picture has a point (N, 3) in it; what stands between is not asked."""
+    """Return (C, N) whether a camera's picture has a point (N, 3) in it; what stands between is not asked."""
     along = HALF_SENSOR / rig.focal_mm
     across = along * rig.sensor_px[1] / rig.sensor_px[0]
     half = np.array([across, along] if rig.portrait else [along, across])
@@ -152,7 +153,7 @@ def seen(rig: Rig, points: np.ndarray) -> np.ndarray:
 
 
 def _axes(rig: Rig) -> np.ndarray:
-    """(C, 3, 3) rows: right, up and backward of every camera, in the world."""
+    """Return (C, 3, 3) rows: right, up and backward of every camera, in the world."""
     back = positions(rig) - np.array(rig.look_at, float)
     length = np.linalg.norm(back, axis=1, keepdims=True)
     back = np.divide(back, length, out=np.tile([0.0, -1.0, 0.0], (len(back), 1)), where=length > 0)

@@ -1,4 +1,4 @@
-"""What the panel Score shows: of the scores that `gof evaluate --json` writes, or those of our own `dve`."""
+"""Scores as the panel Score shows them: those that `gof evaluate --json` writes, or those of our own `dve`."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Scores:
             raise DataFormatError(f"{error}; was it written by gof of another version?") from None
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and values for people."""
+        """Return names and values for people."""
         if self.dve is None:
             return [("DVE", "; ".join(self.warnings) or "undefined")]
         rows = [

@@ -1,7 +1,8 @@
 """Whether the parts of a scene make sense together, asked before anything is simulated.
 
 A spec whose fields are all in range may still describe a picture of nothing: a camera in the fire, a wall through it.
-What would be no dataset at all is refused; what may be meant is said. Every message has the number that would be right.
+A spec that makes no dataset at all is refused; a doubtful one is warned of. Every message has the
+number that would be right.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ LEAST_ACROSS, CELLS_ACROSS = (
     3,
 )  # of a burner or an obstacle, below which it is a point, and hardly more, to the solver
 COLUMN = 1.5  # burner radii from the axis, which the flame fills
-PIXELS_ACROSS = 4  # of a burner (or, where nobody knows one, of the grids' box) in a picture, below which it is a dot
+PIXELS_ACROSS = 4  # of a burner (or, where none is known, of the grids' box) in a picture, below which it is a dot
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Finding:
 
 
 def require_sense(spec: SceneSpec, files: bool = True) -> list[str]:
-    """What the maker of the scene should know.
+    """Return what the maker of the scene should know.
 
     Args:
         files: also look whether the files that the spec names are there.
@@ -55,7 +56,7 @@ def require_sense(spec: SceneSpec, files: bool = True) -> list[str]:
 
 
 def findings(spec: SceneSpec) -> list[Finding]:
-    """All that does not make sense. Raises SpecError: files of a fire of grids are wrong."""
+    """Return all that does not make sense. Raises SpecError: files of a fire of grids are wrong."""
     simulated = [*_burner(spec), *obstacles(spec)] if isinstance(spec.fire, Fire) else []
     return [*simulated, *_cameras(spec), *_room(spec)]
 
@@ -184,12 +185,12 @@ def _length(metres: float) -> str:
 
 
 def point_text(place) -> str:
-    """A place as people write it."""
+    """Return a place as people write it."""
     return f"({', '.join(f'{round(float(value), 6) + 0.0:.3g}' for value in place)})"
 
 
 def box_text(domain: Domain) -> str:
-    """A box as people write it."""
+    """Return a box as people write it."""
     return f"{point_text(domain.min)} to {point_text(domain.max)} m"
 
 
@@ -204,7 +205,7 @@ class Room:
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     wall: str
-    """What stands at the far side, y = high[1]."""
+    """The thing at the far side, y = high[1]."""
 
 
 ROOMS = {
@@ -217,7 +218,7 @@ SPARE = 1.05
 
 
 def studio_scale(spec: SceneSpec) -> float:
-    """How many times its own size the studio is built, so that fire and cameras stand in it; 1 where they do."""
+    """Return how many times its own size the studio is built, so that fire and cameras stand in it; 1 where they do."""
     room, box = ROOMS["studio"], spec.box
     reach = [high / there for high, there in zip(box.max, room.high, strict=True)]
     reach += [low / there for low, there in zip(box.min[:2], room.low[:2], strict=True)]

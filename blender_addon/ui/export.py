@@ -32,7 +32,7 @@ class Recording:
 
     @classmethod
     def of(cls, scene: bpy.types.Scene, thing: bpy.types.Object) -> "Recording":
-        """Of what the .blend holds: no file is asked. Raises DataFormatError: it holds too little."""
+        """Read that of the .blend: no file is asked. Raises DataFormatError: it holds too little."""
         rate, settings, cloud = scene.render.fps / scene.render.fps_base, point_cloud.inputs(thing), None
         if thing.type == "MESH":
             cloud = point_cloud.cloud_of(thing)
@@ -51,7 +51,7 @@ class Recording:
         )
 
     def time_s(self, frame):
-        """Of the recording, at a frame or at an array of frames."""
+        """Return the time of the recording, at a frame or at an array of frames."""
         return (frame - self.start) / self.rate * self.time_scale
 
     @property
@@ -61,7 +61,7 @@ class Recording:
 
 
 class _CloudExport(ExportHelper):
-    """Of the active reconstruction."""
+    """An export of the active reconstruction."""
 
     @classmethod
     def poll(cls, context):
@@ -187,7 +187,7 @@ def _find_packages() -> None:
 
 
 def _with_progress(recording: Recording) -> Iterator[tuple[int, float]]:
-    """Frames and times of a recording, with the share that is done shown at the mouse pointer."""
+    """Yield frames and times of a recording, with the share that is done shown at the mouse pointer."""
     manager = bpy.context.window_manager
     manager.progress_begin(0, len(recording.frames))
     try:

@@ -162,7 +162,7 @@ def _files(spec: SceneSpec, layout: Layout) -> list[Path]:
 
 
 def _describe(spec: SceneSpec, layout: Layout) -> DatasetDescription:
-    """The dataset's description, with the cameras of the open scene."""
+    """Return the dataset's description, with the cameras of the open scene."""
     import bpy
 
     from ..scene import rig
@@ -240,7 +240,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run(argv: list[str]) -> None:
-    """One stage as the only work of this process."""
+    """Run one stage as the only work of this process."""
     run_alone(main, argv)
 
 

@@ -87,7 +87,7 @@ def annotate(
 
 
 def training_frames(dataset: Dataset) -> dict[str, Iterable[np.ndarray]]:
-    """Each camera's pictures in which the board is looked for, (H, W, 3) uint8, by its name."""
+    """Return each camera's pictures in which the board is looked for, (H, W, 3) uint8, by its name."""
     return {camera.name: _pictures(dataset, c) for c, camera in enumerate(dataset.cameras)}
 
 
@@ -96,7 +96,7 @@ def _pictures(dataset: Dataset, camera: int) -> Iterable[np.ndarray]:
 
 
 def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate, points: BoardPoints | None = None) -> np.ndarray:
-    """(H, W) uint8, 255 on the board, from RGB pictures of a fixed camera; `points`: see `locate`.
+    """Return (H, W) uint8, 255 on the board, from RGB pictures of a fixed camera; `points`: see `locate`.
 
     Raises:
         BoardNotFound: the board cannot be found in them.   DataFormatError: the points do not fit a board.
@@ -112,7 +112,7 @@ def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate, points: B
 def mask_from_footage(
     footage: Path, lens: Lens | None, turn: Turn, template: BoardTemplate, points: BoardPoints | None = None
 ) -> np.ndarray:
-    """The mask as `find_mask` finds it in stored pictures, undistorted and turned as they are.
+    """Return the mask as `find_mask` finds it in stored pictures, undistorted and turned as they are.
 
     Raises:
         BoardNotFound, DataFormatError: not found; the footage is not readable, or of another size than its lens.
@@ -147,7 +147,7 @@ def _write_mask(mask: np.ndarray, size: tuple[int, int], path: Path) -> float:
 def board_mask(
     board: BoardInImage, template: BoardTemplate, size: tuple[int, int], margin: float = 0.25, feather: float = 0.35
 ) -> np.ndarray:
-    """How much each pixel belongs to the board: 1 on it, 0 away from it.
+    """Return how much each pixel belongs to the board: 1 on it, 0 away from it.
 
     Args:
         size: (width, height) of the picture.

@@ -55,7 +55,8 @@ def wrap(time: np.ndarray, period: float) -> np.ndarray:
 
 
 def unwrap(phase_us: np.ndarray, index: np.ndarray, interval: float, period: float) -> np.ndarray:
-    """Times from phases alone: each step is that of a steady clock plus the small difference that the phases show."""
+    """Return times from phases alone: each step is that of a steady clock plus the small difference that the phases
+    show."""
     steady = interval * np.diff(index)
     return phase_us[0] + np.concatenate([[0.0], np.cumsum(steady + wrap(np.diff(phase_us) - steady, period))])
 
@@ -63,7 +64,7 @@ def unwrap(phase_us: np.ndarray, index: np.ndarray, interval: float, period: flo
 def link(
     time: np.ndarray, interval: float, repeated: np.ndarray, period: float, counted: bool, window: int = 48
 ) -> np.ndarray:
-    """(T,) position of every frame on a steady clock of the given interval.
+    """Return (T,) position of every frame on a steady clock of the given interval.
 
     A repeated picture has the position of the one before; every other step is one more, or several after a drop. Of all
     such sequences the cheapest is taken (Viterbi), where a frame costs up to one for missing its time, and a drop half
@@ -142,7 +143,7 @@ def _cheapest_shifts(error, repeated, drop_cost, interval, period, counted, star
 
 
 def unwrap_to(time: np.ndarray, index: np.ndarray, interval: float, period: float) -> np.ndarray:
-    """Times (right modulo the period) placed nearest to a steady clock through them."""
+    """Return times (right modulo the period) placed nearest to a steady clock through them."""
     z = np.exp(2j * np.pi * (time - index * interval) / period)
     start = np.angle(z.mean()) / (2 * np.pi) * period
     line = start + index * interval
@@ -162,7 +163,7 @@ FEWEST_SEEN = 16
 
 
 def board_seen(signals: Signals) -> np.ndarray:
-    """(T,) frames that show the board. All of them where nobody looked, or where too few would be left."""
+    """Return (T,) frames that show the board. All where the marker was not looked for, or too few would be left."""
     if signals.marker is None:
         return np.ones(len(signals.strip), bool)
     seen = signals.marker > min(LIKE_MARKER, 0.7 * float(np.percentile(signals.marker, 90)))
@@ -178,7 +179,7 @@ def only_frames(signals: Signals, seen: np.ndarray) -> Signals:
 
 
 def positions(seen: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Positions on the camera's clock of all stored frames, from those of the frames that show the board.
+    """Return positions on the camera's clock of all stored frames, from those of the frames that show the board.
 
     Args:
         seen: (T,) bool.   index: positions of those frames.
@@ -202,7 +203,7 @@ def positions(seen: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, list[str
 
 
 def wander_us(seen: np.ndarray, time_us: np.ndarray) -> np.ndarray:
-    """(T,) what the clock may have wandered by since or until the board was seen."""
+    """Return (T,) what the clock may have wandered by since or until the board was seen."""
     shown = time_us[seen]
     after = np.clip(np.searchsorted(shown, time_us), 0, len(shown) - 1)
     nearest = np.minimum(np.abs(time_us - shown[after]), np.abs(time_us - shown[np.maximum(after - 1, 0)]))

@@ -25,7 +25,7 @@ READOUT = {(0, 1): "right", (0, -1): "left", (1, 1): "down", (1, -1): "up"}
 
 @dataclass(frozen=True)
 class DecodeOptions:
-    """What is known beforehand; None = estimated from the footage."""
+    """Facts known beforehand; None = estimated from the footage."""
 
     period_us: float = 4000.0
     fps: float | None = None
@@ -98,7 +98,7 @@ def decode(signals: Signals, template: BoardTemplate, options: DecodeOptions) ->
 
 
 def carried_over(found: CameraTimes, shown: np.ndarray) -> CameraTimes:
-    """Times of all frames from those of the frames that show the board, by the camera's clock.
+    """Return times of all frames from those of the frames that show the board, by the camera's clock.
 
     Args:
         shown: (T,) bool.
@@ -288,7 +288,7 @@ def _learn(
 def _fuse(
     fit: StripFit, index: np.ndarray, interval_us: float, repeated: np.ndarray, options: DecodeOptions
 ) -> _FusedTimes:
-    """A robust line through all frames; each frame's own time where the clock is not steady."""
+    """Return a robust line through all frames; each frame's own time where the clock is not steady."""
     if not options.steady:
         return _FusedTimes(fit.time, fit.time, ~repeated, interval_us)
     line = strips.robust_line(index, fit.time, fit.sigma)[0]
@@ -304,7 +304,7 @@ def _vote(
     exposure: tuple[float, float] | None,
     period: float,
 ) -> CountVote:
-    """The LEDs of all frames vote on the count at which the clip starts."""
+    """Return the LEDs of all frames vote on the count at which the clip starts."""
     exposure_us = exposure[0] if exposure else USUAL_EXPOSURE * period
     return counter.vote(
         template, read.on, read.known, led_time, period, EXPOSURE_MARGIN * exposure_us + EXPOSURE_ADD_US
@@ -335,7 +335,7 @@ def _warnings(
 def _strip_readings(
     signals: Signals, template: BoardTemplate, options: DecodeOptions
 ) -> tuple[StripReadings, np.ndarray]:
-    """The strips' brightness along the readout, and (L,) the LEDs' places on that axis relative to the picture's
+    """Return the strips' brightness along the readout, and (L,) the LEDs' places on that axis relative to the picture's
     centre."""
     value, usable = strips.normalise(signals.strip, signals.board.strip_visible)
     if options.readout:
@@ -385,7 +385,7 @@ def _interval(options: DecodeOptions, count: np.ndarray, bits: int, phase: np.nd
 
 
 def line_sigma(index: np.ndarray, used: np.ndarray, residual: np.ndarray, count: int) -> np.ndarray:
-    """Standard error of the fitted line at each frame."""
+    """Return standard error of the fitted line at each frame."""
     n = max(int(used.sum()), 2)
     i = index - index[used].mean() if used.any() else index - index.mean()
     spread = max(float((i[used] ** 2).sum()), 1.0)

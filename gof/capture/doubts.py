@@ -1,5 +1,5 @@
-"""What about a take's times a person should look at before believing them: said in words, camera by camera. Every
-figure has a limit above which it is said; those of `refusal` have one above which there are no times."""
+"""Warnings about a take's times, for a person to read before believing them: in words, camera by camera. Every
+figure has a limit above which it is a warning; those of `refusal` have one above which there are no times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MOST_US = 10.0  # rms and systematic error: the published clips, heavily compres
 LEAST_LEDS = 8  # of the counter, that are usually in view
 STANDS_OUT = 3.0  # times the other cameras' median
 RATE_SPREAD = 1e-3  # cameras of one nominal rate agree to 3e-5
-REFUSED = 10.0  # times `most_us`: rms and systematic error of times that nobody should use
+REFUSED = 10.0  # times `most_us`: rms and systematic error of times that are not to be used
 MOST_OUTLIERS = 0.5  # of the frames: a clock that fewer agree with is none
 FEWEST_READINGS = 4  # of each counter LED, that are no straddled change
 FEWEST_MARKER_PX = 25.0
@@ -44,7 +44,7 @@ def refusal(rms_us: float, systematic_us: float, outliers: int, frames: int, mos
 
 
 def doubts(cameras: list[SyncedVideo], most_us: float = MOST_US, period_us: float | None = None) -> list[str]:
-    """One sentence per camera and doubt; none for a take that is in order.
+    """Return one sentence per camera and doubt; none for a take that is in order.
 
     Args:
         most_us: rms and systematic error that the board's kind usually stays below.
@@ -79,7 +79,7 @@ def _missing(times: VideoTimes) -> list[str]:
 
 
 def _odd_row_time(times: VideoTimes, others: list[VideoTimes]) -> list[str]:
-    """Compared with cameras whose pictures have the same size and are read along the same axis."""
+    """Compare with cameras whose pictures have the same size and are read along the same axis."""
     alike = [o for o in others if (o.width, o.height) == (times.width, times.height)]
     if not alike:
         return []
@@ -100,7 +100,8 @@ def _odd_row_time(times: VideoTimes, others: list[VideoTimes]) -> list[str]:
 
 
 def _odd_rate(times: VideoTimes) -> list[str]:
-    """The board's clock against the rate that the file states, or cameras have: a wrong tick stretches all times."""
+    """Return the board's clock against the rate that the file states, or cameras have: a wrong tick stretches all
+    times."""
     off = times.container_fps and abs(times.fps / times.container_fps - 1)
     tick = (
         "is the board's clock another than was said (--tick-us, or a ring board's step_us)? All times are stretched "

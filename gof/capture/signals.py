@@ -26,7 +26,7 @@ class Signals:
         duplicate: (T,) True where the board's picture repeats the frame before exactly or nearly.
         image_size: (width, height).
         board: where the points are.
-        marker: (T,) how much each frame looks like the marker where it was found, -1..1; None where nobody looked.
+        marker: (T,) how much each frame looks like the marker where it was found, -1..1; None where not looked for.
     """
 
     strip: np.ndarray
@@ -87,7 +87,7 @@ def read_signals(
 
 
 def sample_frame(image: np.ndarray, board: BoardInImage) -> tuple[np.ndarray, np.ndarray]:
-    """(S, J) strip and (L,) LED brightness of one (H, W) white image."""
+    """Return (S, J) strip and (L,) LED brightness of one (H, W) white image."""
     around = np.array([-1.0, 0.0, 1.0])
     strip = sample(image, board.strip[None] + around[:, None, None, None] * board.strip_normal).mean(0)
     offsets = np.stack(np.meshgrid(around, around), -1).reshape(-1, 1, 2)
@@ -112,7 +112,7 @@ CELL_SAMPLES = 4  # per marker cell and direction
 
 
 def marker_pattern(template: BoardTemplate) -> np.ndarray:
-    """(6, 6) the marker's cells, 1 light and 0 dark."""
+    """Return (6, 6) the marker's cells, 1 light and 0 dark."""
     import cv2
 
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)

@@ -54,7 +54,7 @@ def synchronise(
     Args:
         template: the board; a ring board's period is its own, whatever the options say.
         options: one per video.
-        show: is told of every camera that was decoded: name, times, slots (S,) of the board's strips (None of a ring),
+        show: called with every camera that was decoded: name, times, slots (S,) of the board's strips (None of a ring),
             and the board's period in us.
         known: gives the row time of pictures of any size.
         estimate: estimate the clock of a camera without the board from its flame.
@@ -98,14 +98,14 @@ def synchronise(
 
 
 def _said(camera: SyncedVideo) -> list[str]:
-    """What is known against a camera."""
+    """Return what is known against a camera."""
     own = [] if camera.times is None else [*camera.times.faults, *camera.times.warnings]
     return [f"{camera.name}: {text}" for text in ([camera.error] if camera.error else []) + own]
 
 
 def _estimate_missing(cameras: list[SyncedVideo]) -> list[SyncedVideo]:
-    """Cameras without a board get an estimated clock, where one with a board filmed the same flame; the others stay as
-    they are, and say why not."""
+    """Return cameras without a board get an estimated clock, where one with a board filmed the same flame; the others
+    stay as they are, and say why not."""
     if all(c.times for c in cameras) or not any(c.times for c in cameras):
         return cameras
     known = {c.name: (Path(c.video), c.times, read_light(Path(c.video))) for c in cameras if c.times}
@@ -167,8 +167,8 @@ def _decode_video(
 
 
 def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:
-    """Cameras that do not see all counter LEDs take the candidate nearest to one that does, and cameras that started
-    after the counter began anew are put behind those that started before: they filmed together."""
+    """Return cameras that do not see all counter LEDs take the candidate nearest to one that does, and cameras that
+    started after the counter began anew are put behind those that started before: they filmed together."""
     warnings = []
     certain = [n for n, t in decoded.items() if len(t.count_candidates) == 1]
     if not decoded:
@@ -208,8 +208,8 @@ def _overlap(one: CameraTimes, other: CameraTimes) -> bool:
 
 
 def _apart(decoded: dict[str, CameraTimes]) -> dict[str, str]:
-    """Cameras that filmed at no time that another one filmed, with what to say of them: a take is filmed together. All
-    of them where no two agree."""
+    """Return cameras that filmed at no time that another one filmed, with what to say of them: a take is filmed
+    together. All of them where no two agree."""
     if len(decoded) < 2:
         return {}
     together = {n: [o for o in decoded if o != n and _overlap(decoded[n], decoded[o])] for n in decoded}
@@ -236,7 +236,7 @@ def _nearest(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:
 
 
 def _describe(found: _Decoded, container_fps: float | None) -> VideoTimes:
-    """The figures in the precision that they have."""
+    """Return the figures in the precision that they have."""
     t = found.times
     width, height = found.image_size
     repeated = np.concatenate([[False], np.diff(t.clock_index) == 0])
@@ -296,7 +296,7 @@ class Sensor:
     source: str
 
     def image_row_time_us(self, lines: int) -> float:
-        """Row time of a picture whose `lines` lines show all sensor rows.
+        """Return row time of a picture whose `lines` lines show all sensor rows.
 
         Raises: ValueError for lines < 1.
         """
@@ -316,7 +316,7 @@ class SensorTable:
 
 
 def sensor(name: str) -> Sensor:
-    """A sensor of the table by name.
+    """Return a sensor of the table by name.
 
     Raises: DataFormatError: not in the table (names those that are).
     """

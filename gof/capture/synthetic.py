@@ -59,7 +59,7 @@ class SyntheticShot:
     seed: int = 0
 
     def homography(self) -> np.ndarray:
-        """(3, 3) from marker sides to pixels."""
+        """Return (3, 3) from marker sides to pixels."""
         a, r = np.radians(self.yaw_deg), np.radians(self.roll_deg)
         distance = 20.0  # marker sides: moderate perspective
         to_centre = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])
@@ -70,7 +70,7 @@ class SyntheticShot:
         return image @ roll @ turn @ to_centre
 
     def times(self, frames: int) -> np.ndarray:
-        """(frames,) true mid-exposure times of the pictures' centre, in file order."""
+        """Return (frames,) true mid-exposure times of the pictures' centre, in file order."""
         clock = [k for k in range(frames + len(self.lost)) if k not in self.lost]
         for at in sorted(self.repeated):
             clock.insert(at + 1, clock[at])
@@ -80,8 +80,8 @@ class SyntheticShot:
 
 
 def lit_share(start: np.ndarray, exposure: float, on: np.ndarray, length: float, cycle: float) -> np.ndarray:
-    """Share of the exposure [start, start + exposure] in which something is lit that is lit from `on` for `length` in
-    every `cycle`. Exact for any lengths."""
+    """Return share of the exposure [start, start + exposure] in which something is lit that is lit from `on` for
+    `length` in every `cycle`. Exact for any lengths."""
 
     def lit_until(t):
         n = np.floor((t - on) / cycle)
@@ -261,7 +261,7 @@ LED_PART = 0.6  # an LED of the ring is 3.5 mm long: of `led_mask`'s spots, whic
 
 
 def _printed(ground: np.ndarray, board: RingBoard, shot: RingShot, H: np.ndarray) -> np.ndarray:
-    """The board without what changes: print, and the lamps at its corners."""
+    """Return the board without what changes: print, and the lamps at its corners."""
     import cv2
 
     picture, fine = ground.copy(), 8
@@ -288,7 +288,8 @@ def _printed(ground: np.ndarray, board: RingBoard, shot: RingShot, H: np.ndarray
 
 
 def _lit(lamp: int, start: np.ndarray, exposure: float, board: RingBoard, counter_gain: float) -> np.ndarray:
-    """Share of each line's exposure in which an LED is lit: the ring's, then the counter's from its lowest bit on."""
+    """Return share of each line's exposure in which an LED is lit: the ring's, then the counter's from its lowest bit
+    on."""
     ring = len(board.led_xy)
     if lamp < ring:
         return lit_share(start, exposure, lamp * board.step_us, board.step_us, board.period_us)

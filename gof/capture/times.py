@@ -47,7 +47,7 @@ class DecodingCost:
 
 @dataclass(frozen=True)
 class VideoTimes:
-    """What was read from one video.
+    """The readings of one video.
 
     Attributes:
         width, height: of the stored picture, px.

@@ -80,7 +80,7 @@ def calibrate_footage(name: str, path: Path, target: Charuco, views: int) -> Cal
 
 
 def describe(name: str, found: Calibration) -> str:
-    """One line of figures."""
+    """Return one line of figures."""
     (fx, _, cx), (_, fy, cy) = found.lens.K[:2]
     layout = ", target drawn as by OpenCV before 4.6" if found.old_layout else ""
     return (

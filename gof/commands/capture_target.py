@@ -30,7 +30,7 @@ class CharucoOptions:
     """Side of a marker."""
 
     def target(self) -> Charuco:
-        """The target. Raises GofError: a size is not above 0, or --squares is no pair of numbers."""
+        """Return the target. Raises GofError: a size is not above 0, or --squares is no pair of numbers."""
         require_positive("--square-mm", self.square_mm)
         require_positive("--charuco-mm", self.charuco_mm)
         columns, x, rows = self.squares.partition("x")

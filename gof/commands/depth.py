@@ -72,7 +72,8 @@ def main(argv: list[str]) -> int:
 
 
 def _plates(config: DepthConfig, dataset: Dataset) -> int:
-    """Raises GofError: options that say nothing about plates; the maps are there already."""
+    """Write the depth of the plates. Raises GofError: options that say nothing about plates; the maps are there
+    already."""
     if config.out is not None or config.all_frames:
         raise GofError("--plates: writes into the dataset, and of no frame; leave out --out and --all-frames")
     files = write_plate_depths(dataset, config.weights, may_overwrite())

@@ -81,7 +81,7 @@ class EvaluateConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof evaluate`."""
+    """Run `gof evaluate`."""
     config = read_options(EvaluateConfig, "evaluate", argv)
     files = _files(config)
     dataset = Dataset.open(config.dataset)
@@ -114,7 +114,7 @@ def main(argv: list[str]) -> int:
 
 
 def _files(config: EvaluateConfig) -> list[Path]:
-    """Where the scores go: to --out, to --json, or beside the result.
+    """Return where the scores go: to --out, to --json, or beside the result.
 
     Raises:
         GofError: the result or its folder is not there, or something in the way would be lost.
@@ -165,7 +165,7 @@ def _depth_maps(published: str | None, dataset: Dataset, out: Path) -> tuple[Pat
 
 
 def velocity_table(scores: Scores) -> Table:
-    """The velocities' scores with those of the controls; empty without true velocities."""
+    """Return the velocities' scores with those of the controls; empty without true velocities."""
     table = Table(title="Velocity (DVE): lower L2 and higher CosSim are better", title_justify="left")
     for column in ("velocities", "L2", "CosSim", "what it is"):
         table.add_column(column, justify="right" if column in ("L2", "CosSim") else "left")
@@ -225,7 +225,7 @@ def _add_own_rows(table: Table, dve: VelocityScore) -> None:
 
 
 def picture_table(scores: Scores) -> Table:
-    """The pictures' scores with those of the plate; scores that no picture has are left out."""
+    """Return the pictures' scores with those of the plate; scores that no picture has are left out."""
     table = Table(title=f"Held-out pictures{_at_size(scores)}", title_justify="left")
     for column in ("score", "result", "fire-free plate alone"):
         table.add_column(column, justify="left" if column == "score" else "right")
@@ -238,7 +238,7 @@ def picture_table(scores: Scores) -> Table:
 
 
 def around_table(scores: Scores) -> Table:
-    """The pictures from all around, by the angle from the nearest given camera; empty without such cameras."""
+    """Return the pictures from all around, by the angle from the nearest given camera; empty without such cameras."""
     table = Table(title="From all around: the flame over plates that were not given", title_justify="left")
     for column in ("angle", "cameras", "PSNR flame (dB)", "SSIM flame", "sharpness / true", "false colour"):
         table.add_column(column, justify="right")
@@ -255,14 +255,14 @@ def around_table(scores: Scores) -> Table:
 
 
 def _counted(scores: Scores, key: str) -> str:
-    """How many pictures a mean is of, where not all have the figure: of a flame where there is none, say."""
+    """Return how many pictures a mean is of, where not all have the figure: of a flame where there is none, say."""
     pictures = scores.images.pictures if scores.images else ()
     count = sum(getattr(picture, key, None) is not None for picture in pictures)
     return f", {count} of {len(pictures)} pictures" if 0 < count < len(pictures) else ""
 
 
 def published_table(scores: Scores) -> Table:
-    """The authors' figures beside what they publish; empty when not asked for."""
+    """Return the authors' figures beside what they publish; empty when not asked for."""
     table = Table(title=f"Held-out pictures{_at_size(scores)}, by the authors' definitions", title_justify="left")
     for column in ("score", "result", "published, other footage"):
         table.add_column(column, justify="left" if column == "score" else "right")
@@ -273,7 +273,7 @@ def published_table(scores: Scores) -> Table:
 
 
 def _at_size(scores: Scores) -> str:
-    """The pictures' size, in words that follow others."""
+    """Return the pictures' size, in words that follow others."""
     words = in_words(scores.images.sizes_px) if scores.images else ""
     return f" at {words}" if words else ""
 

@@ -49,7 +49,7 @@ class RemovalConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof figure removal`."""
+    """Run `gof figure removal`."""
     config = read_options(RemovalConfig, "figure removal", argv)
     require_number("--time", config.time)
     require_number("--width-in", config.width_in, least=1, most=100)

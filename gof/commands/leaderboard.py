@@ -62,13 +62,13 @@ class LeaderboardConfig:
     title: str = "Leaderboard"
     """Heading of the page."""
     time: Seconds | None = None
-    """Of pictures and stream plots; default: the held-out frame with most flame, and the middle frame."""
+    """Time of pictures and stream plots; default: the held-out frame with most flame, and the middle frame."""
     figure: tuple[Kind, ...] = ()
     """Also write the charts of accuracy against time for print: OUT/accuracy_l2.pdf and so on."""
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof leaderboard`."""
+    """Run `gof leaderboard`."""
     config = read_options(LeaderboardConfig, "leaderboard", argv)
     require_number("--time", config.time)
     results = collect(config.folders)

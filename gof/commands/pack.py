@@ -38,7 +38,7 @@ class PackConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof pack`."""
+    """Run `gof pack`."""
     config = read_options(PackConfig, "pack", argv)
     require_said(config)
     made = {}
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> int:
 
 
 def require_said(config: PackConfig) -> None:
-    """Raises GofError: the licence or the authors are missing; it names both, and the whole command."""
+    """Raise GofError: the licence or the authors are missing; it names both, and the whole command."""
     licence, authors = config.licence.strip(), [name for name in config.authors if name.strip()]
     missing = ["--licence"] * (not licence) + ["--authors"] * (not authors)
     if missing:

@@ -18,7 +18,7 @@ C = TypeVar("C")
 
 
 def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
-    """The options of a command, as an object of its config class.
+    """Return the options of a command, as an object of its config class.
 
     Args:
         command: the words after `gof`, as "capture sync".
@@ -37,7 +37,7 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
 
 
 def _with_value(argv: list[str], option: str, word: str) -> list[str]:
-    """The arguments, where an option that stands alone has the value that it means then."""
+    """Return the arguments, where an option that stands alone has the value that it means then."""
     found = []
     for here, after in zip(argv, [*argv[1:], "--"], strict=True):
         found += [here, word] if here == option and after.startswith("--") else [here]
@@ -66,7 +66,7 @@ Results = tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar=
 
 
 def named(words: Sequence[str]) -> list[tuple[str | None, Path]]:
-    """What people call each result, None for the name of its folder or file, and where it is.
+    """Return what people call each result, None for the name of its folder or file, and where it is.
 
     Raises:
         GofError: there is no result.

@@ -47,7 +47,7 @@ class ReportConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof report`."""
+    """Run `gof report`."""
     config = read_options(ReportConfig, "report", argv)
     out = config.out_dir
     scores = Scores.read(out / "scores.json")
@@ -82,7 +82,7 @@ def main(argv: list[str]) -> int:
 
 
 def _renamed(camera: str, dataset: Dataset) -> str:
-    """The camera's name, also where its number was given, as in the version before."""
+    """Return the camera's name, also where its number was given, as in the version before."""
     names = [known.name for known in dataset.cameras]
     if camera in names or not camera.isdecimal() or int(camera) >= len(names):
         return camera
@@ -97,6 +97,6 @@ def _result_in(out: Path) -> Path:
 
 
 def _stages(folders: list[Path]) -> list[StageCost]:
-    """What the costs.json of the folders say, each folder once."""
+    """Return what the costs.json of the folders say, each folder once."""
     once = dict.fromkeys(folder.resolve() for folder in folders)
     return [stage for folder in once for stage in StageLog(folder / "costs.json").stages()]

@@ -40,13 +40,13 @@ class ShareConfig:
     title: str | None = None
     """Heading; default: the dataset's name."""
     pictures: Megabytes = 2.0
-    """What recorded pictures may take; 0 leaves them out."""
+    """Room for recorded pictures; 0 leaves them out."""
     open: bool = False
     """Open the file in the browser of this machine."""
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof share`."""
+    """Run `gof share`."""
     config = read_options(ShareConfig, "share", argv)
     require_number("--pictures", config.pictures, least=0, most=1000)
     asked = named(config.results)

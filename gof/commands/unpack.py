@@ -31,7 +31,7 @@ class UnpackConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof unpack`."""
+    """Run `gof unpack`."""
     config = read_options(UnpackConfig, "unpack", argv)
     folders = []
     for archive in config.archives:

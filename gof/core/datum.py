@@ -25,7 +25,8 @@ class Datum:
 
     @classmethod
     def of(cls, centres: np.ndarray, times_s: np.ndarray) -> Datum:
-        """Of cameras at `centres` (C, 3) m and frames at `times_s` (T,) s; zeros where float32 has digits to spare.
+        """Return that of cameras at `centres` (C, 3) m and frames at `times_s` (T,) s; zeros where float32 has digits
+        to spare.
 
         The world's is a round number amid the cameras, the clock's is the first frame.
         """
@@ -42,7 +43,7 @@ class Datum:
 
     @classmethod
     def from_numbers(cls, numbers: np.ndarray, source: object) -> Datum:
-        """Of x, y, z (m) and t (s), as files hold it. Raises DataFormatError: not four finite numbers."""
+        """Build one from x, y, z (m) and t (s), as files hold it. Raises DataFormatError: not four finite numbers."""
         try:
             x, y, z, t = np.asarray(numbers, np.float64).reshape(4).tolist()
         except (TypeError, ValueError) as e:
@@ -52,11 +53,11 @@ class Datum:
         return cls((x, y, z), t)
 
     def numbers(self) -> np.ndarray:
-        """(4,) float64: x, y, z (m) and t (s)."""
+        """Return (4,) float64: x, y, z (m) and t (s)."""
         return np.array([*self.position, self.time_s])
 
     def __bool__(self) -> bool:
-        """Whether anything is moved."""
+        """Return whether anything is moved."""
         return bool(self.numbers().any())
 
 
@@ -67,7 +68,7 @@ MOST = 0.01  # of the least difference that matters
 
 
 def rounded_off(values: np.ndarray) -> float:
-    """How far apart neighbouring float32 numbers are at the largest of some values, in their unit."""
+    """Return how far apart neighbouring float32 numbers are at the largest of some values, in their unit."""
     largest = np.abs(np.asarray(values, np.float64)).max(initial=0.0)
     return float(np.spacing(np.float32(min(largest, 1e38))))
 

@@ -33,7 +33,7 @@ Progress = Callable[[int, int], None]  # bytes done, bytes in all
 
 
 def files_of(folder: Path) -> list[str]:
-    """Names of a dataset's files, relative and sorted. Hidden files and folders are work files, and left out.
+    """Return names of a dataset's files, relative and sorted. Hidden files and folders are work files, and left out.
 
     Raises:
         DataFormatError: one is a link, or has a name that other systems refuse.
@@ -143,7 +143,7 @@ def verify(folder: Path) -> int:
 
 
 def _root_of(archive: Path, tar: tarfile.TarFile) -> str:
-    """The one folder that everything lies in."""
+    """Return the one folder that everything lies in."""
     first = tar.next()
     name = "" if first is None else first.name.partition("/")[0]
     if not is_name(name) or name.startswith("."):
@@ -173,7 +173,7 @@ def _extract(archive: Path, tar: tarfile.TarFile, root: str, draft: Path, progre
 
 
 def _compare(source: Path, folder: Path, found: dict[str, str]) -> None:
-    """Raises DataFormatError: the digests are not those of the folder's SHA256SUMS (names the first file)."""
+    """Raise DataFormatError: the digests are not those of the folder's SHA256SUMS (names the first file)."""
     path = folder / SUMS
     if not path.is_file() or path.stat().st_size > MOST_SUMS:
         raise DataFormatError(f"{source}: no {SUMS}; was it made by 'gof pack'?")
@@ -271,7 +271,7 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
 
 
 def description_lines(dataset: Dataset, total: int) -> dict[str, str]:
-    """What a reader wants to know first."""
+    """Return what a reader wants to know first."""
     about = dataset.description
     sizes = sorted({f"{entry.width}x{entry.height}" for entry in about.cameras})
     roles = [entry.role for entry in about.cameras]

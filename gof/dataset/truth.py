@@ -16,7 +16,7 @@ from gof.dataset.dataset import Dataset
 
 @dataclass(frozen=True)
 class Truth:
-    """Of a velocity store.
+    """The fingerprint of a velocity store.
 
     Attributes:
         sha256: of its times, its grid and its values.
@@ -28,7 +28,7 @@ class Truth:
 
     @classmethod
     def of(cls, dataset: Dataset) -> Truth:
-        """Reads every frame. Raises DataFormatError: the dataset has no true velocity, or it is damaged."""
+        """Read every frame. Raises DataFormatError: the dataset has no true velocity, or it is damaged."""
         store = dataset.velocity
         state = hashlib.sha256()
         state.update(np.round(store.times_s, 9).astype("<f8").tobytes())

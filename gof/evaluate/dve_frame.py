@@ -32,14 +32,14 @@ WIDE_VOXELS = 2.0  # beyond this standard deviation three nodes per axis no long
 
 @dataclass(frozen=True)
 class Samples:
-    """What the M Gaussians that live at one time contribute to a score; all float64."""
+    """The contributions to a score of the M Gaussians that live at one time; all float64."""
 
     time_s: float
     index: np.ndarray  # (M,) row in the scored set of Gaussians
     position: np.ndarray  # (M, 3) m, centre at this time
     weight: np.ndarray  # (M,) m^3, s_x s_y s_z alpha, > 0
     velocity: np.ndarray  # (M, 3) m/s, estimated
-    velocity_sd: np.ndarray  # (M,) m/s, how sure its components are; inf: nobody says
+    velocity_sd: np.ndarray  # (M,) m/s, how sure its components are; inf: unknown
     truth: np.ndarray  # (M, 3) m/s, expected true velocity; the field is zero outside its domain
     truth_centre: np.ndarray  # (M, 3) m/s, true velocity at the centre
     inside: np.ndarray  # (M,) share of the Gaussian inside the domain, 0..1
@@ -48,7 +48,8 @@ class Samples:
     short_waves: float = 0.0  # share of the weight in Gaussians wider than 1.5 rad of the local wavelength, 0..1
 
     def only_inside(self) -> Samples:
-        """The Gaussians with at least half of their mass in the domain; truth is averaged over that part alone."""
+        """Return the Gaussians with at least half of their mass in the domain; truth is averaged over that part
+        alone."""
         if (self.inside == 1).all():
             return self
         keep = self.inside >= 0.5
@@ -150,7 +151,8 @@ class DVESequence:
         return self.pooled.cos_sim
 
     def spread(self, name: Literal["l2", "cos_sim"]) -> tuple[float, float, int] | None:
-        """Mean and (population) standard deviation over the frames where the score is defined, and their number."""
+        """Return mean and (population) standard deviation over the frames where the score is defined, and their
+        number."""
         values = [getattr(f, name) for f in self.frames if not f.undefined]
         return (float(np.mean(values)), float(np.std(values)), len(values)) if values else None
 
@@ -208,7 +210,8 @@ def probe(
 
 
 def _not_negligible(weight: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Rows with weight; the others together hold less than CULL_SHARE of `weight` and of `power`, both (N,) >= 0."""
+    """Return rows with weight; the others together hold less than CULL_SHARE of `weight` and of `power`, both (N,) >=
+    0."""
     living = max(int(np.count_nonzero(weight)), 1)
     heavy = weight >= CULL_SHARE * weight.sum() / living
     strong = power > CULL_SHARE * power.sum() / living
@@ -216,7 +219,7 @@ def _not_negligible(weight: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def agreement_sums(weight: np.ndarray, velocity: np.ndarray, truth: np.ndarray) -> Sums:
-    """The sums behind L2 and CosSim. weight (M,) >= 0; velocity, truth (M, 3) m/s."""
+    """Return the sums behind L2 and CosSim. weight (M,) >= 0; velocity, truth (M, 3) m/s."""
     v2, t2, dot = _row_dot(velocity, velocity), _row_dot(truth, truth), _row_dot(velocity, truth)
     norms = np.sqrt(v2) * np.sqrt(t2)
     cosine = np.divide(dot, norms, out=np.zeros_like(dot), where=norms > 0)  # no direction, no agreement: 0
@@ -235,7 +238,8 @@ def agreement_sums(weight: np.ndarray, velocity: np.ndarray, truth: np.ndarray) 
 
 
 def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: np.ndarray | None = None) -> Sums:
-    """The sums of one frame; `velocity` and `truth` (M, 3) m/s replace the samples' own (controls, fluctuation)."""
+    """Return the sums of one frame; `velocity` and `truth` (M, 3) m/s replace the samples' own (controls,
+    fluctuation)."""
     own = velocity is None and truth is None
     velocity = samples.velocity if velocity is None else velocity
     truth = samples.truth if truth is None else truth

@@ -60,7 +60,7 @@ def expected_velocity_on_grid(
 
 
 def _brick_order(cell: np.ndarray, resolution) -> np.ndarray:
-    """A number per Gaussian that sorts by blocks of 16^3 cells."""
+    """Return a number per Gaussian that sorts by blocks of 16^3 cells."""
     block = np.clip(cell, 0, np.array(resolution) - 1) >> 4
     return np.ravel_multi_index(tuple(block.T), tuple((n >> 4) + 1 for n in resolution))
 

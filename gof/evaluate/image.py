@@ -18,7 +18,7 @@ C1, C2 = 0.01**2, 0.03**2
 
 
 def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """Peak signal-to-noise ratio in dB, -10 log10 of the mean squared error over pixels and channels.
+    """Return peak signal-to-noise ratio in dB, -10 log10 of the mean squared error over pixels and channels.
 
     Args:
         image, truth: (H, W, C) display values, nominally in [0, 1].
@@ -83,7 +83,8 @@ def _pair(image: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def temporal_l2(
     images: tuple[np.ndarray, np.ndarray], truths: tuple[np.ndarray, np.ndarray], mask: np.ndarray | None = None
 ) -> float | None:
-    """Relative error of the change between neighbouring frames: |dI - dT| / |dT| over pixels (weighted) and channels.
+    """Return relative error of the change between neighbouring frames: |dI - dT| / |dT| over pixels (weighted) and
+    channels.
 
     A score of motion and flicker that needs no network and no optical flow: 0 means every pixel brightens and darkens
     as in the truth; a frozen picture scores exactly 1, however good it looks; flicker scores above 1. PSNR and SSIM
@@ -108,7 +109,8 @@ TRUNK = "alexnet-owt-7be5be79.pth"  # torchvision's AlexNet, ImageNet-trained, u
 
 
 def flip(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """Mean LDR-FLIP error (Andersson et al. 2020) at 67 pixels per degree, 0 (identical) to 1; reference: the truth.
+    """Return mean LDR-FLIP error (Andersson et al. 2020) at 67 pixels per degree, 0 (identical) to 1; reference: the
+    truth.
 
     Arguments, other errors and None as in `gof.evaluate.image.psnr`.
 

@@ -141,7 +141,7 @@ def image_scores(
 
 
 def _metrics(extras: Extras) -> Metrics:
-    """What can be computed here."""
+    """Return what can be computed here."""
     metrics = Metrics({"psnr": psnr, "ssim": ssim}, [])
     optional: dict[str, Metric] = {"flip": flip}
     if extras.weights is None:
@@ -174,7 +174,7 @@ def _draw(
     extras: Extras,
     costs: dict[str, float],
 ) -> Iterator[Frame]:
-    """The frames of a camera in order, one at a time."""
+    """Yield the frames of a camera in order, one at a time."""
     from gof.render import render  # here: it loads the compiler
 
     times_s = dataset.camera_times_s(view.number)
@@ -191,7 +191,7 @@ def _draw(
 
 
 def _with_next(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
-    """Every frame with the one that follows it in the clip; None where that is not among them."""
+    """Yield every frame with the one that follows it in the clip; None where that is not among them."""
     before = None
     for frame in frames:
         if before is not None:
@@ -204,7 +204,7 @@ def _with_next(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
 def _picture_score(
     dataset: Dataset, view: View, frame: Frame, after: Frame | None, metrics: Metrics, extras: Extras
 ) -> PictureScore:
-    """All scores of one held-out frame of one camera."""
+    """Return all scores of one held-out frame of one camera."""
     camera, mask, board = dataset.cameras[view.number].name, frame.mask, view.board
     figures: dict[str, float | None] = {}
     for suffix, picture in (("", frame.image), ("_plate", view.plate)):
@@ -229,7 +229,7 @@ def _picture_score(
 
 
 def _published(dataset: Dataset, view: View, frame: Frame, after: Frame, extras: Extras) -> PublishedFigures:
-    """The authors' figures of one held-out frame of one camera."""
+    """Return the authors' figures of one held-out frame of one camera."""
     camera = dataset.cameras[view.number].name
     expected = None if extras.disparity is None else read_depth(extras.disparity, camera, frame.number)
     board = None if view.board is None else view.board < 0.5
@@ -238,7 +238,7 @@ def _published(dataset: Dataset, view: View, frame: Frame, after: Frame, extras:
 
 
 def _mean_and_spread(values: list[float | None]) -> tuple[float | None, float | None]:
-    """Mean and (population) standard deviation of the defined values; None without any."""
+    """Return mean and (population) standard deviation of the defined values; None without any."""
     defined = [value for value in values if value is not None]
     return (float(np.mean(defined)), float(np.std(defined))) if defined else (None, None)
 

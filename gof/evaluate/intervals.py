@@ -38,7 +38,7 @@ class Estimate:
 
     @property
     def half_width(self) -> float | None:
-        """Of the interval that holds the true mean in CONFIDENCE of all cases."""
+        """Return half the width of the interval that holds the true mean in CONFIDENCE of all cases."""
         from scipy.stats import t
 
         if self.standard_error is None:
@@ -58,7 +58,7 @@ class Estimate:
 
 
 def over_frames(values: Sequence[float], eddy_frames: float) -> Estimate:
-    """Mean over the frames of one clip.
+    """Return mean over the frames of one clip.
 
     Args:
         values: one per frame, equally far apart in time, in their order.
@@ -81,7 +81,7 @@ def over_frames(values: Sequence[float], eddy_frames: float) -> Estimate:
 
 
 def block_length(count: int, eddy_frames: float) -> int:
-    """Frames of a block: one eddy time, at least 1, and no more than a third of the clip."""
+    """Return frames of a block: one eddy time, at least 1, and no more than a third of the clip."""
     return int(np.clip(np.ceil(eddy_frames), 1, max(count // 3, 1)))
 
 
@@ -95,7 +95,7 @@ def block_variance(series: np.ndarray, block: int) -> float:
 
 @lru_cache(maxsize=64)
 def missing_share(count: int, block: int, eddy_frames: float) -> float:
-    """The true variance of the mean over what `block_variance` gives on average, for exponential correlation."""
+    """Return the true variance of the mean over what `block_variance` gives on average, for exponential correlation."""
     covariance = _covariance(count, eddy_frames)
     whole = covariance.mean()
     blocks = (np.arange(count)[:, None] + np.arange(block)) % count
@@ -104,7 +104,7 @@ def missing_share(count: int, block: int, eddy_frames: float) -> float:
 
 
 def _covariance(count: int, eddy_frames: float) -> np.ndarray:
-    """(count, count) of values of variance 1."""
+    """Return (count, count) of values of variance 1."""
     lag = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     return np.exp(-lag / eddy_frames) if eddy_frames > 0 else np.eye(count)
 
@@ -113,7 +113,8 @@ def _covariance(count: int, eddy_frames: float) -> np.ndarray:
 
 
 def over_runs(runs: Sequence[Sequence[float]], eddy_frames: float) -> Estimate:
-    """Mean over the frames of one clip and over the runs (seeds) of a method, each (T,) values of the same frames.
+    """Return mean over the frames of one clip and over the runs (seeds) of a method, each (T,) values of the same
+    frames.
 
     Runs share the clip: its frames' scatter is that of the runs' mean. What the seed adds is the runs' own spread over
     the root of their number; a single run's is not known, and left out.
@@ -127,7 +128,7 @@ def over_runs(runs: Sequence[Sequence[float]], eddy_frames: float) -> Estimate:
 
 
 def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
-    """Mean over scenes.
+    """Return mean over scenes.
 
     From three scenes on, the scenes are a sample of all fires: their spread tells how sure the mean is, and holds what
     frames and seeds add. With one or two it is only as sure as frames and seeds make it, and says nothing of others.
@@ -145,8 +146,8 @@ def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
 
 
 def ranks(means: Sequence[float], doubts: np.ndarray, better: int) -> list[tuple[int, int]]:
-    """The best and the worst place that a method may have: behind all that are better beyond doubt, before all that are
-    worse beyond doubt. Who cannot be told apart shares places.
+    """Return the best and the worst place that a method may have: behind all that are better beyond doubt, before all
+    that are worse beyond doubt. Who cannot be told apart shares places.
 
     Args:
         means: of each method.
@@ -162,7 +163,8 @@ def ranks(means: Sequence[float], doubts: np.ndarray, better: int) -> list[tuple
 
 
 def apart(doubts: np.ndarray) -> np.ndarray:
-    """(M, M) bool: which pairs can be told apart, with at most 1 - CONFIDENCE of a wrong one among all (Holm, 1979)."""
+    """Return (M, M) bool: which pairs can be told apart, with at most 1 - CONFIDENCE of a wrong one among all (Holm,
+    1979)."""
     first, second = np.triu_indices(len(doubts), 1)
     order = np.argsort(doubts[first, second], kind="stable")
     told = np.zeros(np.shape(doubts), bool)
@@ -178,7 +180,8 @@ def apart(doubts: np.ndarray) -> np.ndarray:
 
 
 def weighted_quantile(values: np.ndarray, weight: np.ndarray, q: float) -> float:
-    """The smallest of values (N,) up to which at least the share q of weight (N,) >= 0 lies; 0 <= q <= 1, N >= 1."""
+    """Return the smallest of values (N,) up to which at least the share q of weight (N,) >= 0 lies; 0 <= q <= 1, N >=
+    1."""
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     reached = np.searchsorted(total, q * total[-1])

@@ -40,7 +40,8 @@ class EvaluatedResult:
 
     @classmethod
     def of(cls, folder: Path, about: AboutMethod, scores: Scores) -> EvaluatedResult:
-        """A folder's result: what method.json says of its costs, else what the costs.json of its training does."""
+        """Return a folder's result: what method.json says of its costs, else what the costs.json of its training
+        does."""
         stages = _training(folder, scores)
         train_s, memory_mb = about.train_seconds, about.memory_mb
         if train_s is None and stages:
@@ -61,22 +62,22 @@ class Column:
 
 
 def _velocity(value: Callable) -> Callable[[EvaluatedResult], float | None]:
-    """A figure of the `VelocityScore`; None without true velocities."""
+    """Return a figure of the `VelocityScore`; None without true velocities."""
     return lambda result: None if result.scores.dve is None else value(result.scores.dve)
 
 
 def _emission(value: Callable) -> Callable[[EvaluatedResult], float | None]:
-    """A figure of the score on the emission; None where there is no such score."""
+    """Return a figure of the score on the emission; None where there is no such score."""
     return _velocity(lambda dve: None if dve.on_emission is None else value(dve.on_emission))
 
 
 def _gradients(value: Callable) -> Callable[[EvaluatedResult], float | None]:
-    """An error of the velocity's gradients; None where there is none."""
+    """Return an error of the velocity's gradients; None where there is none."""
     return _velocity(lambda dve: None if dve.gradients is None else value(dve.gradients))
 
 
 def _published(value: Callable[[PublishedFigures], float | None]) -> Callable[[EvaluatedResult], float | None]:
-    """One of the authors' figures; None where they were not asked for."""
+    """Return one of the authors' figures; None where they were not asked for."""
     return lambda result: None if result.scores.published is None else value(result.scores.published)
 
 
@@ -86,7 +87,7 @@ def _flow_prior(result: EvaluatedResult) -> str | None:
 
 
 def _baseline(key: str, better: int) -> Callable[[EvaluatedResult], float | None]:
-    """The best of the controls on the result's own Gaussians, but those that know the truth at every place."""
+    """Return the best of the controls on the result's own Gaussians, but those that know the truth at every place."""
 
     def best(result: EvaluatedResult) -> float | None:
         found = [getattr(c, key) for name, c in result.scores.controls.items() if name not in BOUNDS]
@@ -137,7 +138,7 @@ class Row:
     """A line of the leaderboard: a result, or a control of the only one. The figures are named as in COLUMNS.
 
     A line with `other_footage` shows what somebody published for other fires, and one with `unfinished` a training that
-    was stopped before its end; they compete with nobody.
+    was stopped before its end; they are not ranked.
     """
 
     name: str
@@ -201,13 +202,13 @@ class Leaderboard:
 
 
 def about(folder: Path) -> AboutMethod:
-    """What the authors say of a method: beside its scores, or, of a scene of a submission, one folder up."""
+    """Return what the authors say of a method: beside its scores, or, of a scene of a submission, one folder up."""
     has_own = (folder / "method.json").is_file()
     return AboutMethod.read(folder if has_own else folder.resolve().parent)
 
 
 def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
-    """The results in folders with a scores.json of `gof evaluate`, with names that differ.
+    """Return the results in folders with a scores.json of `gof evaluate`, with names that differ.
 
     Seconds to train: "train_seconds" of DIR/method.json (see `AboutMethod`), or the sum of
     DIR/reconstruct/costs.json, DIR/costs.json or the one beside the result that was scored; None when there is none.
@@ -241,7 +242,8 @@ def _training(folder: Path, scores: Scores) -> tuple[StageCost, ...]:
 
 
 def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
-    """One row per result, what the authors published if a result has their figures, then the controls of a single one.
+    """Return one row per result, what the authors published if a result has their figures, then the controls of a
+    single one.
 
     A control is worth something on one result's Gaussians alone: beside several, each row has the best of its own.
     """
@@ -272,7 +274,7 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
 
 
 def _authors_row() -> Row:
-    """The authors' own figures, of other footage."""
+    """Return the authors' own figures, of other footage."""
     about = EvaluatedResult(
         Path(), NAME, Scores(gaussians=0, dynamic_gaussians=0, import_=Origin(NAME), published=THEIRS), None
     )
@@ -281,12 +283,12 @@ def _authors_row() -> Row:
 
 
 def used_columns(rows: Sequence[Row]) -> list[str]:
-    """The columns in which any row has a value."""
+    """Return the columns in which any row has a value."""
     return [key for key in COLUMNS if any(getattr(row, key) is not None for row in rows)]
 
 
 def best_rows(rows: Sequence[Row]) -> dict[str, int]:
-    """Column -> number of the row with its best value, the first of equals; only rows that compete take part."""
+    """Return column -> number of the row with its best value, the first of equals; only rows that compete take part."""
     best = {}
     for key, column in COLUMNS.items():
         if not column.better:
@@ -310,7 +312,7 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 
 def to_markdown(rows: Sequence[Row]) -> str:
-    """The best value of every column in bold; controls and rows of other footage in italics, never bold."""
+    """Return the best value of every column in bold; controls and rows of other footage in italics, never bold."""
     keys, best = used_columns(rows), best_rows(rows)
     headings = " | ".join(COLUMNS[key].heading for key in keys)
     lines = [f"| method | {headings} |", "|---|" + "---:|" * len(keys)]
@@ -322,7 +324,8 @@ def to_markdown(rows: Sequence[Row]) -> str:
 
 
 def pareto(points: Sequence[tuple[float, float]], better: int) -> list[int]:
-    """Indices of the points (cost, score) that no other beats in both, by rising cost; `better` +1: high scores win."""
+    """Return indices of the points (cost, score) that no other beats in both, by rising cost; `better` +1: high scores
+    win."""
     best, front = None, []
     for i in sorted(range(len(points)), key=lambda i: (points[i][0], -better * points[i][1])):
         if best is None or better * points[i][1] > better * best:
@@ -342,7 +345,7 @@ def in_csv(name: str) -> str:
 
 
 def in_markdown(name: str) -> str:
-    """One line, without another column, a link, a style or HTML."""
+    """Return one line, without another column, a link, a style or HTML."""
     return re.sub(r"([\\`*_\[\]()|!~#])", r"\\\1", html.escape(one_line(name), quote=False))
 
 

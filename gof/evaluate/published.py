@@ -55,7 +55,7 @@ class PublishedFrame:
 
 
 def published_figures(frame: PublishedFrame, flow: Flow, weights: Path | None) -> PublishedFigures:
-    """The six of one picture; None where one is undefined (nothing moves) or its material is not there.
+    """Return the six of one picture; None where one is undefined (nothing moves) or its material is not there.
 
     Args:
         weights: folder of LPIPS' weight file, or None.
@@ -76,7 +76,7 @@ def published_figures(frame: PublishedFrame, flow: Flow, weights: Path | None) -
 
 
 def mean_figures(pictures: Sequence[PublishedFigures]) -> PublishedFigures:
-    """The mean of every figure over the pictures in which it is defined."""
+    """Return the mean of every figure over the pictures in which it is defined."""
     means = {}
     for field in fields(PublishedFigures):
         defined = [value for picture in pictures if (value := getattr(picture, field.name)) is not None]
@@ -85,7 +85,8 @@ def mean_figures(pictures: Sequence[PublishedFigures]) -> PublishedFigures:
 
 
 def moving(picture: np.ndarray, after: np.ndarray, flow: Flow) -> np.ndarray:
-    """(H, W) bool: what moves by more than MOVES_PX from a frame (H, W, 3) to the next, display values in [0, 1]."""
+    """Return (H, W) bool: what moves by more than MOVES_PX from a frame (H, W, 3) to the next, display values in [0,
+    1]."""
     grey = [cv2.cvtColor(np.uint8(np.rint(255 * p)), cv2.COLOR_RGB2GRAY) for p in (picture, after)]
     return np.linalg.norm(flow(*grey), axis=-1) > MOVES_PX
 
@@ -116,13 +117,14 @@ def rmse_disparity(drawn: np.ndarray, expected: np.ndarray, flame: np.ndarray) -
 
 
 def inside(flame: np.ndarray) -> np.ndarray:
-    """(H, W) bool: where depth counts, the flame (H, W) bool eroded by ERODE_PX."""
+    """Return (H, W) bool: where depth counts, the flame (H, W) bool eroded by ERODE_PX."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (ERODE_PX, ERODE_PX))
     return cv2.erode(flame.astype(np.uint8), kernel) > 0
 
 
 def drawn_disparity(state: TransientGaussians, camera: Camera, time_s: float) -> np.ndarray:
-    """(H, W) sum of w / z over the Gaussians a pixel blends, z their centres' camera depth, 1/m; 0 where nothing is."""
+    """Return (H, W) sum of w / z over the Gaussians a pixel blends, z their centres' camera depth, 1/m; 0 where nothing
+    is."""
     from dataclasses import replace
 
     from gof.render import render  # here: it loads the compiler

@@ -162,7 +162,7 @@ Spread = make_dataclass("Spread", [(f"{name}_std", float | None, None) for name 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageScores(Spread):
-    """What is behind the means: every picture, and of each figure F its standard deviation over pictures, `F_std`.
+    """The figures behind the means: every picture, and of each figure F its standard deviation over pictures, `F_std`.
 
     `board_share` of the pixels do not count; `absent` says which scores are not there, and why. `sizes_px` are the
     (width, height) that pictures were scored at: the same result scores lower at a larger size.
@@ -305,7 +305,7 @@ class Scores(PictureFigures):
         write_record(path, self._with_paths(lambda name: without_place(Path(name), path.parent)))
 
     def _with_paths(self, moved: Callable[[str], str]) -> Scores:
-        """These scores with the path of every file that they name mapped."""
+        """Return these scores with the path of every file that they name mapped."""
         origin = self.import_
         path, options = origin.path and moved(origin.path), origin.options
         if options is not None and options.world is not None:

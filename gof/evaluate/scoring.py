@@ -146,12 +146,14 @@ def _around(
 
 
 def is_flame_alone(gaussians: MovingGaussians, method: str, flame_only: bool) -> bool:
-    """Whether a result is drawn over plates: ours without static Gaussians, and others that say they are flames."""
+    """Return whether a result is drawn over plates: ours without static Gaussians, and others that say they are
+    flames."""
     return bool(gaussians.dynamic.all()) and (flame_only or method in OURS)
 
 
 def _drawn_as(origin: Origin, gaussians: MovingGaussians, flame_only: bool) -> Origin:
-    """The origin with what its pictures are drawn over, and a note where that may be another than was thought of."""
+    """Return the origin with what its pictures are drawn over, and a note where that may be another than was thought
+    of."""
     over_plates = is_flame_alone(gaussians, origin.method, flame_only)
     said = (
         "pictures are those of its Gaussians alone, over black; `gof convert RESULT --flame-only` says that it is a "
@@ -189,7 +191,7 @@ def _load(
 
 
 def _leak_warnings(made_from: MadeFrom | None, held_out: list[int]) -> list[str]:
-    """What a result learned from that is held out here, in words."""
+    """Return what a result learned from that is held out here, in words."""
     found = leaks(made_from.files if made_from else {}, held_out).values()
     frames = sorted({frame for frames in found for frame in frames})
     said = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"
@@ -204,7 +206,7 @@ def known_frames(gaussians: MovingGaussians, dataset: Dataset) -> np.ndarray:
 
 
 def _partly(gaussians: MovingGaussians, known: np.ndarray, held_out: list[int]) -> list[str]:
-    """A warning where a result says something about a part of the clip alone: of `known` (T,) frames."""
+    """Return a warning where a result says something about a part of the clip alone: of `known` (T,) frames."""
     if known.all():
         return []
     first, last = gaussians.covered_s
@@ -219,7 +221,7 @@ def _partly(gaussians: MovingGaussians, known: np.ndarray, held_out: list[int]) 
 
 
 def _scored_times(truth: VelocitySequence, dataset: Dataset) -> np.ndarray:
-    """(K,) s: the frames of the velocity store that lie in the clip, half a frame's time around it included."""
+    """Return (K,) s: the frames of the velocity store that lie in the clip, half a frame's time around it included."""
     slack = dataset.frame_time_s / 2
     in_clip = (truth.times_s >= dataset.times_s[0] - slack) & (truth.times_s <= dataset.times_s[-1] + slack)
     if not in_clip.any():
@@ -244,7 +246,8 @@ def _emission_figures(found: EmissionScore) -> EmissionFigures:
 
 
 def _clip_figures(sequence: DVESequence) -> dict[str, float | int | None]:
-    """The fields of a `ClipScore`: the pooled score, and mean and standard deviation over the frames that have one."""
+    """Return the fields of a `ClipScore`: the pooled score, and mean and standard deviation over the frames that have
+    one."""
     l2_mean, l2_std, _ = sequence.spread("l2") or (None, None, 0)
     cos_mean, cos_std, count = sequence.spread("cos_sim") or (None, None, 0)
     return asdict(sequence.pooled) | {

@@ -65,7 +65,7 @@ class Run:
 
     @classmethod
     def open(cls, folder: Path, scene: str) -> Run:
-        """Raises DataFormatError: no scores.json, or it names a result that is not inside the folder."""
+        """Open it. Raises DataFormatError: no scores.json, or it names a result that is not inside the folder."""
         scores = Scores.read(folder / SCORES)
         origin = scores.import_
         if origin.path is None or origin.alignment is not None:
@@ -108,19 +108,19 @@ class Submission:
 
 
 def runs_of(scene: Path) -> tuple[Path, ...]:
-    """The folders of a scene's runs: itself where it has a scores.json, else the folders in it that do."""
+    """Return the folders of a scene's runs: itself where it has a scores.json, else the folders in it that do."""
     if (scene / SCORES).is_file():
         return (scene,)
     return tuple(sorted(path for path in scene.iterdir() if _counts(path) and (path / SCORES).is_file()))
 
 
 def _counts(path: Path) -> bool:
-    """Whether a folder may be a scene or a run: hidden ones are not."""
+    """Return whether a folder may be a scene or a run: hidden ones are not."""
     return is_name(path.name) and not path.name.startswith(".")
 
 
 def _inside(folder: Path, path: Path) -> None:
-    """Raises DataFormatError: a file of a run is elsewhere, or not there."""
+    """Raise DataFormatError: a file of a run is elsewhere, or not there."""
     path_in(folder, Path(os.path.relpath(path, folder)).as_posix())
     if not path.exists():
         raise DataFormatError(f"{path}: no such file; {folder / SCORES} names it as the result, or what it needs")
@@ -141,7 +141,7 @@ class Shown:
 def draw(
     gaussians: MovingGaussians, dataset: Dataset, result: Path, over_plates: bool, frames: list[int]
 ) -> Iterator[Shown]:
-    """The frames of every camera, drawn by our renderer as `gof evaluate` draws them."""
+    """Yield the frames of every camera, drawn by our renderer as `gof evaluate` draws them."""
     from gof.render import render  # here: it loads the compiler
 
     for number, camera in enumerate(dataset.cameras):
@@ -167,7 +167,8 @@ def write_pictures(run: Run, dataset: Dataset) -> None:
 
 
 def read_again(run: Run, dataset: Dataset) -> MovingGaussians:
-    """The Gaussians of a run, read as its scores say, beside the dataset. Raises DataFormatError: they are damaged."""
+    """Return the Gaussians of a run, read as its scores say, beside the dataset. Raises DataFormatError: they are
+    damaged."""
     return read_result(run.result, run.options).gaussians.measured_from(dataset.datum)
 
 
@@ -205,7 +206,7 @@ def check(
     datasets: dict[str, Dataset],
     scored: Callable[[Run, Dataset], Scores] | None = None,
 ) -> Iterator[Finding]:
-    """All findings about a submission, as they are made.
+    """Yield all findings about a submission, as they are made.
 
     Args:
         datasets: of the suite, by the name of the scene.
@@ -224,7 +225,8 @@ def check(
 
 
 def score_again(run: Run, dataset: Dataset) -> Scores:
-    """What a run scores, computed from its files: read and drawn as its scores.json says, scored as everybody's is."""
+    """Return what a run scores, computed from its files: read and drawn as its scores.json says, scored as everybody's
+    is."""
     scored = {"order": ORDER, "opacity": OPACITY}
     return evaluate(run.result, dataset, foreign=run.options, flame_only=run.scores.import_.over_plates, **scored)
 
@@ -241,7 +243,7 @@ def _about(submission: Submission, datasets: dict[str, Dataset]) -> Iterator[Fin
     if unknown:
         yield Finding("scenes", "of the suite", "refused", f"{', '.join(unknown)}: no such scene here")
     absent = sorted(datasets.keys() - submission.runs.keys())
-    said = f"no result of {', '.join(absent)}: the row is shown, and competes with nobody" if absent else "all there"
+    said = f"no result of {', '.join(absent)}: the row is shown, and not ranked" if absent else "all there"
     yield Finding("scenes", "all of them", "hint" if absent else "ok", said)
     few = sorted(scene for scene, runs in submission.runs.items() if len(runs) < SEEDS)
     if method.random and few:
@@ -280,7 +282,7 @@ def _missing_pictures(run: Run, dataset: Dataset) -> list[str]:
 
 
 def _clock(gaussians: MovingGaussians, dataset: Dataset, name: str) -> Finding:
-    """The result speaks of the whole clip, and of no time far from it."""
+    """Return the result speaks of the whole clip, and of no time far from it."""
     first, last = float(dataset.times_s[0]), float(dataset.times_s[-1])
     known = known_frames(gaussians, dataset)
     born, dead = gaussians.life()
@@ -294,7 +296,7 @@ def _clock(gaussians: MovingGaussians, dataset: Dataset, name: str) -> Finding:
 
 
 def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> Iterator[Finding]:
-    """What the run says that it was made from, and whether method.json says it too."""
+    """Yield whether the run says what it was made from, and whether method.json says it too."""
     made_from = MadeFrom.read(run.folder)
     if made_from is None:
         return
@@ -316,7 +318,7 @@ def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> It
 
 
 def _pictures(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> Finding:
-    """The checkpoint draws the pictures that came with it."""
+    """Return the checkpoint draws the pictures that came with it."""
     ours = draw(gaussians, dataset, run.result, run.scores.import_.over_plates, dataset.test_frames)
     worst = min(((_like_the_submitted(run, dataset, shown), shown) for shown in ours), key=lambda pair: pair[0])
     said = f"the least alike of them is {worst[0]:.1f} dB from its Gaussians drawn here (camera {worst[1].camera}, "
@@ -363,7 +365,7 @@ def _flame_psnr(dataset: Dataset, shown: Shown) -> float:
 
 
 def _scores(run: Run, again: Scores, name: str) -> Iterator[Finding]:
-    """What it says that it scores is what it scores."""
+    """Yield whether its scores are those that it states."""
     if (dve := run.scores.dve) is not None and (dve.order, dve.opacity) != (ORDER, OPACITY):
         said = (
             f"scores.json has order {dve.order} and {dve.opacity} opacity; everybody is scored with {ORDER}, {OPACITY}"

@@ -50,7 +50,7 @@ class Figure:
     """One figure of a method.
 
     Attributes:
-        half_width: of its 95 % interval; None where nobody can say.
+        half_width: of its 95 % interval; None where it is not known.
         seed_sd: standard deviation over runs of one scene, mean over scenes; None with one run each.
         rank, last_rank: the best and the worst place that it may have, shared with methods that it cannot be told apart
             from; None for those that do not compete.
@@ -70,7 +70,7 @@ class BoardRow:
     """A method, or a control; `figures` by the names of `gof.evaluate.leaderboard.COLUMNS`.
 
     `over_plates`: it is a flame alone, drawn over fire-free plates; None for a control, and where runs differ.
-    `refused`: why the check refuses its submission; such a row competes with nobody.
+    `refused`: why the check refuses its submission; such a row is not ranked.
     `control`: it is no method.
     `alarm`: that its velocities are better than an honest method's can be; people must judge it.
     `velocity`: whose was scored, the gas' or that of the Gaussians; "" where runs differ or none was.
@@ -125,10 +125,10 @@ def board(
     scenes: Sequence[ScoredScene],
     refused: Mapping[str, Sequence[str]] | None = None,
 ) -> SuiteBoard:
-    """The board of some methods, by name, over scenes. A method without a result somewhere competes with nobody.
+    """Return the board of some methods, by name, over scenes. A method without a result somewhere is not ranked.
 
     Args:
-        refused: by the name of a method why its submission is refused; it is shown and competes with nobody. One whose
+        refused: by the name of a method why its submission is refused; it is shown and not ranked. One whose
             figures are beyond sense is refused here, and those figures are not shown: they would spoil every mean.
     """
     crosses = {name: tuple((refused or {}).get(name, ())) for name in methods}
@@ -155,7 +155,7 @@ def board(
 
 
 def beyond_sense(scores: Scores) -> str:
-    """Which figure of a result no flame has, as velocities of 1e200 m/s make; "" where there is none."""
+    """Return which figure of a result no flame has, as velocities of 1e200 m/s make; "" where there is none."""
     figures = {name: getattr(scores, name) for name in ("dve", "controls", "images", "published", *FIGURES)}
     for name, number in _numbers(figures):
         if not abs(number) <= LARGEST:  # NaN too
@@ -164,7 +164,7 @@ def beyond_sense(scores: Scores) -> str:
 
 
 def _numbers(part: Any, name: str = "") -> Iterator[tuple[str, float]]:
-    """Every float in a tree of records, with the name that it has."""
+    """Yield every float in a tree of records, with the name that it has."""
     if isinstance(part, float):
         yield name, part
     elif is_dataclass(part):
@@ -217,7 +217,7 @@ def too_good(scores: Scores) -> str:
 
 
 def _velocity(scores: Sequence[Scores]) -> str:
-    """A result that says another velocity for the gas has that of its Gaussians as a control."""
+    """Return a result that says another velocity for the gas has that of its Gaussians as a control."""
     said = {"the gas, as the result says it" if "light" in s.controls else "its Gaussians" for s in scores if s.dve}
     return said.pop() if len(said) == 1 else ""
 
@@ -228,7 +228,7 @@ def _over_plates(scores: Sequence[Scores]) -> bool | None:
 
 
 def _plain(value: Callable, name: str, scenes: Sequence[ScoredScene]) -> Figure | None:
-    """Mean over runs and scenes of what has a value for every run; None where one has none."""
+    """Return mean over runs and scenes of what has a value for every run; None where one has none."""
     found = [[value(run) for run in scene.runs[name]] for scene in scenes]
     if not found or any(number is None for runs in found for number in runs):
         return None
@@ -251,7 +251,7 @@ def _estimate(key: str, name: str, scenes: Sequence[ScoredScene]) -> tuple[Estim
 
 
 def frame_figures(scores: Scores, scene: ScoredScene, key: str) -> Series:
-    """A figure of every frame that has one; of pictures the mean over cameras."""
+    """Return a figure of every frame that has one; of pictures the mean over cameras."""
     if key in ("l2", "cos_sim"):
         frames = () if scores.dve is None else scores.dve.frames
         return {round(f.time_s, 9): getattr(f, key) for f in frames if not f.undefined}
@@ -263,7 +263,7 @@ def frame_figures(scores: Scores, scene: ScoredScene, key: str) -> Series:
 
 
 def _common(series: Sequence[Series]) -> list[Series]:
-    """The series at the times that all of them have."""
+    """Return the series at the times that all of them have."""
     times = sorted(set.intersection(*(set(one) for one in series)))
     return [{time_s: one[time_s] for time_s in times} for one in series]
 
@@ -277,7 +277,7 @@ def _eddy_frames(series: Series, scene: ScoredScene) -> float:
 
 
 def difference(key: str, first: str, second: str, scene: ScoredScene) -> Estimate | None:
-    """First less second, frame by frame, on the frames that both have; None where there are none."""
+    """Return first less second, frame by frame, on the frames that both have; None where there are none."""
     sides = [[frame_figures(run.scores, scene, key) for run in scene.runs[name]] for name in (first, second)]
     shared = _common([*sides[0], *sides[1]])
     if not shared[0]:
@@ -293,7 +293,7 @@ def difference(key: str, first: str, second: str, scene: ScoredScene) -> Estimat
 
 
 def placed(figure: Figure, place: Figure | None) -> Figure:
-    """The figure with the ranks and wins of `place`; None: it has none."""
+    """Return the figure with the ranks and wins of `place`; None: it has none."""
     return figure if place is None else replace(figure, rank=place.rank, last_rank=place.last_rank, wins=place.wins)
 
 
@@ -319,7 +319,8 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
 
 
 def _alone(scene: ScoredScene, out: set[str], whose: dict[str, str]) -> BoardScene:
-    """The figures of every method in one scene, with ranks of that scene alone; those that are `out` have none."""
+    """Return the figures of every method in one scene, with ranks of that scene alone; those that are `out` have
+    none."""
     names = list(scene.runs)
     figures: dict[str, dict[str, Figure]] = {name: {} for name in names}
     for key in RANKED:
@@ -368,7 +369,7 @@ def _whose(methods: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, s
 
 
 def _control_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
-    """The permanent rows."""
+    """Return the permanent rows."""
     if not scenes or any(scene.name not in whose for scene in scenes):
         return []
     runs = [scene.runs[whose[scene.name]][0] for scene in scenes]

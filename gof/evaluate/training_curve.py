@@ -46,7 +46,7 @@ class TrainingCurve:
 
     @classmethod
     def read(cls, path: Path) -> TrainingCurve:
-        """Of a CSV with columns `step`, `processor_seconds` and `loss`; others are left aside.
+        """Read a CSV with columns `step`, `processor_seconds` and `loss`; others are left aside.
 
         Raises:
             DataFormatError: not such a file, no point in it, steps or seconds that do not rise, a number that is not

@@ -1,4 +1,4 @@
-"""What this machine has, what each part is for, and how to get what is missing.
+"""The parts of this machine's installation, the use of each, and how to get a missing one.
 
 A package adds checks of its own by an entry point of the group `gof.host.checks` that names a table like `CHECKS`.
 """
@@ -69,7 +69,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found."""
+    """The result of a check."""
 
     name: str
     purpose: str
@@ -89,7 +89,7 @@ def check_system() -> Outcome:
 
 
 def check_packages() -> Outcome:
-    """Versions of what scoring, importing, rendering and reconstructing need; numpy 2 breaks bpy."""
+    """Return versions of what scoring, importing, rendering and reconstructing need; numpy 2 breaks bpy."""
     found, missing = {}, []
     for name in PACKAGES:
         try:
@@ -104,7 +104,7 @@ def check_packages() -> Outcome:
 
 
 def check_extras() -> Outcome:
-    """Which extras are whole; of those begun, what they lack."""
+    """Return which extras are whole; of those begun, what they lack."""
     lacks = extras.missing()
     there = ", ".join(name for name, missing in lacks.items() if not missing) or "none"
     absent = "; ".join(f"{name} lacks {', '.join(missing)}" for name, missing in lacks.items() if missing)
@@ -155,7 +155,7 @@ def check_drjit() -> Outcome:
 
 
 def check_kernels() -> Outcome:
-    """Which kernels draw, why these, and where the compiled ones are kept."""
+    """Return which kernels draw, why these, and where the compiled ones are kept."""
     code = (
         "from gof.render.backend import kernels; chosen, kept = kernels(), ''\n"
         "if chosen.name == 'native':\n"
@@ -211,7 +211,7 @@ CHECKS = (
 
 
 def checks() -> list[Check]:
-    """Those of `gof` and of every installed package that adds some."""
+    """Return those of `gof` and of every installed package that adds some."""
     added = [check for table in entry_points(group="gof.checks") for check in table.load()]
     return sorted([*CHECKS, *added], key=lambda check: check.place)
 
@@ -235,13 +235,13 @@ def child(*words: str) -> subprocess.CompletedProcess:
 
 
 def named_error(text: str) -> str | None:
-    """What a `GofError` that ended a child has said."""
+    """Return what a `GofError` that ended a child has said."""
     found = re.match(r"gof\.core\.errors\.\w+: (.*)", last_line(text))
     return found and found[1]
 
 
 def last_line(text: str) -> str:
-    """The last line that says something."""
+    """Return the last line that says something."""
     lines = [line.strip() for line in text.strip().splitlines() if line.strip()]
     return lines[-1] if lines else "no message"
 
@@ -268,7 +268,7 @@ def machine() -> dict[str, str]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, this package and what the figures depend on; absent packages are left out."""
+    """Return versions of Python, this package and what the figures depend on; absent packages are left out."""
     from gof import __version__
 
     found = {"gof": __version__, "Python": platform.python_version()}
@@ -281,7 +281,7 @@ def versions() -> dict[str, str]:
 
 
 def cpu_features() -> list[str]:
-    """Which of `FEATURES` the processor has, where Linux says so."""
+    """Return which of `FEATURES` the processor has, where Linux says so."""
     flags = set(_cpuinfo("flags").split()) | set(_cpuinfo("Features").split())
     return [name for name in FEATURES if name in flags]
 
@@ -291,7 +291,7 @@ def _processor() -> str:
 
 
 def _cpuinfo(key: str) -> str:
-    """The first line of that name in Linux' description of the processor; "" elsewhere."""
+    """Return the first line of that name in Linux' description of the processor; "" elsewhere."""
     path = Path("/proc/cpuinfo")
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
     return next((line.split(":", 1)[1].strip() for line in lines if line.split(":")[0].strip() == key), "")

@@ -1,4 +1,4 @@
-"""What people see in a terminal: texts from files are text there, not colours, links or commands to the terminal."""
+"""Output to a terminal: texts from files are text there, not colours, links or commands to the terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 
 def console() -> Console:
-    """Where commands print their tables: no markup, no emoji, nothing that acts; styles are given as arguments."""
+    """Return where commands print their tables: no markup, no emoji, nothing that acts; styles are given as
+    arguments."""
     from rich.console import Console
 
     class PlainConsole(Console):
@@ -43,7 +44,7 @@ def report_progress(stage: str, done: int, total: int, **figures) -> None:
 
 @contextmanager
 def progress_bar(title: str, ticking: bool = False) -> Iterator[Callable[..., None]]:
-    """A progress line with elapsed time and time left; yields update(done, total, note="").
+    """Provide a progress line with elapsed time and time left; yields update(done, total, note="").
 
     It is seen from the first update on, so that input which is refused before is refused without one. `ticking` draws
     it at once, and again between updates, on a thread of its own. That must not be where Dr.Jit works: a garbage

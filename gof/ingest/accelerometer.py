@@ -33,7 +33,7 @@ MOST_APART_DEG = 5.0
 
 @dataclass(frozen=True)
 class Tilt:
-    """What a camera's accelerometer says.
+    """The reading of a camera's accelerometer.
 
     Attributes:
         up: (3,) the vertical in the axes of the upright picture (x right, y down, z forward); None: it does not say.
@@ -45,7 +45,8 @@ class Tilt:
 
 
 def read_tilt(video: Path, turn: Turn) -> Tilt:
-    """Of a video whose stored pictures are turned upright so. A track that cannot be believed is named, not raised."""
+    """Read that of a video whose stored pictures are turned upright so. A track that is not to be believed is named,
+    not raised."""
     try:
         up = _stored_up(list(streams(video)))
     except DataFormatError as e:
@@ -62,7 +63,7 @@ def read_tilt(video: Path, turn: Turn) -> Tilt:
 
 
 def _stored_up(found: list[Stream]) -> np.ndarray | str | None:
-    """(3,) unit vertical in the stored picture's axes, or why there is none."""
+    """Return (3,) unit vertical in the stored picture's axes, or why there is none."""
     gravity = [_scaled(s, "GRAV") for s in found if isinstance(s.get("GRAV"), np.ndarray)]
     if gravity and np.linalg.norm(down := np.concatenate(gravity).mean(0)) > 0.5:
         return -down / np.linalg.norm(down)
@@ -88,7 +89,7 @@ def _stored_up(found: list[Stream]) -> np.ndarray | str | None:
 
 
 def _scaled(stream: Stream, name: str) -> np.ndarray:
-    """(N, 3) in the sensor's unit. Raises DataFormatError: of another shape, not finite, or scaled by zero."""
+    """Return (N, 3) in the sensor's unit. Raises DataFormatError: of another shape, not finite, or scaled by zero."""
     scale = stream.get("SCAL")
     divisor = scale.reshape(-1) if isinstance(scale, np.ndarray) else np.ones(1)
     if not np.isfinite(divisor).all() or (divisor == 0).any() or divisor.size not in (1, stream[name].shape[1]):
@@ -99,7 +100,7 @@ def _scaled(stream: Stream, name: str) -> np.ndarray:
 
 
 def up_from_tilts(poses: np.ndarray, tilts: tuple[Tilt, ...], near: np.ndarray) -> tuple[np.ndarray, UpReport] | str:
-    """The vertical (3,) that the cameras' accelerometers agree on, or why there is none.
+    """Return the vertical (3,) that the cameras' accelerometers agree on, or why there is none.
 
     Args:
         poses: (C, 4, 4) world to camera.   near: (3,) the cameras' mean up.
@@ -137,7 +138,8 @@ NUMBERS = {"b": "i1", "B": "u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4",
 
 
 def streams(path: Path) -> Iterator[Stream]:
-    """Every sensor's entries of every sample of the video's GPMF track, in the file's order; none without such a track.
+    """Yield every sensor's entries of every sample of the video's GPMF track, in the file's order; none without such a
+    track.
 
     Raises:
         DataFormatError: the track's tables or samples are damaged (the message does not name the file).
@@ -156,7 +158,7 @@ def streams(path: Path) -> Iterator[Stream]:
 
 
 def _samples(file: BinaryIO) -> Iterator[bytes]:
-    """Each sample of the first `gpmd` track."""
+    """Yield each sample of the first `gpmd` track."""
     header = read_header(file)
     for start, end in boxes(header, 0, len(header), b"trak"):
         table = inside(header, start, end, b"mdia", b"minf", b"stbl")
@@ -217,7 +219,7 @@ def _places(data: bytes, start: int, end: int) -> Iterator[tuple[int, int]]:
 
 
 def _streams(sample: bytes, level: int = 1) -> Iterator[Stream]:
-    """The sensors (`STRM`) of every device (`DEVC`) in a sample."""
+    """Yield the sensors (`STRM`) of every device (`DEVC`) in a sample."""
     if level > MOST_LEVELS:
         raise ValueError(f"its entries lie in each other, more than {MOST_LEVELS} deep")
     for name, kind, data, _ in _entries(sample):

@@ -43,7 +43,8 @@ def metric_scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptio
 def find_up(
     poses: np.ndarray, clip: Evidence, points: list[MarkedPoint], lenses: list[Lens], options: PoseOptions
 ) -> tuple[np.ndarray, UpReport, tuple[str, ...]]:
-    """The vertical (3,) in the poses' world by `options.up`, and what a user should know of ways that led nowhere.
+    """Return the vertical (3,) in the poses' world by `options.up`, and what a user should know of ways that led
+    nowhere.
 
     "auto": what the user's points say, else the cameras' accelerometers, if two have one and they agree, else edges, if
     they agree, else the cameras.
@@ -80,7 +81,7 @@ def find_up(
 
 
 def upright_world(world_to_camera: np.ndarray, up: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """World axes for poses in any frame.
+    """Return World axes for poses in any frame.
 
     Z lies along `up` (3,), or the cameras' mean up, X from the first to the last camera (level), the origin where the
     optical axes come nearest to each other.
@@ -110,7 +111,7 @@ def upright_world(world_to_camera: np.ndarray, up: np.ndarray | None = None) -> 
 
 
 def _meeting_point(centers: np.ndarray, rays: np.ndarray) -> np.ndarray | None:
-    """(3,) nearest to the lines through centers (C, 3) along unit rays (C, 3); None when they are parallel."""
+    """Return (3,) nearest to the lines through centers (C, 3) along unit rays (C, 3); None when they are parallel."""
     across = [np.eye(3) - np.outer(ray, ray) for ray in rays]  # takes away what lies along the ray
     A = sum(across)
     if np.linalg.cond(A) >= 1e6:
@@ -129,14 +130,14 @@ Group = tuple[Kind, str]
 
 
 def says_up(points: list[MarkedPoint]) -> bool:
-    """Whether a point is named as standing on something upright, or lying on something level."""
+    """Return whether a point is named as standing on something upright, or lying on something level."""
     return any(p.upright or p.level for p in points)
 
 
 def up_from_points(
     poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], near: np.ndarray
 ) -> tuple[np.ndarray, UpReport]:
-    """The vertical (3,), and by how much it turns where the marks are `CLICK_PX` off.
+    """Return the vertical (3,), and by how much it turns where the marks are `CLICK_PX` off.
 
     Args:
         poses: (C, 4, 4) world to camera.   near: (3,) the cameras' mean up; of two opposite verticals, the one nearer.
@@ -179,7 +180,7 @@ def up_from_points(
 
 
 def _groups(points: list[MarkedPoint]) -> dict[Group, list[int]]:
-    """Numbers of the points of each thing that is upright or level."""
+    """Return numbers of the points of each thing that is upright or level."""
     groups: dict[Group, list[int]] = {}
     for k, point in enumerate(points):
         for kind in ("upright", "level"):
@@ -189,7 +190,8 @@ def _groups(points: list[MarkedPoint]) -> dict[Group, list[int]]:
 
 
 def _vertical(found: np.ndarray, groups: dict[Group, list[int]], near: np.ndarray) -> np.ndarray:
-    """(3,) for which upright things reach least across it, and level ones least along it (least squares, in metres).
+    """Return (3,) for which upright things reach least across it, and level ones least along it (least squares, in
+    metres).
 
     Both are quadratic in the direction, so it is an eigenvector.
     """
@@ -211,5 +213,5 @@ def _off_deg(found: np.ndarray, up: np.ndarray, kind: Kind) -> float:
 
 
 def _moved(point: MarkedPoint, rng: np.random.Generator) -> MarkedPoint:
-    """The point, marked by another hand."""
+    """Return the point, marked by another hand."""
     return replace(point, pixels={c: px + rng.normal(0, CLICK_PX, 2) for c, px in point.pixels.items()})

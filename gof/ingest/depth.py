@@ -24,7 +24,8 @@ from gof.ingest.stereo import stereo_depth
 
 
 def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
-    """Relative disparity (H, W) float32, larger = nearer, of an (H, W, 3) uint8 RGB picture by Depth-Anything-V2.
+    """Return relative disparity (H, W) float32, larger = nearer, of an (H, W, 3) uint8 RGB picture by
+    Depth-Anything-V2.
 
     Args:
         weights: folder of a Hugging Face checkpoint (config.json, model.safetensors, preprocessor_config.json); nothing
@@ -47,7 +48,7 @@ def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
 
 @cache
 def _network(weights: Path) -> tuple[Any, Any]:
-    """What prepares pictures for the network, and the network."""
+    """Return what prepares pictures for the network, and the network."""
     extras.load("torch", "torch", "monocular depth")  # transformers would name it in words of its own
     try:
         from transformers import AutoImageProcessor, AutoModelForDepthEstimation
@@ -58,7 +59,7 @@ def _network(weights: Path) -> tuple[Any, Any]:
 
 
 def align(disparity: np.ndarray, depth: np.ndarray, iterations: int = 20) -> tuple[float, float]:
-    """a, b of 1 / depth = a * disparity + b where both are known, by iteratively reweighted (Huber) least squares.
+    """Return a, b of 1 / depth = a * disparity + b where both are known, by reweighted (Huber) least squares.
 
     In disparity, not depth: the monocular network is trained on disparity up to scale and shift, so only there is the
     relation linear; stereo errors have one size there as well, while in depth far pixels would outweigh all others.
@@ -92,7 +93,7 @@ def align(disparity: np.ndarray, depth: np.ndarray, iterations: int = 20) -> tup
 
 
 def complete(depth: np.ndarray, picture: np.ndarray, smoothness: float = 100.0, edge: float = 12.0) -> np.ndarray:
-    """Depth everywhere: known inverse depths spread over the picture, stopping at its edges; known pixels stay.
+    """Return depth everywhere: known inverse depths spread over the picture, stopping at its edges; known pixels stay.
 
     Normalised fast global smoothing (Min et al. 2014), repeated wider until every pixel is reached.
 
@@ -124,7 +125,7 @@ def complete(depth: np.ndarray, picture: np.ndarray, smoothness: float = 100.0, 
 
 
 def whole_depth(stereo: np.ndarray, picture: np.ndarray, weights: Path | None) -> np.ndarray:
-    """Depth everywhere, (H, W) m: stereo's where it is known, elsewhere aligned monocular depth or `complete`.
+    """Return depth everywhere, (H, W) m: stereo's where it is known, elsewhere aligned monocular depth or `complete`.
 
     Args:
         stereo: (H, W) m, NaN where unknown.   picture: (H, W, 3) uint8.
@@ -139,12 +140,12 @@ def whole_depth(stereo: np.ndarray, picture: np.ndarray, weights: Path | None) -
 
 
 def from_relative(relative: np.ndarray, a: float, b: float, farthest: float) -> np.ndarray:
-    """Depth (H, W) float32 m of relative disparity (H, W) that `align` found a, b for; at most `farthest`."""
+    """Return depth (H, W) float32 m of relative disparity (H, W) that `align` found a, b for; at most `farthest`."""
     return (1 / np.maximum(a * relative + b, 1 / farthest)).astype(np.float32)
 
 
 def back_project(depth: np.ndarray, picture: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """World points (N, 3) m and colours (N, 3), as in the picture, of the pixels with known depth (H, W) m."""
+    """Return World points (N, 3) m and colours (N, 3), as in the picture, of the pixels with known depth (H, W) m."""
     rows, columns = np.nonzero(np.isfinite(depth))
     points = camera.unproject(np.column_stack([columns, rows]) + 0.5, depth[rows, columns])
     return points, picture[rows, columns]
@@ -300,7 +301,7 @@ def write_frame_depths(
 
 
 def frame_depths(dataset: Dataset, frame: int, points: np.ndarray, weights: Path | None) -> list[FrameDepth]:
-    """Depth of every camera's picture of a frame, which are taken to be of one moment.
+    """Return depth of every camera's picture of a frame, which are taken to be of one moment.
 
     Args:
         points: (N, 3) sparse world points, for the range of depths that stereo searches.   weights: see above.
@@ -320,7 +321,7 @@ def _by_stereo(stereo: np.ndarray, picture: np.ndarray) -> FrameDepth:
 
 
 def _by_network(stereo: np.ndarray, picture: np.ndarray, weights: Path) -> FrameDepth:
-    """The network's own map; stereo only says how its unit and its zero lie in metres."""
+    """Return the network's own map; stereo only says how its unit and its zero lie in metres."""
     relative = np.maximum(monocular(picture, weights), 0)
     depth = from_relative(relative, *align(relative, stereo), farthest=2 * float(np.nanmax(stereo)))
     return FrameDepth(depth, relative, float(np.isfinite(stereo).mean()))

@@ -1,4 +1,5 @@
-"""What the cameras filmed, and through which lenses: pictures made upright and undistorted, read as they are needed."""
+"""Clips as the cameras filmed them, and their lenses: pictures made upright and undistorted, read as they are
+needed."""
 
 from __future__ import annotations
 
@@ -49,7 +50,8 @@ class Clip(Collection[np.ndarray]):
         return any(picture is frame for frame in self)
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """(H, W, 3) uint8 RGB. Raises DataFormatError: the footage is shorter, or of another size than the lens."""
+        """Yield (H, W, 3) uint8 RGB. Raises DataFormatError: the footage is shorter, or of another size than the
+        lens."""
         for number, picture in zip(self.frames, chosen_frames(self.path, self.frames), strict=True):
             if picture.shape[1::-1] != self.size:
                 raise DataFormatError(
@@ -60,7 +62,7 @@ class Clip(Collection[np.ndarray]):
             self.watch()
 
     def only(self, places: Iterable[int]) -> Clip:
-        """Its frames at these places."""
+        """Return its frames at these places."""
         return replace(self, frames=tuple(self.frames[k] for k in places))
 
 
@@ -138,7 +140,7 @@ class Footage:
         return replace(self, videos=tuple(videos), infos=tuple(infos))
 
     def all_clips(self) -> list[Clip]:
-        """Every frame, whatever its time: enough for what stands still."""
+        """Return every frame, whatever its time: enough for what stands still."""
         return self.clips([np.arange(count) for count in self.frame_counts])
 
     @property
@@ -148,28 +150,28 @@ class Footage:
 
     @property
     def names(self) -> list[str]:
-        """What the dataset calls the cameras."""
+        """Return what the dataset calls the cameras."""
         return [f"cam_{c}" for c in range(len(self.videos))]
 
     @property
     def upright_lenses(self) -> list[Lens]:
-        """Of the prepared pictures."""
+        """Return the lenses of the prepared pictures."""
         return [lens.turned(self.turn) for lens in self.lenses]
 
     def frame_times(self, timing: Timing) -> FrameTimes:
-        """Which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
+        """Return which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
         return read_frame_times(timing, list(self.infos)).turned(self.turn)
 
     def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
-        """The cameras' poses, from this clip and others of the same rig; see `place_cameras`."""
+        """Return the cameras' poses, from this clip and others of the same rig; see `place_cameras`."""
         return place_cameras(clips, self.upright_lenses, self.names, self.world_to_camera, options)
 
     def splits(self, count: int) -> Splits:
-        """Which of `count` frames are held out."""
+        """Return which of `count` frames are held out."""
         return held_out(count)
 
     def board_mask(self, camera: int) -> np.ndarray | None:
-        """(H, W) uint8, 255 on the LED board, of the prepared picture; None where nothing says so beforehand."""
+        """Return (H, W) uint8, 255 on the LED board, of the prepared picture; None where nothing says so beforehand."""
         return None
 
     def write_beside(self, out: Path) -> None:
@@ -177,15 +179,15 @@ class Footage:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """What else the dataset says of where it is from."""
+        """Return what else the dataset says of where it is from."""
         return {"videos": [_described(info) for info in self.infos], "turn": self.turn}
 
     def preparation(self, camera: int) -> Callable[[np.ndarray], np.ndarray]:
-        """The function that makes a camera's stored pictures (H, W[, 3]) uint8 undistorted and upright."""
+        """Return the function that makes a camera's stored pictures (H, W[, 3]) uint8 undistorted and upright."""
         return preparation(self.lenses[camera], self.turn)
 
     def clips(self, frames: list[np.ndarray]) -> list[Clip]:
-        """The prepared pictures of these frame numbers, per camera."""
+        """Return the prepared pictures of these frame numbers, per camera."""
         return [
             Clip(video, (lens.width, lens.height), tuple(map(int, wanted)), self.preparation(c))
             for c, (video, lens, wanted) in enumerate(zip(self.videos, self.lenses, frames, strict=True))
@@ -193,7 +195,7 @@ class Footage:
 
 
 def _read(video: Path) -> VideoInfo:
-    """What its file says, under a progress bar: it is read to its end."""
+    """Return what its file says, under a progress bar: it is read to its end."""
     with progress_bar(f"read {video.name}") as update:
         return read_info(video, update)
 
@@ -205,7 +207,7 @@ def _described(info: VideoInfo) -> dict[str, Any]:
 
 
 def _poses(cameras: list[CalibratedCamera]) -> np.ndarray | None:
-    """(C, 4, 4), or None unless every camera has a pose of its own."""
+    """Return (C, 4, 4), or None unless every camera has a pose of its own."""
     poses = {camera.world_to_camera for camera in cameras if camera.world_to_camera is not None}
     return np.array([c.world_to_camera for c in cameras]) if len(poses) == len(cameras) else None
 
@@ -243,7 +245,7 @@ class StoredView:
 
 
 def stored_view(camera: Camera, plate: np.ndarray, max_size: int | None) -> StoredView:
-    """The camera and its plate, shrunk to a longer side of `max_size` px; None keeps the size."""
+    """Return the camera and its plate, shrunk to a longer side of `max_size` px; None keeps the size."""
     longest = max(camera.width, camera.height)
     size = min(max_size or longest, longest)
     small = camera.scaled(*(max(1, round(side * size / longest)) for side in (camera.width, camera.height)))
@@ -251,7 +253,7 @@ def stored_view(camera: Camera, plate: np.ndarray, max_size: int | None) -> Stor
 
 
 def resized(picture: np.ndarray, camera: Camera) -> np.ndarray:
-    """The picture at the camera's size; every new pixel is the mean of the old ones it covers."""
+    """Return the picture at the camera's size; every new pixel is the mean of the old ones it covers."""
     import cv2
 
     size = (camera.width, camera.height)
@@ -259,7 +261,7 @@ def resized(picture: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def write_pictures(out: Path, view: StoredView, clip: Clip) -> None:
-    """A camera's plate, its clip, and where fire is in it: an estimate, as no truth exists."""
+    """Write a camera's plate, its clip, and where fire is in it: an estimate, as no truth exists."""
     write_picture(path_in(out, view.static), view.plate)
     plate = view.plate.astype(np.float32) / 255
     for k, frame in enumerate(clip):
@@ -277,7 +279,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 def camera_entries(
     footage: Footage, times: FrameTimes, stored: list[StoredView], boards: list[np.ndarray | None]
 ) -> tuple[CameraEntry, ...]:
-    """What dataset.json says of the cameras."""
+    """Return what dataset.json says of the cameras."""
     return tuple(
         CameraEntry.of(
             view.camera,

@@ -68,7 +68,7 @@ def _written(
     frame_time_s: float | None,
     time_s: float | None,
 ) -> list[str]:
-    """The file by its suffix; args and result as of `convert`."""
+    """Return the file by its suffix; args and result as of `convert`."""
     gaussians = imported.gaussians
     if not isinstance(gaussians, TransientGaussians) and out.suffix != ".npz":
         raise DataFormatError(f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)")
@@ -102,7 +102,7 @@ def _save_ftgs(
 
 
 def _measured(gaussians: TransientGaussians) -> list[str]:
-    """What a format without a datum leaves out."""
+    """Return what a format without a datum leaves out."""
     if not gaussians.datum:
         return []
     x, y, z, t = gaussians.datum.numbers().tolist()
@@ -121,7 +121,8 @@ def _save_instant(gaussians: TransientGaussians, out: Path, time_s: float | None
 
 
 def _clip(gaussians: TransientGaussians, out: Path, start_s: float | None, end_s: float | None) -> tuple[float, float]:
-    """First and last second to write: what was given, else when the first one appears and the last one is gone."""
+    """Return first and last second to write: what was given, else when the first one appears and the last one is
+    gone."""
     born, dead = gaussians.life() if gaussians.dynamic.any() else (0.0, 1.0)
     if not np.isfinite([born, dead]).all() and None in (start_s, end_s):
         raise DataFormatError(f"{out}: some Gaussians are always on, so --clip must be given")

@@ -120,7 +120,8 @@ def original(dataset: Dataset) -> str:
 def three_views(
     dataset: Dataset, gaussians: TransientGaussians, plates: list[np.ndarray], frame: int
 ) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Rows of pictures at one time: [(row title, [(camera name, data URI)])]: truth, reconstruction, difference."""
+    """Return rows of pictures at one time: [(row title, [(camera name, data URI)])]: truth, reconstruction,
+    difference."""
     from gof.render import render
 
     rows: dict[str, list] = {original(dataset): [], "reconstruction": [], "difference": []}
@@ -136,7 +137,8 @@ def three_views(
 
 
 def brightest_frame(dataset: Dataset) -> int:
-    """The held-out frame with most flame (without masks: farthest from the plate); any frame when none is held out."""
+    """Return the held-out frame with most flame (without masks: farthest from the plate); any frame when none is held
+    out."""
 
     def flame(k: int) -> float:
         mask = dataset.mask(0, k)
@@ -169,7 +171,7 @@ WEBP_QUALITY = 88
 
 
 def require_film(path: Path) -> None:
-    """Raises GofError: the suffix is none of a film that can be written here."""
+    """Raise GofError: the suffix is none of a film that can be written here."""
     if path.suffix.lower() not in SUFFIXES:
         raise GofError(f"--out {path}: a film ends in {', '.join(SUFFIXES)}")
 

@@ -24,13 +24,14 @@ from gof.look.pages import PageGrid, template
 
 
 def used(rows: tuple[BoardRow, ...]) -> list[str]:
-    """The columns in which any row has a value: those with ranks first."""
+    """Return the columns in which any row has a value: those with ranks first."""
     there = [key for key in COLUMNS if any(key in row.figures for row in rows)]
     return [key for key in RANKED if key in there] + [key for key in there if key not in RANKED]
 
 
 def best(figures: Mapping[int, Figure], key: str) -> int | None:
-    """Which of a column's competing figures has the best mean; None where none is better, or there is one alone."""
+    """Return which of a column's competing figures has the best mean; None where none is better, or there is one
+    alone."""
     sign = COLUMNS[key].better
     if not sign or len(figures) < 2:
         return None
@@ -45,12 +46,12 @@ def marks_of(figures: Mapping[int, Figure], key: str) -> dict[int, str]:
 
 
 def competing(rows: tuple[BoardRow, ...], key: str) -> dict[int, Figure]:
-    """The column's figures of the rows that compete, by the row's number."""
+    """Return the column's figures of the rows that compete, by the row's number."""
     return {i: row.figures[key] for i, row in enumerate(rows) if row.competes and key in row.figures}
 
 
 def value(key: str, figure: Figure | None) -> str:
-    """A mean, ± half of its interval."""
+    """Return a mean, ± half of its interval."""
     if figure is None:
         return "-"
     kind = COLUMNS[key].format
@@ -71,7 +72,7 @@ def remark(figure: Figure | None, scenes: int) -> str:
 
 
 def _two_digits(number: float) -> str:
-    """Two significant digits without an exponent, as the means above it have none."""
+    """Return two significant digits without an exponent, as the means above it have none."""
     return np.format_float_positional(number, precision=2, fractional=False, trim="-")
 
 
@@ -95,7 +96,7 @@ def marks(row: BoardRow) -> tuple[str, str]:
 
 
 def suite_markdown(board: SuiteBoard) -> str:
-    """The best mean of a column in bold; rows that do not compete in italics."""
+    """Return the best mean of a column in bold; rows that do not compete in italics."""
     keys = used(board.rows)
     leaders = {key: best(competing(board.rows, key), key) for key in keys}
     headings = ["method", "given", "knew before", *(COLUMNS[key].heading for key in keys)]
@@ -121,7 +122,7 @@ def _in_brackets(text: str) -> str:
 
 
 def suite_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
-    """The page; everything is inside it.
+    """Return the page; everything is inside it.
 
     Args:
         grids: the methods' pictures side by side, by the scene's name.
@@ -196,7 +197,7 @@ def _scene(scene: BoardScene, grid: PageGrid | None) -> dict:
 
 
 def _curve(name: str, curve: TrainingCurve) -> dict:
-    """A row of the table of trainings."""
+    """Return a row of the table of trainings."""
     return {
         "name": name,
         "steps": curve.step[-1],
@@ -208,7 +209,7 @@ def _curve(name: str, curve: TrainingCurve) -> dict:
 
 
 def _loss_chart(curves: Mapping[str, TrainingCurve]) -> str:
-    """SVG of the losses over CPU seconds, each method's over its own first value."""
+    """Return SVG of the losses over CPU seconds, each method's over its own first value."""
     lines = {}
     for name, curve in curves.items():
         places = zip(curve.processor_seconds, curve.loss, strict=True)
@@ -253,7 +254,7 @@ def stream_plots(
 def leaderboard_html(
     rows: Sequence[Row], streams: Sequence[StreamPlots], title: str, grid: PageGrid | None = None
 ) -> str:
-    """The page; everything is inside it."""
+    """Return the page; everything is inside it."""
     keys, best = used_columns(rows), best_rows(rows)
     cells = [
         [
@@ -298,7 +299,8 @@ class Volume(NamedTuple):
 
 
 def volume(gaussians: TransientGaussians, time_s: float) -> Volume:
-    """The dynamic Gaussians that live at a time, summed into cubic cells and blurred by one cell; at least one must."""
+    """Return the dynamic Gaussians that live at a time, summed into cubic cells and blurred by one cell; at least one
+    must."""
     position, opacity = gaussians.at(time_s)
     weight = gaussians.scale.astype(np.float64).prod(1) * opacity * gaussians.dynamic
     keep = weight > 1e-9 * max(weight.sum(), 1e-300)
@@ -328,13 +330,15 @@ def max_projection(density: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarra
 
 
 def x_slice(density: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """The plane of constant X through the centre of mass: density (Y, Z), (v_y, v_z) (Y, Z, 2), and its cell number."""
+    """Return the plane of constant X through the centre of mass: density (Y, Z), (v_y, v_z) (Y, Z, 2), and its cell
+    number."""
     i = round(float((density.sum((1, 2)) * np.arange(len(density))).sum() / density.sum()))
     return density[i], velocity[i][..., 1:], i
 
 
 def cropped(density: np.ndarray, velocity: np.ndarray, margin: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """A plane's density (A, B) and velocity (A, B, 2) without the cells around it where nothing would be drawn."""
+    """Return a plane's density (A, B) and velocity (A, B, 2) without the cells around it where nothing would be
+    drawn."""
     seen = density > FAINT * density.max()
     box = tuple(slice(max(int(k.min()) - margin, 0), int(k.max()) + margin + 1) for k in np.nonzero(seen))
     return density[box], velocity[box]

@@ -134,7 +134,7 @@ def text_width_in(words: str, size: float) -> float:
 
 @contextmanager
 def _style(settings: Mapping[str, str]) -> Iterator[None]:
-    """One thread alone draws in here, in our style, whatever the user's own settings of matplotlib are."""
+    """Hold matplotlib for one thread, in our style, whatever the user's own settings are."""
     from matplotlib import style
 
     with ONE_AT_A_TIME, style.context(["default", STYLE | settings]):
@@ -190,7 +190,7 @@ WIDE = ChartSize(5.8, 3.5, 0.14, 9.0)
 def _chart(
     title: str, x_label: str, y_label: str, names: Sequence[str], size: ChartSize, fill: Callable[[Axes], None]
 ) -> Chart:
-    """A chart with its title above, and a legend of `names` below, in rows; `fill` draws the data."""
+    """Return a chart with its title above, and a legend of `names` below, in rows; `fill` draws the data."""
     row_in = 1.4 * size.small / 72
     legend_in = row_in * sum(name.count("\n") + 1 for name in names) + 0.1
     whole = size.height + legend_in
@@ -211,7 +211,7 @@ def _chart(
 
 
 def _dress(axes: Axes, size: float) -> None:
-    """A thin grid behind the data, numbers of `size` pt, no box."""
+    """Add a thin grid behind the data, numbers of `size` pt, no box."""
     axes.grid(color=GRID, linewidth=0.4)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=size, labelcolor=INK, width=0.5, length=2.5)
@@ -220,7 +220,7 @@ def _dress(axes: Axes, size: float) -> None:
 
 
 def _plain(name: str, size: ChartSize) -> str:
-    """A name in rows that fit the chart, which matplotlib takes neither for a formula nor for none at all."""
+    """Return a name in rows that fit the chart, which matplotlib takes neither for a formula nor for none at all."""
     letters = int(97 * size.width / size.small)  # of 0.58 of their height each, beside the legend's marks
     return textwrap.fill(name, letters).replace("$", "\\$").lstrip("_") or "-"
 
@@ -319,7 +319,8 @@ def line_chart(
 
 
 def _write_beside(axes: Axes, point: Point, colour: str) -> None:
-    """A mark's words: right of it, or left of it in the right part of the chart, where they would leave the figure."""
+    """Write a mark's words: right of it, or left of it in the right part of the chart, where they would leave the
+    figure."""
     across, _ = axes.transAxes.inverted().transform(axes.transData.transform((point.x, point.y)))
     side, shift = ("left", 4) if across < LABELS_TURN else ("right", -4)
     axes.annotate(

@@ -45,7 +45,7 @@ class Moment:
 
     @classmethod
     def near(cls, dataset: Dataset, camera: int, time_s: float | None) -> Moment:
-        """The frame nearest to a time; by default the held-out one with most flame."""
+        """Return the frame nearest to a time; by default the held-out one with most flame."""
         if time_s is None:
             return cls(dataset, camera, brightest_frame(dataset))
         return cls(dataset, camera, int(abs(dataset.camera_times_s(camera) - time_s).argmin()))
@@ -86,7 +86,7 @@ class Moment:
         return self.dataset.board_weight(self.number)
 
     def judged(self, image: np.ndarray) -> np.ndarray:
-        """The picture (H, W, 3) with what was recorded where nothing counts."""
+        """Return the picture (H, W, 3) with what was recorded where nothing counts."""
         return image if self.counts is None else self.recorded + self.counts[..., None] * (image - self.recorded)
 
     def flame_db(self, image: np.ndarray) -> str:
@@ -98,7 +98,7 @@ class Moment:
 def subject(
     name: str, gaussians: MovingGaussians, method: str, path: Path, moment: Moment, flame_only: bool = False
 ) -> Subject:
-    """A result as `gof evaluate` draws it: flames alone over their plates, other methods' Gaussians over black.
+    """Return a result as `gof evaluate` draws it: flames alone over their plates, other methods' Gaussians over black.
 
     Args:
         method: the importer that read it.   path: the result's file, beside which its own plates may lie.
@@ -109,7 +109,7 @@ def subject(
 
 
 def scored_subject(result: EvaluatedResult, moment: Moment) -> Subject:
-    """A result of `gof evaluate`, read and drawn as it was scored. Raises DataFormatError: see `read_again`."""
+    """Return a result of `gof evaluate`, read and drawn as it was scored. Raises DataFormatError: see `read_again`."""
     gaussians = read_again(result).measured_from(moment.dataset.datum)
     path = scored_file(result)
     over_plates = result.scores.import_.over_plates
@@ -117,7 +117,8 @@ def scored_subject(result: EvaluatedResult, moment: Moment) -> Subject:
 
 
 def read_again(result: EvaluatedResult) -> MovingGaussians:
-    """The Gaussians behind the scores: the file that was scored, or the one in the folder, read and moved as it was.
+    """Return the Gaussians behind the scores: the file that was scored, or the one in the folder, read and moved as it
+    was.
 
     Raises:
         DataFormatError: the file is gone, or damaged.
@@ -129,7 +130,7 @@ def read_again(result: EvaluatedResult) -> MovingGaussians:
 
 
 def scored_file(result: EvaluatedResult) -> Path:
-    """The file behind the scores. Raises DataFormatError: it is gone."""
+    """Return the file behind the scores. Raises DataFormatError: it is gone."""
     origin = result.scores.import_
     candidates = [result.folder / "result.npz", result.folder / "reconstruct" / "result.npz"]
     if origin.path is not None:
@@ -148,7 +149,7 @@ def _plate(path: Path, moment: Moment) -> np.ndarray:
 def comparison(
     subjects: Sequence[Subject], moment: Moment, parts: Sequence[Box] | int = 2, shown: Sequence[Kind] = KINDS
 ) -> list[Row]:
-    """Rows of tiles, the first column of what was recorded, then one of each result.
+    """Return rows of tiles, the first column of what was recorded, then one of each result.
 
     Args:
         parts: which are enlarged, or how many: then those where the results' mean error is largest, for all the same.
@@ -222,7 +223,8 @@ PLATE_KINDS = {"steady": "plate (steady light)", "minimum": "plate (minimum)"}
 
 
 def fire_removal(dataset: Dataset, frame: int, cameras: Sequence[int], result: Path | None = None) -> list[Row]:
-    """A row for each camera: picture, plate, that of a result (in the fire's light) where it has one, fire, difference.
+    """Return a row for each camera: picture, plate, that of a result (in the fire's light) where it has one, fire,
+    difference.
 
     The difference is between the picture and the last plate; its note is what is left of it where neither fire nor a
     sync board is: error of the plate, light of the fire on the room, noise.

@@ -25,7 +25,7 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
 
 
 def enlarge(image: np.ndarray, factor: int) -> np.ndarray:
-    """(H, W, 3) uint8 enlarged by a whole factor."""
+    """Return (H, W, 3) uint8 enlarged by a whole factor."""
     return np.asarray(Image.fromarray(image).resize((image.shape[1] * factor, image.shape[0] * factor), Image.BICUBIC))
 
 
@@ -46,17 +46,17 @@ def side_by_side(panels: list[np.ndarray]) -> np.ndarray:
 
 
 def mapped(levels: np.ndarray, colour_map: int) -> np.ndarray:
-    """(H, W) uint8 in the colours of one of OpenCV's colour maps, (H, W, 3) uint8."""
+    """Return (H, W) uint8 in the colours of one of OpenCV's colour maps, (H, W, 3) uint8."""
     return np.ascontiguousarray(cv2.applyColorMap(levels, colour_map)[..., ::-1])
 
 
 def ramp(colour_map: int) -> np.ndarray:
-    """(256, 3) uint8: a colour map from its first colour to its last."""
+    """Return (256, 3) uint8: a colour map from its first colour to its last."""
     return mapped(np.arange(256, dtype=np.uint8)[:, None], colour_map)[:, 0]
 
 
 def encoded(image: np.ndarray, kind: str = "webp", quality: int = 88, side: int | None = None) -> bytes:
-    """(H, W, 3 or 4) uint8 as the bytes of a file, of at most `side` px where that is given."""
+    """Return (H, W, 3 or 4) uint8 as the bytes of a file, of at most `side` px where that is given."""
     picture = Image.fromarray(image)
     if side is not None:
         picture.thumbnail((side, side), Image.LANCZOS)
@@ -71,7 +71,7 @@ def base64_text(data: bytes) -> str:
 
 
 def data_uri(image: np.ndarray | Path, kind: str = "webp") -> str:
-    """A picture as a data: URI. A path is decoded and encoded again, so only pixels enter the page.
+    """Return a picture as a data: URI. A path is decoded and encoded again, so only pixels enter the page.
 
     Raises:
         DataFormatError: the file cannot be decoded.
@@ -81,7 +81,7 @@ def data_uri(image: np.ndarray | Path, kind: str = "webp") -> str:
 
 
 def file_uri(path: Path) -> str:
-    """An animation's own bytes as a data: URI."""
+    """Return an animation's own bytes as a data: URI."""
     return f"data:image/{path.suffix[1:]};base64,{base64_text(path.read_bytes())}"
 
 
@@ -104,14 +104,14 @@ SAMPLED = 3  # frames of each camera that tell how large all will be
 
 
 def webp(picture: np.ndarray, side: int, quality: int) -> bytes:
-    """(H, W, 3) display values in [0, 1] as WebP of at most `side` px."""
+    """Return (H, W, 3) display values in [0, 1] as WebP of at most `side` px."""
     return encoded(to_bytes(picture), "webp", quality, side)
 
 
 def frames_within(
     views: list[tuple[Dataset, int]], budget_bytes: int, progress: Callable[[int, int], None] | None = None
 ) -> tuple[list[list[str | None] | None], str]:
-    """Every camera's recorded frames as base64 WebP, None for one left out; and in words what was done to them.
+    """Return every camera's recorded frames as base64 WebP, None for one left out; and in words what was done to them.
 
     Args:
         views: (dataset, number of a camera in it).
@@ -141,7 +141,7 @@ def frames_within(
 
 
 def _rung(views: list[tuple[Dataset, int]], frames: int, budget: int) -> tuple[int, int, int] | None:
-    """The first of LADDER whose frames, judged by a few, stay within the budget; None when none does."""
+    """Return the first of LADDER whose frames, judged by a few, stay within the budget; None when none does."""
     few = sorted({int(k) for k in np.linspace(0, frames - 1, SAMPLED)}) if frames else []
     samples = [dataset.image(camera, k) for dataset, camera in views for k in few]
     for side, quality, every in LADDER if samples and budget else []:

@@ -171,7 +171,8 @@ class Verdict(NamedTuple):
 
 
 def verdicts(scores: Scores) -> list[Verdict]:
-    """The velocities against the controls, their speed, the flame's pixels against the plate: what is defined of it."""
+    """Return the velocities against the controls, their speed, the flame's pixels against the plate: what is defined of
+    it."""
     out = []
     if scores.dve is not None and scores.dve.l2 is not None:
         for name, words in COMPARED.items():

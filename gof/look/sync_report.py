@@ -71,8 +71,8 @@ def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) 
 
 
 def verdict(worst: str, sigma_ms: float, speed: float, alignment: Alignment, estimated: list[str]) -> str:
-    """One sentence: the worst error in ms and in px of motion, and what pairing whole frames adds; and whose clock is
-    only estimated."""
+    """Return one sentence: the worst error in ms and in px of motion, and what pairing whole frames adds; and whose
+    clock is only estimated."""
     motion = f", in which the flame's fast parts move {_short(sigma_ms * speed)} px" if speed else ""
     pair = alignment.worst_us / 1000
     paired = f" ({_short(pair * speed)} px)" if speed else ""
@@ -147,7 +147,7 @@ def motion(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def strip(moments: dict[str, Moment]) -> np.ndarray:
-    """(H, W, 3) uint8 BGR: one row of crops before, one after; each with its camera and time."""
+    """Return (H, W, 3) uint8 BGR: one row of crops before, one after; each with its camera and time."""
     import cv2
 
     rows = []

@@ -48,7 +48,7 @@ class ProcessorForCuda(TorchFunctionMode):
 
 
 def on_processor(device: Any) -> Any:
-    """A device, its name or its number as the processor; everything else as it is."""
+    """Return a device, its name or its number as the processor; everything else as it is."""
     if isinstance(device, bool):
         return device
     if isinstance(device, int):
@@ -68,7 +68,7 @@ class Event:
         self._at = time.perf_counter()
 
     def elapsed_time(self, end_event: Event) -> float:
-        """Milliseconds until `end_event`."""
+        """Return milliseconds until `end_event`."""
         return 1e3 * (end_event._at - self._at)
 
     def synchronize(self):
@@ -176,7 +176,7 @@ def replace_cuda(mode: ProcessorForCuda) -> None:
 
 
 def _load_in_this_process() -> None:
-    """A loader's 16 processes would fight over two cores, and a thread that pins pages asks for CUDA."""
+    """Load in this process: a loader's 16 would fight over two cores, and a thread that pins pages asks for CUDA."""
     original = DataLoader.__init__
 
     def __init__(self, dataset, batch_size=1, shuffle=None, sampler=None, batch_sampler=None, num_workers=0, **options):

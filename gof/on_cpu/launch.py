@@ -102,7 +102,7 @@ def _count_gaussians(record: Curve) -> None:
 
 
 def provenance(method: Method, script: Path) -> str:
-    """One line: which commit of which repository this is, and whether files of it are changed."""
+    """Return one line: which commit of which repository this is, and whether files of it are changed."""
     folder = script.resolve().parent
 
     def git(*words):

@@ -39,7 +39,7 @@ def pictures_of_signed_bytes() -> None:
 
 
 def torchvision_without_its_operators() -> None:
-    """A torchvision built for another PyTorch: its Python wants two operators declared, which nothing here calls."""
+    """Declare two operators that a torchvision built for another PyTorch wants, which nothing here calls."""
     spec = find_spec("torchvision")
     if spec is None:
         raise ModuleNotFoundError("No module named 'torchvision'", name="torchvision")
@@ -54,7 +54,7 @@ def torchvision_without_its_operators() -> None:
 
 
 def no_restart() -> None:
-    """A training that replaces its own process would lose this one's stand-ins; it ends, and says so. (4DGS of Wu)"""
+    """Refuse a training that replaces its own process: it would lose this one's stand-ins. (4DGS of Wu)"""
 
     def refuse(path, arguments):
         raise GofError(f"the script ends itself to begin again ({' '.join(map(str, arguments[1:3]))}): its loss is NaN")

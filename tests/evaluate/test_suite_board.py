@@ -96,7 +96,7 @@ def test_the_mean_and_its_interval_are_those_of_the_scenes():
     known = stats.ttest_1samp(means, 0).confidence_interval(0.95)
     assert figure.mean == pytest.approx(np.mean(means))
     assert 2 * figure.half_width == pytest.approx(known.high - known.low)
-    assert figure.rank is None, "one method competes with nobody"
+    assert figure.rank is None, "one method is not ranked"
 
 
 def test_the_same_frames_are_compared():

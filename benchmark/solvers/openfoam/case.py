@@ -60,7 +60,7 @@ def write_case(fire: FoamFire, folder: Path, level: Literal["coarse", "fine"]) -
 
 
 def block_mesh(fire: FoamFire, level: Literal["coarse", "fine"]) -> dict[str, Any]:
-    """One block; its faces are the floor, the top and the four sides."""
+    """Return one block; its faces are the floor, the top and the four sides."""
     (x0, y0, z0), (x1, y1, z1) = fire.domain_low_m, fire.domain_high_m
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     axes = fire.axes(level)
@@ -88,7 +88,8 @@ def _each(fire: FoamFire) -> range:
 
 
 def _burner_faces(fire: FoamFire, i: int) -> dict[str, Any]:
-    """A set of the floor's faces whose centre lies on the burner; a circle becomes a staircase, its mass flow stays."""
+    """Return a set of the floor's faces whose centre lies on the burner; a circle becomes a staircase, its mass flow
+    stays."""
     burner = fire.burners[i]
     (x, y), half = burner.center_m, _reach(burner)
     thin = 0.1 * fire.cell_m[2]
@@ -117,7 +118,7 @@ def burner_areas(fire: FoamFire, level: Literal["coarse", "fine"]) -> list[float
 
 
 def constants(fire: FoamFire) -> dict[str, dict[str, Any]]:
-    """What the gas is and how it burns, mixes and radiates: the files of `constant`."""
+    """Return what the gas is and how it burns, mixes and radiates: the files of `constant`."""
     gas = fire.gas
     return {
         "thermophysicalProperties": {
@@ -298,7 +299,7 @@ def write_control(folder: Path, fire: FoamFire, end_s: float, write_every_s: flo
 
 
 def probe_points(fire: FoamFire) -> list[Vector]:
-    """Points above the first burner at which the vertical speed is recorded: from a quarter of its size up."""
+    """Return points above the first burner at which the vertical speed is recorded: from a quarter of its size up."""
     burner, (dx, dy, dz) = fire.burners[0], fire.cell_m
     size = max(burner.size_m, 4 * dz)
     heights = [z for z in size * np.array([0.25, 0.5, 0.75, 1, 1.5, 2, 3]) if z < fire.core_high_m[2] - dz]
@@ -363,7 +364,8 @@ def write_fields(fire: FoamFire, folder: Path, level: Literal["coarse", "fine"])
 
 
 def _boundary(fire: FoamFire, openings, floor, burners, upwind, walls) -> dict[str, dict]:
-    """What each patch does: with wind, the sides it comes from are inlets and the sides along it are smooth walls."""
+    """Return what each patch does: with wind, the sides it comes from are inlets and the sides along it are smooth
+    walls."""
     found = {"top": openings, "floor": floor} | {f"burner{i}": burner for i, burner in enumerate(burners)}
     for name, normal in SIDES.items():
         out = float(np.dot(normal, fire.wind_m_s))
@@ -377,7 +379,8 @@ def _write_field(path: Path, kind: str, dimensions: str, internal: str, boundary
 
 
 def draught(fire: FoamFire, level: Literal["coarse", "fine"]) -> np.ndarray:
-    """(cells, 3) m/s in OpenFOAM's order (x fastest): smooth random air of eddies of some 0.2 m, drawn by the seed."""
+    """Return (cells, 3) m/s in OpenFOAM's order (x fastest): smooth random air of eddies of some 0.2 m, drawn by the
+    seed."""
     from scipy.interpolate import RegularGridInterpolator
 
     low, high = np.array(fire.domain_low_m), np.array(fire.domain_high_m)

@@ -20,7 +20,7 @@ from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 
 
 def read_internal(path: Path, cells: int) -> np.ndarray:
-    """The values at the cells of a volScalarField or volVectorField, binary (8-byte floats) or ascii.
+    """Return the values at the cells of a volScalarField or volVectorField, binary (8-byte floats) or ascii.
 
     Args:
         cells: how many the mesh has.
@@ -59,7 +59,7 @@ def read_internal(path: Path, cells: int) -> np.ndarray:
 
 
 def _numbers(text: bytes, count: int, path: Path) -> np.ndarray:
-    """(count,) finite numbers of text. Raises DataFormatError."""
+    """Return (count,) finite numbers of text. Raises DataFormatError."""
     try:
         values = np.array(text.split(), float)
     except ValueError as e:
@@ -97,7 +97,7 @@ def add_to_internal(path: Path, change: np.ndarray) -> None:
 
 
 def on_mesh(values: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
-    """Cells in OpenFOAM's order (x fastest) as (X, Y, Z) or (X, Y, Z, 3)."""
+    """Return cells in OpenFOAM's order (x fastest) as (X, Y, Z) or (X, Y, Z, 3)."""
     return np.moveaxis(values.reshape(*shape[::-1], *values.shape[1:]), (0, 1, 2), (2, 1, 0))
 
 
@@ -120,7 +120,7 @@ class Resampler:
         self._points = np.stack(np.meshgrid(*inside, indexing="ij"), -1)
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
-        """(X, Y, Z, ...) of the mesh to (x, y, z, ...) of the grid."""
+        """Return (X, Y, Z, ...) of the mesh to (x, y, z, ...) of the grid."""
         return RegularGridInterpolator(self._centers, values)(self._points)
 
 
@@ -178,8 +178,8 @@ def frame_folder(fire: FoamFire, case: Path, number: int) -> Path:
 
 
 def history_of(fire: FoamFire, out: Path) -> FireHistory:
-    """What was recorded at every second step on the fine mesh, from a third of its settling on: before, the flame is
-    what the mapping left of it.
+    """Return what was recorded at every second step on the fine mesh, from a third of its settling on: before, the
+    flame is what the mapping left of it.
 
     Raises:
         DataFormatError: the solver wrote no tables.
@@ -201,7 +201,8 @@ def history_of(fire: FoamFire, out: Path) -> FireHistory:
 
 
 def _table(case: Path, pattern: str) -> dict[float, list[float]]:
-    """Rows of OpenFOAM's tables by time; where a killed run's rows overlap with the next one's, the later ones hold."""
+    """Return rows of OpenFOAM's tables by time; where a killed run's rows overlap with the next one's, the later ones
+    hold."""
     rows = {}
     for file in sorted(case.glob(f"postProcessing/{pattern}"), key=lambda f: float(f.parent.name)):
         for line in file.read_text(errors="replace").splitlines(keepends=True):
@@ -240,7 +241,7 @@ LAWS = {
 
 
 def planck(temperature_k: np.ndarray) -> np.ndarray:
-    """(...) K to (..., 3) W m^-2 sr^-1 nm^-1 at the three wavelengths; below 300 K as at 300 K (nothing)."""
+    """Return (...) K to (..., 3) W m^-2 sr^-1 nm^-1 at the three wavelengths; below 300 K as at 300 K (nothing)."""
     t = np.maximum(temperature_k, 300.0)[..., None]
     return 1e-9 * C1 / WAVELENGTH_M**5 / np.expm1(C2 / (WAVELENGTH_M * t))
 
@@ -257,7 +258,7 @@ def luminous_emission(
     fuel: Fuel,
     law: Literal["polynomial", "planck"] = "polynomial",
 ) -> np.ndarray:
-    """Radiance per metre of path.
+    """Return radiance per metre of path.
 
     Args:
         temperature_k, mixture_fraction: (...) of the gas.

@@ -40,7 +40,7 @@ class Burner:
 
     @property
     def diameter_m(self) -> float:
-        """Of the circle of equal area, which the laws of pool fires speak of."""
+        """Return the diameter of the circle of equal area, which the laws of pool fires speak of."""
         return math.sqrt(4 * self.area_m2 / math.pi)
 
     def mass_flow(self, fuel: Fuel) -> float:
@@ -48,7 +48,7 @@ class Burner:
         return self.heat_release_kw * 1e3 / fuel.heat_of_combustion
 
     def speed(self, fuel: Fuel) -> float:
-        """Of the cold fuel at the burner, m/s: centimetres for a pool, metres for a jet."""
+        """Return the speed of the cold fuel at the burner, m/s: centimetres for a pool, metres for a jet."""
         return self.mass_flow(fuel) / (fuel.density * self.area_m2)
 
 
@@ -164,7 +164,8 @@ class FoamFire:
 
 
 def growing(first: float, length: float, stretch: float) -> tuple[int, float]:
-    """Cells of a section that starts with cells of `first` m and grows by at most `stretch`: (count, last / first)."""
+    """Return cells of a section that starts with cells of `first` m and grows by at most `stretch`: (count, last /
+    first)."""
     if length <= first:
         return 1, 1.0
     count = max(2, math.ceil(math.log(1 + length * (stretch - 1) / first) / math.log(stretch)))
@@ -178,7 +179,7 @@ def growing(first: float, length: float, stretch: float) -> tuple[int, float]:
 
 
 def find_fire(name: str) -> FoamFire:
-    """The description of a file, or of a fire that comes with the benchmark.
+    """Return the description of a file, or of a fire that comes with the benchmark.
 
     Raises:
         DataFormatError: neither; names those that there are.

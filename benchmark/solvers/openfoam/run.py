@@ -127,7 +127,7 @@ def _hand_over(installation: Installation, fire: FoamFire, out: Path) -> None:
 
 
 def times_of(case: Path) -> list[str]:
-    """Names of a case's time folders after 0, in order."""
+    """Return names of a case's time folders after 0, in order."""
     names = [d.name for d in case.glob("*") if d.is_dir() and re.fullmatch(r"\d+(\.\d+)?(e-\d+)?", d.name)]
     return sorted((n for n in names if float(n) > 0), key=float)
 
@@ -143,7 +143,7 @@ def drop_torn_times(fire: FoamFire, case: Path) -> None:
 
 
 def cpu_seconds(log: Path) -> float:
-    """Of all runs of the solver that wrote to a case's log, also those that were killed."""
+    """Return the CPU seconds of all runs of the solver that wrote to a case's log, also those that were killed."""
     total = last = 0.0
     for line in open(log, errors="replace") if log.exists() else ():
         if found := CPU.match(line):
@@ -216,7 +216,7 @@ class Installation:
     project: Path
 
     def program(self, name: str) -> str:
-        """Path of a program. Raises MissingDependencyError when this OpenFOAM lacks it."""
+        """Return path of a program. Raises MissingDependencyError when this OpenFOAM lacks it."""
         path = self.programs / name
         if not path.exists():
             raise MissingDependencyError(f"{path}: this OpenFOAM has no {name}. {HINT}")
@@ -235,7 +235,7 @@ class Installation:
 
 
 def find_installation() -> Installation:
-    """The OpenFOAM of this shell (WM_PROJECT_DIR), or else the one whose fireFoam is on PATH.
+    """Return the OpenFOAM of this shell (WM_PROJECT_DIR), or else the one whose fireFoam is on PATH.
 
     Raises:
         MissingDependencyError: none is installed, or its data cannot be found; says what to install.

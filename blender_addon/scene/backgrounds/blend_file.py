@@ -84,13 +84,13 @@ def _append_scene(path: Path) -> bpy.types.Scene:
 
 
 def stays_out(thing: bpy.types.Object) -> bool:
-    """Whether an object of a user's scene is no part of the surroundings."""
+    """Return whether an object of a user's scene is no part of the surroundings."""
     fluid = any(modifier.type == "FLUID" and modifier.fluid_type in ("DOMAIN", "FLOW") for modifier in thing.modifiers)
     return bool(thing.type == "CAMERA" or fluid or place.part_of(thing))
 
 
 def is_obstacle(thing: bpy.types.Object) -> bool:
-    """Whether gas flows around an object."""
+    """Return whether gas flows around an object."""
     effectors = [modifier.effector_settings for modifier in thing.modifiers if modifier.type == "FLUID"]
     return any(settings and settings.effector_type == "COLLISION" and settings.use_effector for settings in effectors)
 
@@ -169,7 +169,7 @@ def take_pictures(source: Path) -> None:
 
 
 def _pack(image: bpy.types.Image, source: Path) -> None:
-    """One that is not there stays away, as in Blender."""
+    """Pack it. One that is not there stays away, as in Blender."""
     path, folder = Path(bpy.path.abspath(image.filepath)).resolve(), source.resolve().parent
     if image.source == "FILE" and not path.exists():
         return

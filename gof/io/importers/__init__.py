@@ -57,7 +57,7 @@ def detect(source: Source) -> str:
 
 
 def _summary(checkpoint: Any) -> str:
-    """What an unknown checkpoint holds, in words."""
+    """Return what an unknown checkpoint holds, in words."""
     if isinstance(checkpoint, dict):
         return f"a dict with {sorted(map(str, checkpoint))[:6]}"
     if not isinstance(checkpoint, (tuple, list)):
@@ -106,7 +106,7 @@ def _refuse_unused(name: str, options: ImportOptions) -> None:
 
 
 def _require_digits(gaussians: MovingGaussians) -> None:
-    """Raises GofError: times or places so far from zero that float32 has rounded lives or sizes away."""
+    """Raise GofError: times or places so far from zero that float32 has rounded lives or sizes away."""
     if not isinstance(gaussians, TransientGaussians) or not gaussians.dynamic.any():
         return
     moving = gaussians[gaussians.dynamic]
@@ -132,7 +132,7 @@ def _newest_checkpoint(folder: Path) -> Path:
 
 
 def _newest_ply(folder: Path) -> Path:
-    """The newest PLY of a training whose PLYs are whole results (the paper's code); else the folder itself."""
+    """Return the newest PLY of a training whose PLYs are whole results (the paper's code); else the folder itself."""
     plys = sorted(
         folder.glob("point_cloud/iteration_*/point_cloud.ply"),
         key=lambda p: int(re.sub(r"\D", "", p.parent.name) or 0),

@@ -52,7 +52,7 @@ class ScaleBounds:
 
 @dataclass(frozen=True)
 class Splats:
-    """What its files hold, in its units: its length, per ms, ms.
+    """The content of its files, in its units: its length, per ms, ms.
 
     Attributes:
         position, velocity, scaling: (N, 3).   rotation: (N, 4) wxyz.   opacity: (N,) 0..1.   color: (N, K, 3).
@@ -96,7 +96,7 @@ def matches(source: Source) -> bool:
 
 
 def is_capture(value, length: int) -> bool:
-    """(tuple of `length` entries, iteration), as 3DGS descendants save their state."""
+    """Return (tuple of `length` entries, iteration), as 3DGS descendants save their state."""
     return (
         isinstance(value, (tuple, list))
         and len(value) == 2
@@ -177,7 +177,7 @@ def _from_ply(source: Source) -> Splats:
 
 
 def _read_bounds(result: Path, folders: list[Path], name: str) -> ScaleBounds:
-    """The bounds' file of a result, in one of `folders` beside it."""
+    """Return the bounds' file of a result, in one of `folders` beside it."""
     path = next((p for folder in folders if (p := result.parent / folder / name).is_file()), None)
     if path is None:
         raise DataFormatError(

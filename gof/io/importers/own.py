@@ -33,12 +33,13 @@ def read(source: Source, options: ImportOptions) -> Imported:
 
 
 def converted(method: str, path: Path) -> str:
-    """What a file of ours says it was made from, where that is the result at `path`, read as `method`."""
+    """Return what a file of ours says it was made from, where that is the result at `path`, read as `method`."""
     return f"{method}: {path.name}"
 
 
 def converted_from(source: Source) -> str:
-    """Method of the result that a file of ours was converted from; "" or other words where it was made in another way.
+    """Return method of the result that a file of ours was converted from; "" or other words where it was made in
+    another way.
 
     A result is not ours for being in our format: another method's is the whole scene, and is drawn so.
     """
@@ -46,7 +47,7 @@ def converted_from(source: Source) -> str:
 
 
 def made_from(source: Source) -> str:
-    """What a file of ours says of that: "gof reconstruct demo", or the words of `converted`; "" for nothing."""
+    """Return what a file of ours says of that: "gof reconstruct demo", or the words of `converted`; "" for nothing."""
     if source.path.suffix == ".npz":
         return str(source.npz.get("source", ""))
     return next((c for c in source.ply.comments if c.startswith(SAYS)), "").removeprefix(SAYS)

@@ -34,7 +34,7 @@ FIELDS = tuple(field.name for field in fields(Said))
 
 
 def file_of(result: Path) -> Path:
-    """The file beside a result's file or folder."""
+    """Return the file beside a result's file or folder."""
     result = result.absolute()
     return result.with_name(result.name + ENDING)
 
@@ -48,7 +48,8 @@ def write_said(result: Path, options: ImportOptions) -> Path:
 
 
 def with_said(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path | None]:
-    """Options of a result: what the caller does not give is as its file says; and that file, where it has a part.
+    """Return options of a result: what the caller does not give is as its file says; and that file, where it has a
+    part.
 
     Raises:
         DataFormatError: the file is damaged.   GofError: see `ImportOptions`.
@@ -65,7 +66,7 @@ def with_said(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path
 
 
 def in_words(path: Path, options: ImportOptions) -> str:
-    """A note for people: what was taken from the file."""
+    """Return a note for people: what was taken from the file."""
     said = {name: getattr(options, name) for name in FIELDS}
     return f"as {path.name} says: " + ", ".join(
         f"{name.removesuffix('_s').replace('_', ' ')} {value:g} s"

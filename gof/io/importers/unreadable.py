@@ -68,7 +68,7 @@ def reason(source: Source) -> str | None:
 
 
 def _of_wu(folder: Path) -> bool:
-    """Its training's folder, or that of one iteration."""
+    """Return its training's folder, or that of one iteration."""
     return (folder / "deformation.pth").is_file() or any(folder.glob("point_cloud/iteration_*/deformation.pth"))
 
 

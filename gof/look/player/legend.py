@@ -51,7 +51,7 @@ def doubt_scale(results: Sequence[TransientGaussians]) -> float:
 
 
 def line_s(length_s: float) -> float:
-    """Seconds that a line lasts in a clip of this length: a round number."""
+    """Return seconds that a line lasts in a clip of this length: a round number."""
     return float(f"{LINE_SHARE * length_s:.1g}")
 
 
@@ -65,7 +65,7 @@ def line_note(seconds: float) -> str:
 
 
 def _short(value: float) -> str:
-    """Two digits, never as a power of ten."""
+    """Return two digits, never as a power of ten."""
     return np.format_float_positional(float(f"{value:.2g}"), trim="-")
 
 

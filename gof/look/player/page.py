@@ -194,7 +194,8 @@ def measured_alike(results: list[Opened], dataset: Dataset | None) -> list[Opene
 
 
 def assemble(content: dict[str, Any], title: str) -> str:
-    """The page: texts of `player/` around the content. Only the script and the style that are in it may run in it."""
+    """Return the page: texts of `player/` around the content. Only the script and the style that are in it may run in
+    it."""
     live = content.get("live", False)
     script = "\n".join(_text(name) for name in (*([LIVE] if live else []), *SCRIPTS))
     style = _text("style.css")
@@ -213,7 +214,8 @@ def assemble(content: dict[str, Any], title: str) -> str:
 
 
 def front_camera(middle: np.ndarray, reach: float) -> Camera:
-    """A camera before a flame, so far that it fills most of the picture: where no dataset says where to stand."""
+    """Return a camera before a flame, so far that it fills most of the picture: where no dataset says where to
+    stand."""
     width, height, focal = 720, 960, 1400.0
     eye = middle - np.array([0.0, max(2 * reach * focal / (FILLED * height), 3 * reach), 0.0])
     rows = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
@@ -240,7 +242,7 @@ def _hash(text: str) -> str:
 
 
 def _views(dataset: Dataset | None) -> list[tuple[Dataset, int]]:
-    """The cameras that a method may learn from, then those for novel views."""
+    """Return the cameras that a method may learn from, then those for novel views."""
     if dataset is None:
         return []
     novel = dataset.evaluation_view()
