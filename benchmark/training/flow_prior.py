@@ -7,8 +7,8 @@ Runs the motion and fusion stages on every dataset in WORK/dev, prints what the 
 (each fire left out in turn, and the datasets given with --test), and writes the weights. Scores and controls as in
 `field_score`, means over frames of DVE's figures (speed is its least-squares gain); `pace` is the estimated mean speed
 over the true one; `within` is the share of the light whose velocity is within one standard deviation of the truth,
-component by component (0.68 where errors are normal and the doubt is right). `--without SOLVER` shows what is left when
-a solver's fires are not trained on.
+component by component (0.68 where errors are normal and the uncertainty is right). `--without SOLVER` shows what is
+left when a solver's fires are not trained on.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ def velocity_loss(
     return (weight * (squared + 1 - direction)).mean()
 
 
-def train_doubt(
+def train_uncertainty(
     scaling: Scaling, flames: list[Samples], errors: list[torch.Tensor], seed: int = 0, steps: int = 500
 ) -> Network:
     """Return one network for the log of the standard deviation, over the pace, by maximum likelihood.
@@ -336,8 +336,8 @@ def held_out_error(scaling: Scaling, network: Network, samples: Samples, pace: f
     return torch.tensor(velocity) - samples.truth / pace
 
 
-def prior_of(scaling: Scaling, velocity: Network, doubt: Network, pace: Pace) -> FlowPrior:
-    return FlowPrior(scaling.mean.numpy(), scaling.deviation.numpy(), velocity, doubt, pace)
+def prior_of(scaling: Scaling, velocity: Network, uncertainty: Network, pace: Pace) -> FlowPrior:
+    return FlowPrior(scaling.mean.numpy(), scaling.deviation.numpy(), velocity, uncertainty, pace)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -363,12 +363,14 @@ def main(argv: list[str] | None = None) -> None:
     without = [LeftOut.of(clip, known) for clip, known in zip(clips, others, strict=True)]
     errors = {clip.dataset.path: left.errors for clip, left in zip(clips, without, strict=True)}
 
-    def doubt_of(known: list[Clip], scaling: Scaling) -> Network:
-        return train_doubt(scaling, samples_of(known), [error for clip in known for error in errors[clip.dataset.path]])
+    def uncertainty_of(known: list[Clip], scaling: Scaling) -> Network:
+        return train_uncertainty(
+            scaling, samples_of(known), [error for clip in known for error in errors[clip.dataset.path]]
+        )
 
     for clip, known, left in zip(clips, others, without, strict=True):
-        doubt = doubt_of(known, left.scaling)
-        show(clip.dataset.path.name, clip, prior_of(left.scaling, left.velocity, doubt, left.pace))
+        uncertainty = uncertainty_of(known, left.scaling)
+        show(clip.dataset.path.name, clip, prior_of(left.scaling, left.velocity, uncertainty, left.pace))
     print(f"| mean | {Row.mean(rows)} |")
     for metres in (True, False):
         off = [pace_error(clip, left.pace, metres) for clip, left in zip(clips, without, strict=True)]
@@ -376,7 +378,7 @@ def main(argv: list[str] | None = None) -> None:
         spread = np.sqrt(np.mean(np.square(np.concatenate(off))))
         print(f"pace of flames left out, {unit}: {spread:.0%} off (RMS of the log)")
     scaling, velocity = train_velocity(samples_of(clips))
-    prior = prior_of(scaling, velocity, doubt_of(clips, scaling), fitted_pace(clips))
+    prior = prior_of(scaling, velocity, uncertainty_of(clips, scaling), fitted_pace(clips))
     for clip in everything:
         if clip.solver == config.without:
             show(clip.dataset.path.name, clip, prior)

@@ -19,7 +19,7 @@ NAME = "Transient Gaussians"
 LAYOUT = 3  # raise it when the inputs change: clouds of an older add-on keep their own node group
 MODES = ("points", "ellipsoids", "arrows", "streaks")
 QUICK = "points" if compat.EEVEE_DRAWS_POINTS else "ellipsoids"  # the quickest that every view draws
-COLORS = ("image", "speed", "age", "lifetime", "error", "doubt")
+COLORS = ("image", "speed", "age", "lifetime", "error", "uncertainty")
 VECTORS = ("velocity", "true velocity", "error")
 ICOSAHEDRON_RADIUS = EXTENT / 0.7947  # its faces touch the ball of EXTENT; the material does the rounding
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
@@ -34,7 +34,7 @@ INPUTS = (  # name, kind, default, least, largest, description
     ("Time Scale", FLOAT, 1.0, -1e3, 1e3, "1 plays as fast as it was filmed, 0.1 ten times slower"),
     ("Opacity Cut", FLOAT, CUT_OFF, 0.0, 1.0, "Gaussians fainter than this are not drawn"),
     ("Share", FLOAT, 1.0, 0.0, 1.0, "Share of the Gaussians that is drawn; fewer arrows are easier to read"),
-    ("Color By", WHOLE, 0, 0, 5, "0 image color, 1 speed, 2 age, 3 lifetime, 4 velocity error, 5 velocity doubt"),
+    ("Color By", WHOLE, 0, 0, 5, "0 image color, 1 speed, 2 age, 3 lifetime, 4 velocity error, 5 velocity uncertainty"),
     ("Color Min", FLOAT, 0.0, -1e6, 1e6, "Value at the dark end of the color map (m/s or s)"),
     ("Color Max", FLOAT, 1.0, -1e6, 1e6, "Value at the bright end of the color map (m/s or s)"),
     ("Emission", FLOAT, 1.0, 0.0, 1e6, "Brightness of the flame; 1 looks as in the footage"),
@@ -151,8 +151,8 @@ def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
     lifetime = nodes.math("DIVIDE", 1.0, nodes.math("MAXIMUM", nodes.named("gs_inverse_t_sigma", "FLOAT"), 1e-9))
     speed = nodes.vector("LENGTH", velocity, output="Value")
     error = nodes.vector("DISTANCE", velocity, nodes.named("gs_true_velocity", "FLOAT_VECTOR"), output="Value")
-    doubt = nodes.named("gs_velocity_sd", "FLOAT")
-    value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error, doubt)
+    uncertainty = nodes.named("gs_velocity_sd", "FLOAT")
+    value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error, uncertainty)
     span = nodes.math("MAXIMUM", nodes.math("SUBTRACT", given["Color Max"], given["Color Min"]), 1e-9)
     ramp = nodes.add(
         "ShaderNodeValToRGB", {"Fac": nodes.math("DIVIDE", nodes.math("SUBTRACT", value, given["Color Min"]), span)}

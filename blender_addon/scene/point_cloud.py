@@ -162,7 +162,7 @@ def why_not_color(mesh: bpy.types.Mesh, color: str) -> str | None:
     """Why a cloud has no values for one of `gaussian_nodes.COLORS`, if it has none."""
     if color == "error" and "gs_true_velocity" not in mesh.attributes:
         return "score first: choose a Dataset in the panel Score and press Show Errors"
-    if color == "doubt" and "gs_velocity_sd" not in mesh.attributes:
+    if color == "uncertainty" and "gs_velocity_sd" not in mesh.attributes:
         return "this file does not say how sure its velocities are"
     return None
 
@@ -181,7 +181,7 @@ def color_by(thing: bpy.types.Object, color: str) -> None:
 
 
 def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
-    """Return values at the ends of the colour map: m/s from 0 on for speed, error and doubt, s for age and lifetime.
+    """Return values at the ends of the colour map: m/s from 0 on for speed, error, uncertainty, s for age and lifetime.
 
     The largest 2 % are left out: a few runaways would make all others look the same.
     """
@@ -192,7 +192,7 @@ def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
         if color == "age":  # what is seen of a Gaussian is the time around its brightest moment
             return float(-2 * np.median(lifetime)), float(2 * np.median(lifetime))
         return float(np.percentile(lifetime, 2)), float(np.percentile(lifetime, 98))
-    if color == "doubt":
+    if color == "uncertainty":
         return 0.0, float(np.percentile(column(mesh, "gs_velocity_sd", 1), 98))
     velocity = column(mesh, "gs_gas_velocity", 3)
     if color == "error":
@@ -238,11 +238,11 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
     add_column(mesh, "gs_opacity", cloud.opacity)
     add_column(mesh, "gs_light", light)
     add_column(mesh, DISPLAY, cloud.color)
-    if cloud.says_doubt:
+    if cloud.says_uncertainty:
         # No infinity enters the node graph: an unknown uncertainty of a velocity becomes its own size.
         speed = np.linalg.norm(cloud.moving_gas, axis=1)
-        doubt = np.where(np.isfinite(cloud.velocity_sd), cloud.velocity_sd, speed)
-        add_column(mesh, "gs_velocity_sd", doubt * alive)
+        uncertainty = np.where(np.isfinite(cloud.velocity_sd), cloud.velocity_sd, speed)
+        add_column(mesh, "gs_velocity_sd", uncertainty * alive)
     if cloud.begin is not None:
         add_column(mesh, "gs_begin", cloud.begin)
         add_column(mesh, "gs_end", cloud.end)

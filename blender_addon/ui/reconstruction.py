@@ -26,7 +26,7 @@ COLORS = [
     ("age", "Age", "Seconds since its brightest moment"),
     ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
     ("error", "Velocity Error", "m/s against the true velocity; score first (panel Score, Show Errors)"),
-    ("doubt", "Velocity Doubt", "m/s, standard deviation of a component, where the file says it"),
+    ("uncertainty", "Velocity Uncertainty", "m/s, standard deviation of a component, where the file says it"),
 ]
 VECTORS = [
     ("velocity", "Velocity", "Of the gas, as reconstructed"),

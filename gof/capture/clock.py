@@ -184,22 +184,22 @@ def positions(seen: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, list[str
     Args:
         seen: (T,) bool.   index: positions of those frames.
     Returns:
-        (T,) positions; what is doubtful about them, in words.
+        (T,) positions; warnings about them.
     """
     shown = np.flatnonzero(seen)
-    doubts = []
+    warnings = []
     for a, b, i, j in zip(shown, shown[1:], index, index[1:], strict=False):
         extra = int((j - i) - (b - a))
         if b - a > 1 and extra:
             what = f"{extra} frames are missing" if extra > 0 else f"{-extra} frames are shown twice"
-            doubts.append(
+            warnings.append(
                 f"{what} somewhere between frames {a} and {b}, where the board is hidden: times there are up to "
                 f"{abs(extra)} frames off"
             )
     frames = np.arange(len(seen))
     found = np.rint(np.interp(frames, shown, index)).astype(int)
     found = np.where(frames < shown[0], index[0] - (shown[0] - frames), found)
-    return np.where(frames > shown[-1], index[-1] + (frames - shown[-1]), found), doubts
+    return np.where(frames > shown[-1], index[-1] + (frames - shown[-1]), found), warnings
 
 
 def wander_us(seen: np.ndarray, time_us: np.ndarray) -> np.ndarray:

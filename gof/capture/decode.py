@@ -103,7 +103,7 @@ def carried_over(found: CameraTimes, shown: np.ndarray) -> CameraTimes:
     Args:
         shown: (T,) bool.
     """
-    index, doubts = positions(shown, found.clock_index)
+    index, warnings = positions(shown, found.clock_index)
     start = found.time_us[0] - found.clock_index[0] * found.interval_us
     time = start + found.interval_us * index
     measured, used = time.copy(), np.zeros(len(time), bool)
@@ -123,7 +123,7 @@ def carried_over(found: CameraTimes, shown: np.ndarray) -> CameraTimes:
         used=used,
         clock_index=index,
         hidden=hidden,
-        warnings=[*found.warnings, said, *doubts],
+        warnings=[*found.warnings, said, *warnings],
     )
 
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from gof.capture.board_points import BoardPoints
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
-from gof.capture.doubts import MOST_US, doubts, refusal
 from gof.capture.flame_clock import estimate_times, read_light
 from gof.capture.ring_board import RingBoard
 from gof.capture.ring_decode import decode_ring
@@ -32,6 +31,7 @@ from gof.capture.times import (
     SyncedVideo,
     VideoTimes,
 )
+from gof.capture.warnings import MOST_US, refusal, warnings_of
 from gof.core.errors import DataFormatError, GofError
 from gof.core.records import read_record
 from gof.footage.videos import distinct_names, fingerprint, require_different, stated_fps, stated_frames
@@ -91,7 +91,7 @@ def synchronise(
         cameras = _estimate_missing(cameras)
     warnings = [
         *settled,
-        *doubts(cameras, _most_us(template), period_us),
+        *warnings_of(cameras, _most_us(template), period_us),
         *chain.from_iterable(map(_said, cameras)),
     ]
     return FrameTimesFile(template.name, period_us, tuple(cameras), _nearest(cameras), tuple(warnings))

@@ -12,11 +12,11 @@ import tyro
 from gof.capture.aligned import Codec, Layout, write_aligned
 from gof.capture.board_points import read_board_points
 from gof.capture.decode import DecodeOptions
-from gof.capture.doubts import missing_frames
 from gof.capture.recognise import AUTO, first_frames, recognise
 from gof.capture.ring_board import RingBoard
 from gof.capture.sync import Sensor, sensor, synchronise
 from gof.capture.times import FILE, FrameTimesFile, Readout, SyncedVideo
+from gof.capture.warnings import missing_frames
 from gof.commands.everywhere import require_free, require_writable, write_figures
 from gof.commands.read import Microseconds, Rate, read_options
 from gof.core.errors import GofError

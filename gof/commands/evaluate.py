@@ -208,7 +208,7 @@ def _add_own_rows(table: Table, dve: VelocityScore) -> None:
     )
     if dve.within_sd is not None:
         meaning = f"{dve.within_sd:.0%} within one standard deviation of the truth (68 % if v_sd is right)"
-        table.add_row("  its own doubt", "", "", meaning)
+        table.add_row("  its own uncertainty", "", "", meaning)
     if emission := dve.on_emission:
         table.add_row(
             "  on the emission",

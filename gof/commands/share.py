@@ -25,7 +25,7 @@ class ShareConfig:
       gof share ours=out/fire theirs=out/other.ply --dataset data/fire      side by side, with one camera
 
     It has the Gaussians themselves (quantised; what that costs is measured and printed), so that one can stop time,
-    play at 1/100 of the speed, turn the camera, colour by speed or by its doubt, and show velocity lines. With
+    play at 1/100 of the speed, turn the camera, colour by speed or its uncertainty, and show velocity lines. With
     --dataset it also has the dataset's cameras, the scene behind the flame, the recorded pictures, and the true
     velocity where it is known.
     """

@@ -74,7 +74,7 @@ class Sums:
     zero_velocity: float = 0.0
     wide: float = 0.0
     short_waves: float = 0.0
-    doubted: float = 0.0  # of Gaussians that say how sure they are
+    stated: float = 0.0  # of Gaussians that say how sure they are
     within: float = 0.0  # of those, times the share of their components within one standard deviation of the truth
     error2_axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -97,7 +97,7 @@ class DVEResult:
     weight_outside: float  # share of the Gaussians' mass outside the domain, where the truth counts as zero
     weight_zero_truth: float  # share with no true direction; it adds 0 to CosSim's numerator
     weight_zero_velocity: float  # share with no estimated direction; likewise
-    weight_undersampled: float  # share of Gaussians wider than 2 voxels, whose quadrature is doubtful
+    weight_undersampled: float  # share of Gaussians wider than 2 voxels, whose quadrature is uncertain
     weight_short_waves: float  # share of Gaussians wider than 1.5 rad of the field's wavelength (`wavelength`)
     speed_ratio: float | None  # least-squares gain sum w v.vbar / sum w |vbar|^2; 1: the speed is right
     l2_axis: tuple[float, float, float] | None  # error along world x, y, z over the norm of the whole truth
@@ -244,10 +244,10 @@ def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: n
     velocity = samples.velocity if velocity is None else velocity
     truth = samples.truth if truth is None else truth
     sums = agreement_sums(samples.weight, velocity, truth)
-    if own:  # controls have no doubt of their own
-        doubted = np.where(np.isfinite(samples.velocity_sd), samples.weight, 0)
+    if own:  # controls have no uncertainty of their own
+        stated = np.where(np.isfinite(samples.velocity_sd), samples.weight, 0)
         within = np.abs(velocity - truth) <= samples.velocity_sd[:, None]
-        sums = replace(sums, doubted=_sum(doubted), within=_sum(doubted * within.mean(1)))
+        sums = replace(sums, stated=_sum(stated), within=_sum(stated * within.mean(1)))
     return replace(
         sums,
         culled=samples.culled,

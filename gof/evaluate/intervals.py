@@ -46,7 +46,7 @@ class Estimate:
         return float(t.ppf(0.5 + CONFIDENCE / 2, self.degrees) * self.standard_error)
 
     @property
-    def doubt(self) -> float:
+    def p_value(self) -> float:
         """The chance of a mean this far from zero, or farther, where the true one is zero; 1 where it is unknown."""
         from scipy.stats import t
 
@@ -145,32 +145,32 @@ def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
 # ---------------------------------------------------------------- who is better
 
 
-def ranks(means: Sequence[float], doubts: np.ndarray, better: int) -> list[tuple[int, int]]:
-    """Return the best and the worst place that a method may have: behind all that are better beyond doubt, before all
-    that are worse beyond doubt. Who cannot be told apart shares places.
+def ranks(means: Sequence[float], p_values: np.ndarray, better: int) -> list[tuple[int, int]]:
+    """Return the best and the worst place that a method may have: behind all that are better for certain, before all
+    that are worse for certain. Who cannot be told apart shares places.
 
     Args:
         means: of each method.
-        doubts: (M, M) symmetric, the chance that a difference as large as theirs is none (`Estimate.doubt` of the
+        p_values: (M, M) symmetric, the chance that a difference as large as theirs is none (`Estimate.p_value` of the
             paired differences).
         better: 1 where high values win, -1 where low ones do.
     """
-    told = apart(doubts)
+    told = apart(p_values)
     ahead = better * np.subtract.outer(np.asarray(means, np.float64), means) > 0  # [i, j]: i is better than j
     surely_ahead = told & ahead
     best, worst = 1 + surely_ahead.sum(0), len(means) - surely_ahead.sum(1)
     return list(zip(best.tolist(), worst.tolist(), strict=True))
 
 
-def apart(doubts: np.ndarray) -> np.ndarray:
+def apart(p_values: np.ndarray) -> np.ndarray:
     """Return (M, M) bool: which pairs can be told apart, with at most 1 - CONFIDENCE of a wrong one among all (Holm,
     1979)."""
-    first, second = np.triu_indices(len(doubts), 1)
-    order = np.argsort(doubts[first, second], kind="stable")
-    told = np.zeros(np.shape(doubts), bool)
+    first, second = np.triu_indices(len(p_values), 1)
+    order = np.argsort(p_values[first, second], kind="stable")
+    told = np.zeros(np.shape(p_values), bool)
     for place, pair in enumerate(order):
         i, j = first[pair], second[pair]
-        if doubts[i, j] > (1 - CONFIDENCE) / (len(order) - place):
+        if p_values[i, j] > (1 - CONFIDENCE) / (len(order) - place):
             break
         told[i, j] = told[j, i] = True
     return told

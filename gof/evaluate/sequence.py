@@ -73,7 +73,7 @@ def dve_sequence(
         frames=results,
         times_s=times.tolist(),
         inside=DVEResult.from_sums(inside),
-        within_sd=pooled.within / pooled.doubted if pooled.doubted > 0 else None,
+        within_sd=pooled.within / pooled.stated if pooled.stated > 0 else None,
     )
     if not controls:
         return scored

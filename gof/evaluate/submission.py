@@ -352,7 +352,7 @@ def _unseen(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -
     if len(gaps) < 2:
         return Finding(name, "unseen frames", "hint", "too few held-out frames to compare with their neighbours")
     gap = over_frames(gaps, 0)
-    worse = gap.mean > 0 and gap.doubt < 0.05
+    worse = gap.mean > 0 and gap.p_value < 0.05
     said = f"the flame in held-out frames is {gap.mean:.2f} ± {gap.half_width:.2f} dB worse than in their neighbours"
     return Finding(name, "unseen frames", "ok" if worse else "hint", said if worse else f"{said}: were they seen?")
 

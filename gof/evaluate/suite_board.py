@@ -305,11 +305,11 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
     if len(names) < 2 or not scenes:
         return {}
     means = [found[name].mean for name in names]
-    doubts = np.ones((len(names), len(names)))
+    p_values = np.ones((len(names), len(names)))
     for i, j in combinations(range(len(names)), 2):
         apart = [difference(key, names[i], names[j], scene) for scene in scenes]
-        doubts[i, j] = doubts[j, i] = 1.0 if None in apart else over_scenes(apart).doubt
-    order = ranks(means, doubts, sign)
+        p_values[i, j] = p_values[j, i] = 1.0 if None in apart else over_scenes(apart).p_value
+    order = ranks(means, p_values, sign)
     per_scene = np.array([[_estimate(key, name, [scene])[0].mean for name in names] for scene in scenes])
     wins = (per_scene == (sign * per_scene).max(1, keepdims=True) * sign).sum(0)
     return {

@@ -52,7 +52,7 @@ def find_up(
     Raises:
         PoseError: the way chosen does not lead anywhere in this clip; points by hand contradict themselves.
     """
-    level, choice, doubts = cameras_up(poses), options.up, []
+    level, choice, warnings = cameras_up(poses), options.up, []
     if choice == "points" or (choice == "auto" and says_up(points)):
         return *up_from_points(poses, lenses, points, level), ()
     if choice == "board":
@@ -64,7 +64,7 @@ def find_up(
     if choice in ("auto", "accelerometer"):
         found = up_from_tilts(poses, options.tilts, level)
         if isinstance(found, str):
-            doubts = [f"up: {found}"] if any(tilt.up is not None or tilt.why for tilt in options.tilts) else []
+            warnings = [f"up: {found}"] if any(tilt.up is not None or tilt.why for tilt in options.tilts) else []
         elif choice == "accelerometer" or found[1].spread_deg is not None:
             return *found, ()
         if choice == "accelerometer":
@@ -72,12 +72,12 @@ def find_up(
     if choice in ("auto", "edges"):
         found = up_from_edges(Edges.find(clip.plates, clip.masks, lenses, poses), level)
         if found is not None:
-            return *found, tuple(doubts)
+            return *found, tuple(warnings)
         if choice == "edges":
             raise sfm.PoseError(
                 "--up edges: too few straight edges agree on a vertical; use --up points, --up board or --up cameras"
             )
-    return level, UpReport("cameras"), tuple(doubts)
+    return level, UpReport("cameras"), tuple(warnings)
 
 
 def upright_world(world_to_camera: np.ndarray, up: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

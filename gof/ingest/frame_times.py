@@ -224,9 +224,9 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     if estimated:
         source += f"; the clock of {', '.join(estimated)} is estimated from the flame"
     times = FrameTimes.of(pairing, begins, row_time_s, [camera.readout for camera in cameras], source)
-    doubts = tuple(f"{video.name}: {warning}" for video in synced for warning in video.times.warnings)
+    warnings = tuple(f"{video.name}: {warning}" for video in synced for warning in video.times.warnings)
     said = (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()
-    return replace(times, notes=(*notes, *said, *doubts, *times.notes))
+    return replace(times, notes=(*notes, *said, *warnings, *times.notes))
 
 
 def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], tuple[str, ...]]:

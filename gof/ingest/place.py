@@ -87,12 +87,12 @@ def place_cameras(
     factor, scale = metric_scale(chosen.model.world_to_camera, chosen.check, options)
     metric = chosen.model.world_to_camera.copy()
     metric[:, :3, 3] *= factor
-    up, how, doubts = find_up(metric, clips[0], points, lenses, options)
+    up, how, warnings = find_up(metric, clips[0], points, lenses, options)
     world_to_camera, transform = upright_world(metric, up)
     cloud = chosen.model.points * factor @ transform[:3, :3].T + transform[:3, 3]
     judged = (solved.figures, chosen.consistent, chosen.check)
-    doubts += solved.doubts if chosen.method == "features" else ()
-    report = PoseReport(chosen.method, scale, notes + doubts, *judged, moved or None, how)
+    warnings += solved.warnings if chosen.method == "features" else ()
+    report = PoseReport(chosen.method, scale, notes + warnings, *judged, moved or None, how)
     return Placed(world_to_camera, cloud, report)
 
 

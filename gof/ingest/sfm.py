@@ -54,13 +54,13 @@ class Solution:
     """The result of structure from motion: a model if all cameras registered, the features for other solvers, figures.
 
     Attributes:
-        doubts: why the lenses may be wrong, in words; empty where nothing speaks against them.
+        warnings: why the lenses may be wrong, in words; empty where nothing speaks against them.
     """
 
     model: Model | None
     features: Features
     figures: FeatureFigures
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def solve(

@@ -104,15 +104,15 @@ def test_the_same_frames_are_compared():
     here = scene("a", one=0.0, two=0.02)
     wave = 0.02 + 0.2 * np.sin(np.arange(FRAMES))
     uneven = replace(here, runs=here.runs | {"two": (result("two", 0.5 + CLIPS["a"] + wave),)})
-    assert difference("l2", "one", "two", here).doubt < 1e-9
-    assert difference("l2", "one", "two", uneven).doubt > 0.1
+    assert difference("l2", "one", "two", here).p_value < 1e-9
+    assert difference("l2", "one", "two", uneven).p_value > 0.1
     assert difference("l2", "one", "two", here).mean == pytest.approx(-0.02)
 
 
 def test_seeds_that_scatter_make_a_difference_doubtful():
     sure = scene("a", one=[0.0, 0.001, -0.001], two=[0.03, 0.031, 0.029])
     unsure = scene("a", one=[0.0, 0.05, -0.05], two=[0.03, 0.08, -0.02])
-    assert difference("l2", "one", "two", sure).doubt < 0.01 < difference("l2", "one", "two", unsure).doubt
+    assert difference("l2", "one", "two", sure).p_value < 0.01 < difference("l2", "one", "two", unsure).p_value
     figure = rows(board("t", methods("one", "two"), [unsure]))["one"].figures["l2"]
     assert figure.seed_sd == pytest.approx(0.05)
 

@@ -60,7 +60,7 @@ class GaussianCloud(TransientGaussians):
         self.color = plain_color(self.color)
 
     @property
-    def says_doubt(self) -> bool:
+    def says_uncertainty(self) -> bool:
         """Whether the standard deviation of any velocity is known."""
         return bool(np.isfinite(self.velocity_sd).any())
 

@@ -103,7 +103,7 @@ class PageSetting:
             "colours": legend.COLOURS,
             "notes": {
                 "speed": legend.SPEED_NOTE,
-                "doubt": legend.DOUBT_NOTE,
+                "uncertainty": legend.UNCERTAINTY_NOTE,
                 "line": legend.line_note(legend.line_s(self.length_s)),
             },
         }, said
@@ -116,12 +116,12 @@ class PageSetting:
 
 def scales(states: Sequence[TransientGaussians], truths: Sequence[np.ndarray | None]) -> dict[str, Any]:
     """Return what the last colours mean, and the words below the colours, of all these Gaussians."""
-    speed_max, doubt_max = legend.speed_scale(states, truths), legend.doubt_scale(states)
+    speed_max, uncertainty_max = legend.speed_scale(states, truths), legend.uncertainty_scale(states)
     return {
         "speed_max": speed_max,
-        "doubt_max": doubt_max,
+        "uncertainty_max": uncertainty_max,
         "speed_ticks": legend.ticks(speed_max),
-        "doubt_ticks": legend.ticks(doubt_max),
+        "uncertainty_ticks": legend.ticks(uncertainty_max),
     }
 
 

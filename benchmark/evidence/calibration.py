@@ -1,6 +1,6 @@
 """Is the flow prior as sure as it should be? Prints a table, and draws a chart.
 
-    python -m gof_benchmark.evidence.doubt DATASET... [--chart FILE.svg]
+    python -m gof_benchmark.evidence.calibration DATASET... [--chart FILE.svg]
 
 For datasets with true velocity, fused field before any optimisation, weighted by emission. A component of the velocity
 should be within one standard deviation of the truth for 0.68 of the light, within two for 0.95, if errors are normal.
@@ -27,7 +27,7 @@ PARTS = 10
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Calibration:
     """Compare the prior's standard deviations with its errors."""
 
     datasets: tyro.conf.Positional[tuple[Path, ...]]
@@ -53,7 +53,7 @@ def reliability(field: FlowField, dataset: Dataset) -> np.ndarray:
 
 def main(argv: list[str] | None = None) -> None:
     """Print the table, draw the chart."""
-    config = tyro.cli(Doubt, prog="python -m gof_benchmark.evidence.doubt", args=argv)
+    config = tyro.cli(Calibration, prog="python -m gof_benchmark.evidence.calibration", args=argv)
     if config.chart:
         require_figure(config.chart)
     print("| dataset | within 1 | within 2 | of the surest tenth: said, true | of the least sure |")

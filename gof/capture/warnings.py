@@ -27,7 +27,7 @@ def refusal(rms_us: float, systematic_us: float, outliers: int, frames: int, mos
 
     Args:
         outliers: frames that do not agree with the camera's clock, of `frames`.
-        most_us: see `doubts`.
+        most_us: see `warnings_of`.
     """
     if outliers > MOST_OUTLIERS * frames:
         return (
@@ -43,8 +43,8 @@ def refusal(rms_us: float, systematic_us: float, outliers: int, frames: int, mos
     return None
 
 
-def doubts(cameras: list[SyncedVideo], most_us: float = MOST_US, period_us: float | None = None) -> list[str]:
-    """Return one sentence per camera and doubt; none for a take that is in order.
+def warnings_of(cameras: list[SyncedVideo], most_us: float = MOST_US, period_us: float | None = None) -> list[str]:
+    """Return one sentence per camera and fault; none for a take that is in order.
 
     Args:
         most_us: rms and systematic error that the board's kind usually stays below.
