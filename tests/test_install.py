@@ -34,7 +34,7 @@ IMPORTS |= {"flip_evaluator": "flip-evaluator"}
 @pytest.mark.skipif(os.name != "posix", reason="counts the seconds of a child")
 @pytest.mark.parametrize("code", ["import gof", "from gof.commands.cli import main; main(['--help'])"])
 def test_starting_takes_no_fifth_of_a_second(code):
-    """Seconds of the processor, the least of five: other programs run here too."""
+    """Seconds of the CPU, the least of five: other programs run here too."""
     ask = f"import resource\n{code}\nprint(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]))"
     runs = [subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True) for _ in range(5)]
     assert min(float(run.stdout.splitlines()[-1]) for run in runs) < 0.2
@@ -203,6 +203,7 @@ NATIVE = ROOT / "gof" / "render" / "native"  # imported where `backend.kernels` 
 ON_CPU = ROOT / "gof" / "on_cpu"  # a process of its own, which only who trains with torch begins
 ASKED = {
     "torch": (
+        "gof/evaluate/image.py",
         "gof/ingest/depth.py",
         "gof/io/importers/source.py",
     )

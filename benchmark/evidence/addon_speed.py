@@ -2,9 +2,9 @@
 
     python -m gof_benchmark.evidence.addon_speed
 
-Every case runs in a Blender process of its own and is measured there: seconds on the clock, and seconds of processor
+Every case runs in a Blender process of its own and is measured there: seconds on the clock, and seconds of CPU
 time over all threads, which the clock cannot exceed on a machine without other work; memory held, which is the growth
-of the resident size once the C library has returned what is free; and its peak. Goals are judged by processor time.
+of the resident size once the C library has returned what is free; and its peak. Goals are judged by CPU time.
 Playback is `scene.frame_set`, which evaluates the modifier, without drawing.
 """
 
@@ -206,7 +206,7 @@ def _imported_and_played(
 
 
 def play(scene: Any, before_frame: Callable[[int], Any]) -> tuple[float, float]:
-    """Return median seconds of one frame, on the clock and of the processor."""
+    """Return median seconds of one frame, on the clock and of the CPU."""
     seconds = []
     for number in range(FRAMES):
         started = np.array([time.perf_counter(), time.process_time()])

@@ -3,7 +3,7 @@
     python -m gof_benchmark.evidence.cost_check --work out/cost_check
 
 Makes two datasets and compares them with their predictions; then the bake and the renders of the first once more in a
-bare script: one process that calls Blender and keeps what Blender writes. Processor seconds, because a busy machine
+bare script: one process that calls Blender and keeps what Blender writes. CPU seconds, because a busy machine
 stretches the clock but hardly them.
 """
 
@@ -38,7 +38,7 @@ class CostCheck:
 
 @dataclass(frozen=True)
 class Usage:
-    """Wall and processor seconds of a command and everything it started."""
+    """Wall and CPU seconds of a command and everything it started."""
 
     wall_s: float
     cpu_s: float
@@ -46,12 +46,12 @@ class Usage:
 
 @dataclass(frozen=True)
 class Real:
-    """The cost of a dataset; `processor_s` is over all cores, `load` the machine's at the end."""
+    """The cost of a dataset; `cpu_s` is over all cores, `load` the machine's at the end."""
 
     wall_s: float
     cpu_s: float
     load: float
-    processor_s: float
+    cpu_s: float
     memory_mb: float
     disk_mb: float
 
@@ -94,7 +94,7 @@ def check(spec: SceneSpec, coefficients: machine.Machine, work: Path) -> Real:
     """Make a dataset and print its rows."""
     real, predicted = make(spec, work), machine.predict(spec, coefficients)
     for quantity, was, is_ in (
-        ("processor_s", predicted.total_s, real.processor_s),
+        ("cpu_s", predicted.total_s, real.cpu_s),
         ("memory_mb", predicted.memory_mb, real.memory_mb),
         ("disk_mb", predicted.disk_mb, real.disk_mb),
     ):
@@ -115,7 +115,7 @@ def make(spec: SceneSpec, work: Path) -> Real:
     real = Real(
         **asdict(used),
         load=os.getloadavg()[0],
-        processor_s=used.cpu_s / os.cpu_count(),
+        cpu_s=used.cpu_s / os.cpu_count(),
         memory_mb=peak_mb["bake"] + peak_mb["render"],
         disk_mb=sum(path.stat().st_size for path in root.rglob("*") if path.is_file()) / 2**20,
     )

@@ -195,7 +195,7 @@ def run_scipy(store: str, count: int, n: int) -> dict[str, Any]:
 
 
 def _timed(work: Callable[[], object]) -> tuple[float, float]:
-    """Return seconds on the clock and of the processor."""
+    """Return seconds on the clock and of the CPU."""
     start, cpu = time.perf_counter(), time.process_time()
     work()
     return time.perf_counter() - start, time.process_time() - cpu

@@ -1,8 +1,8 @@
-"""The cost of each effect: processor seconds per solver step and per picture, memory and disk, measured one by one.
+"""The cost of each effect: CPU seconds per solver step and per picture, memory and disk, measured one by one.
 
     python -m gof_benchmark.evidence.effect_costs --out out/effect_costs
 
-Processor seconds rather than wall seconds, so that a busy machine changes little.
+CPU seconds rather than wall seconds, so that a busy machine changes little.
 """
 
 from __future__ import annotations

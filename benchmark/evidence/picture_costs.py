@@ -2,7 +2,7 @@
 
     python -m gof_benchmark.evidence.picture_costs --out out/picture_costs
 
-The demo's fire in the light of soot, one camera. Every picture is rendered in a Blender of its own, and its processor
+The demo's fire in the light of soot, one camera. Every picture is rendered in a Blender of its own, and its CPU
 seconds are those of that process between being asked and having written its files, which a busy machine hardly
 changes; plates are not counted, they are made once per camera. Printed beside them, against a reference of many
 samples:
@@ -39,7 +39,7 @@ REFERENCE = {"samples": 40, "denoise": False, "max_bounces": 2, "volume_step_rat
 
 @dataclass(frozen=True)
 class PictureCosts:
-    """Render one picture with each setting in turn, and compare processor seconds and errors."""
+    """Render one picture with each setting in turn, and compare CPU seconds and errors."""
 
     out: Path = Path("out/picture_costs")
     """Folder for the pictures and picture_costs.md; what is finished there is not made again."""
@@ -181,7 +181,7 @@ def errors(made: Made, reference: Made) -> tuple[float, float, float]:
 
 
 def picture(variant: Variant, config: PictureCosts) -> tuple[Made, float]:
-    """Return a picture, rendered unless it is there, and its processor seconds."""
+    """Return a picture, rendered unless it is there, and its CPU seconds."""
     spec = _spec(variant, config)
     layout = Layout((config.out / variant.name.replace(" ", "_")).resolve())
     files, cost = layout.frame(spec.cameras.names[0], 0), layout.hidden / "study-cost.json"
@@ -236,7 +236,7 @@ def draw_plate(root: str) -> None:
 
 
 def draw(root: str, settings: dict, light: str) -> float:
-    """In a Blender of its own: the picture, with settings of Blender's scene by dotted names; its processor seconds.
+    """In a Blender of its own: the picture, with settings of Blender's scene by dotted names; its CPU seconds.
     Writes the light that the fire adds, (H, W, 3)."""
     import time
 

@@ -36,7 +36,7 @@ KERNEL_GOALS_NS = {"forward": 0.8, "backward": 1.6}
 
 @dataclass(frozen=True)
 class RenderSpeed:
-    """Time a training step by its phases, against Mitsuba, a torch tile loop and the processor's limit."""
+    """Time a training step by its phases, against Mitsuba, a torch tile loop and the CPU's limit."""
 
     quick: bool = False
     """Small scene, few repetitions: does the script run."""
@@ -416,7 +416,7 @@ def _warm(training: Training) -> Training:
 
 
 def _kernels(result: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Time of the blend kernels per evaluated (pixel, Gaussian) pair, and what the processor's vector rate allows."""
+    """Time of the blend kernels per evaluated (pixel, Gaussian) pair, and what the CPU's vector rate allows."""
     evaluated = 16 * result["pairs"]  # a pair of a 4x4 block and a Gaussian is 16 pixels
     return {
         name: {

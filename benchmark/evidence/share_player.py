@@ -86,7 +86,7 @@ def drawn(browser: Browser, camera: Camera, time_s: float) -> np.ndarray:
 
 
 def times(browser: Browser) -> None:
-    """Print milliseconds a frame, sorted, drawn and waited for; without a GPU a processor does its work."""
+    """Print milliseconds a frame, sorted, drawn and waited for; without a GPU a CPU does its work."""
     asked = "drawer.gl.getExtension('WEBGL_debug_renderer_info')?.UNMASKED_RENDERER_WEBGL ?? drawer.gl.RENDERER"
     device = browser.run(f"drawer.gl.getParameter({asked})")
     print(f"frames of one result, {device}, with {psutil.getloadavg()[0]:.0f} processes at work here:")

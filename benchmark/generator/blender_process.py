@@ -35,7 +35,7 @@ class StageRefused(GofError):
 
 @dataclass(frozen=True)
 class ProcessCost:
-    """The cost of a piece of work: seconds on the clock and of the processor, and peak resident memory in MB."""
+    """The cost of a piece of work: seconds on the clock and of the CPU, and peak resident memory in MB."""
 
     seconds: float
     cpu_s: float

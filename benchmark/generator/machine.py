@@ -72,7 +72,7 @@ def this_machine() -> Machine:
 
 @dataclass(frozen=True)
 class TinyRun:
-    """A bake of a few steps and single pictures of it, in processor seconds over cores.
+    """A bake of a few steps and single pictures of it, in CPU seconds over cores.
 
     Attributes:
         resolution: cells along the longest side.   cells: of the whole grid.   steps: of the solver.

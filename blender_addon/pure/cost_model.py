@@ -43,7 +43,7 @@ SOOT_PICTURE = 2.3  # a flame of soot, over one that absorbs nothing: finer step
 
 @dataclass(frozen=True)
 class Machine:
-    """Coefficients of the model, processor seconds over cores.
+    """Coefficients of the model, CPU seconds over cores.
 
     Attributes:
         error: relative prediction error that was measured with them.
@@ -71,7 +71,7 @@ REFERENCE = Machine(0.8, 4.5e-7, 1.13, 0.05, 1.5e-6, 1.8e-6, 0.0, 1.2e-7, 1.0, "
 
 @dataclass(frozen=True)
 class Prediction:
-    """Processor seconds per stage divided by the cores; their sum is the wall time where all cores are busy, as they
+    """CPU seconds per stage divided by the cores; their sum is the wall time where all cores are busy, as they
     are but for the start and the end: pictures are rendered during the bake. A machine with other work takes longer."""
 
     bake_s: float

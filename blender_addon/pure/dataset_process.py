@@ -37,7 +37,7 @@ def stages(spec: SceneSpec) -> list[str]:
 def expected_s(spec: SceneSpec, prediction: cost_model.Prediction) -> dict[str, float]:
     """Return seconds on the clock that each stage should take when nothing else runs.
 
-    The prediction is in processor seconds over cores; bake and export keep one core busy, not all.
+    The prediction is in CPU seconds over cores; bake and export keep one core busy, not all.
     """
     known = {
         "bake": prediction.bake_s * cost_model.CORES,

@@ -1,7 +1,7 @@
 """The true velocity of a dataset in a few numbers, so that two datasets can be told to be the same scene.
 
 The digest is of the numbers, not of the files: another compression is the same truth. A solver that rounds otherwise on
-another processor gives another digest and nearly the same speeds.
+another CPU gives another digest and nearly the same speeds.
 """
 
 from __future__ import annotations

@@ -183,7 +183,7 @@ SIGNS: dict[Verdict, str] = {"ok": "✓", "hint": "?", "refused": "✗"}
 ORDER, OPACITY = 3, "temporal"  # of every score; nothing in a submission chooses them
 SEEDS = 3  # runs of a method whose training is random
 ALIKE_DB = 40.0  # PSNR, whole and in the flame, of a submitted picture against ours of the same Gaussians
-SAME = 0.005  # relative: what another processor may change of a score
+SAME = 0.005  # relative: what another CPU may change of a score
 FIGURES = ("l2", "cos_sim")  # of the velocities; and of the pictures:
 PICTURE_FIGURES = ("psnr", "psnr_flame", "ssim", "ssim_flame")
 

@@ -83,7 +83,7 @@ def check_python() -> Outcome:
 
 def check_system() -> Outcome:
     here, libc = machine(), " ".join(platform.libc_ver())
-    cpu = f"{here['processor']} ({' '.join(cpu_features()) or 'features unknown'}), {here['cores']} cores"
+    cpu = f"{here['CPU']} ({' '.join(cpu_features()) or 'features unknown'}), {here['cores']} cores"
     variables = [f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ]
     return "ok", ", ".join([here["system"], *filter(None, [libc]), cpu, here["memory"], *variables])
 
@@ -255,12 +255,12 @@ FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "amx_tile", "neon", "asim
 
 
 def machine() -> dict[str, str]:
-    """Processor, cores, memory, operating system."""
+    """CPU, cores, memory, operating system."""
     import psutil
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
-        "processor": _processor(),
+        "CPU": _processor(),
         "cores": str(cores),
         "memory": f"{psutil.virtual_memory().total / 2**30:.1f} GiB",
         "system": f"{platform.system()} {platform.release().split('-')[0]} ({platform.machine()})",
@@ -281,7 +281,7 @@ def versions() -> dict[str, str]:
 
 
 def cpu_features() -> list[str]:
-    """Return which of `FEATURES` the processor has, where Linux says so."""
+    """Return which of `FEATURES` the CPU has, where Linux says so."""
     flags = set(_cpuinfo("flags").split()) | set(_cpuinfo("Features").split())
     return [name for name in FEATURES if name in flags]
 
@@ -291,7 +291,7 @@ def _processor() -> str:
 
 
 def _cpuinfo(key: str) -> str:
-    """Return the first line of that name in Linux' description of the processor; "" elsewhere."""
+    """Return the first line of that name in Linux' description of the CPU; "" elsewhere."""
     path = Path("/proc/cpuinfo")
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
     return next((line.split(":", 1)[1].strip() for line in lines if line.split(":")[0].strip() == key), "")

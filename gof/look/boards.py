@@ -201,7 +201,7 @@ def _curve(name: str, curve: TrainingCurve) -> dict:
     return {
         "name": name,
         "steps": curve.step[-1],
-        "seconds": curve.processor_seconds[-1],
+        "seconds": curve.cpu_seconds[-1],
         "first": curve.loss[0],
         "last": curve.loss[-1],
         "fall": "not known" if math.isnan(curve.last_fall) else f"{100 * curve.last_fall:.0f} %",
@@ -212,7 +212,7 @@ def _loss_chart(curves: Mapping[str, TrainingCurve]) -> str:
     """Return SVG of the losses over CPU seconds, each method's over its own first value."""
     lines = {}
     for name, curve in curves.items():
-        places = zip(curve.processor_seconds, curve.loss, strict=True)
+        places = zip(curve.cpu_seconds, curve.loss, strict=True)
         lines[name] = [(seconds, loss / curve.loss[0], "") for seconds, loss in places]
     return line_chart("Training loss", "CPU seconds", "loss / its first value", lines).svg()
 

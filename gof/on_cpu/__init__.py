@@ -1,4 +1,4 @@
-"""Public Gaussian-splatting research code, unmodified, on a processor instead of CUDA.
+"""Public Gaussian-splatting research code, unmodified, on a CPU instead of CUDA.
 
 A process of its own runs somebody's script: `python -m gof.on_cpu --method NAME SCRIPT ARGS...`, which `gof baseline`
 starts. Before the script begins, stand-ins for the compiled modules that it imports are put into `sys.modules`, and

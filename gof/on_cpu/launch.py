@@ -13,7 +13,7 @@ from types import ModuleType
 from gof.core.errors import GofError, MissingDependencyError
 from gof.host.processes import run
 from gof.on_cpu import gaussian_rasterizer, methods
-from gof.on_cpu.devices import ProcessorForCuda, replace_cuda
+from gof.on_cpu.devices import CpuForCuda, replace_cuda
 from gof.on_cpu.methods import Method, replace_gsplat
 from gof.on_cpu.small_modules import Unused
 from gof.render import gsplat
@@ -30,7 +30,7 @@ def launch(
         GofError: no such script, or a module that the method needs is absent. Else whatever the script raises.
     """
     record = Curve(curve) if curve else None
-    mode = ProcessorForCuda(record.add if record else None)
+    mode = CpuForCuda(record.add if record else None)
     _begin(method, script, mode)
     if without_lpips:
         methods.perceptual_loss_left_out()
@@ -49,13 +49,13 @@ def export(method: Method, script: Path, model: Path, dataset: Path, out: Path) 
     """
     if method.export is None:
         raise GofError(f"{method.title}: its own files are read; give them to gof evaluate (docs/importers.md)")
-    mode = ProcessorForCuda()
+    mode = CpuForCuda()
     _begin(method, script, mode)
     with mode:
         print(method.export(model, dataset, out))
 
 
-def _begin(method: Method, script: Path, mode: ProcessorForCuda) -> None:
+def _begin(method: Method, script: Path, mode: CpuForCuda) -> None:
     if not script.is_file():
         raise GofError(f"{script}: no such script; give the path of a script in your checkout")
     os.environ.setdefault("MPLBACKEND", "agg")  # matplotlib asks tkinter for a window otherwise, and it may be unused
@@ -133,7 +133,7 @@ class Curve:
         self._losses: list[float] = []
         self._step = 0
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("step,seconds,processor_seconds,loss,gaussians\n")
+        path.write_text("step,seconds,cpu_seconds,loss,gaussians\n")
 
     def add(self, loss: float) -> None:
         """Count one step."""

@@ -277,12 +277,12 @@ def test_curves_are_on_the_page(tmp_path):
 @pytest.mark.parametrize(
     "text, named",
     [
-        ("step,loss\n10,1\n", "columns step, processor_seconds, loss"),
-        ("step,processor_seconds,loss\n", "holds no point"),
-        ("step,processor_seconds,loss\n10,1,nan\n", "above zero"),
-        ("step,processor_seconds,loss\n10,1,1\n10,2,1\n", "must rise"),
-        ("step,processor_seconds,loss\n10,1,x\n", "columns step"),
-        (f"step,processor_seconds,loss\n1{'0' * 400},1,1\n", "from 1e-30 to 1e30"),
+        ("step,loss\n10,1\n", "columns step, cpu_seconds, loss"),
+        ("step,cpu_seconds,loss\n", "holds no point"),
+        ("step,cpu_seconds,loss\n10,1,nan\n", "above zero"),
+        ("step,cpu_seconds,loss\n10,1,1\n10,2,1\n", "must rise"),
+        ("step,cpu_seconds,loss\n10,1,x\n", "columns step"),
+        (f"step,cpu_seconds,loss\n1{'0' * 400},1,1\n", "from 1e-30 to 1e30"),
     ],
 )
 def test_a_curve_that_is_none_is_refused(tmp_path, text, named):
@@ -319,7 +319,7 @@ def test_figures_beyond_sense_spoil_nobody_elses_row(wild, tmp_path):
 @pytest.mark.parametrize("row", ["1,1,1e308", "1,1,5e-324", "1,1e300,1", f"{10**400},1,1", "1,1,nan", "1,inf,1"])
 def test_numbers_that_no_training_has_are_refused(tmp_path, row):
     path = tmp_path / "curve.csv"
-    path.write_text(f"step,processor_seconds,loss\n{row}\n")
+    path.write_text(f"step,cpu_seconds,loss\n{row}\n")
     with pytest.raises(DataFormatError, match=r"curve\.csv: all numbers must be above zero, from 1e-30 to 1e30"):
         TrainingCurve.read(path)
 

@@ -41,7 +41,7 @@ def test_entries_that_lie_deep_in_each_other_are_refused(tmp_path):
 
 
 def test_tables_take_time_by_their_length_not_by_its_square(tmp_path):
-    """As many chunks and runs as are allowed: the square took minutes of a processor."""
+    """As many chunks and runs as are allowed: the square took minutes of a CPU."""
     count = accelerometer.MOST_SAMPLES
     path = tables(tmp_path / "a.mp4", [8] * count, [(k + 1, 1, 1) for k in range(count)], [0] * count)
     begun = time.process_time()

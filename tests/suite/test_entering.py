@@ -307,7 +307,7 @@ def test_one_damaged_submission_does_not_take_the_board_from_the_others(work, tm
         shutil.copytree(work / "bad", folder)
         (folder / "method.json").write_text(json.dumps(METHOD | {"name": name}))
     losses = "".join(f"{k},{k},1e308\n" for k in range(1, 61))
-    (spoiled["curve"] / SCENES[0] / "curve.csv").write_text("step,processor_seconds,loss\n" + losses)
+    (spoiled["curve"] / SCENES[0] / "curve.csv").write_text("step,cpu_seconds,loss\n" + losses)
     path = spoiled["fast"] / SCENES[0] / "result.npz"
     fast = TransientGaussians.load(path)
     fields = {n: getattr(fast, n) for n in fast.__dataclass_fields__}
