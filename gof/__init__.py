@@ -65,7 +65,9 @@ _MOVED = {
     f"gof.{name}": f"gof.core.{name}"
     for name in ("cameras", "errors", "fields", "gaussians", "harmonics", "ply", "results", "rotations", "trajectory")
 } | {
+    "gof.evaluate.controls": "gof.evaluate.trivial_baselines",
     "gof.evaluate.gradients": "gof.evaluate.emission",
+    "gof.evaluate.perceptual": "gof.evaluate.image",
     "gof.evaluate.statistics": "gof.evaluate.intervals",
     "gof.evaluate.weighted": "gof.evaluate.intervals",
 }

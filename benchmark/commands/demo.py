@@ -183,8 +183,8 @@ def summarise(scores: Scores) -> None:
     for column in ("velocities", "L2 (lower is better)", "CosSim (higher is better)"):
         table.add_column(column)
     table.add_row("[bold]reconstruction[/]", f"[bold]{scores.dve.l2:.3f}[/]", f"[bold]{scores.dve.cos_sim:.3f}[/]")
-    for name, control in scores.controls.items():
-        table.add_row(f"control: {name}", f"{control.l2:.3f}", f"{control.cos_sim:.3f}")
+    for name, trivial_baseline in scores.trivial_baselines.items():
+        table.add_row(f"trivial: {name}", f"{trivial_baseline.l2:.3f}", f"{trivial_baseline.cos_sim:.3f}")
     console = Console()
     console.print(table)
     if scores.psnr_flame is not None:

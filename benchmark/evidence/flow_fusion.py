@@ -71,9 +71,9 @@ def choices(dataset: Dataset, seen: Observation, field: FlowField) -> dict[str, 
         return replace(field, frames=tuple(frames))
 
     return {
-        "control: best constant vector (knows the truth)": lambda: best_constant(field, dataset),
-        "control: mean per height (knows the truth)": lambda: mean_per_height(field, dataset),
-        "control: buoyant law straight up (knows metres)": lambda: buoyant_law(field),
+        "trivial: best constant vector (knows the truth)": lambda: best_constant(field, dataset),
+        "trivial: mean per height (knows the truth)": lambda: mean_per_height(field, dataset),
+        "trivial: buoyant law straight up (knows metres)": lambda: buoyant_law(field),
         "default: full, smooth 3, light above plate": lambda: fused(seen.flow),
         "no smoothing": lambda: fused(seen.flow, smooth=0.0),
         "smooth 6": lambda: fused(seen.flow, smooth=6.0),

@@ -5,7 +5,7 @@
 Makes the datasets first (`gof generate --preset draft`, with fewer samples a pixel, which the denoiser forgives). The
 flame's PSNR for novel views is that of a camera that no method is given; only a scene of Gaussians can be seen from
 there. Everything is kept in WORK, and what is finished is not done again. Beside seconds and scores of each way stand
-the controls, which know the truth.
+the trivial baselines, which know the truth.
 """
 
 from __future__ import annotations
@@ -102,11 +102,15 @@ def line(scene: str, name: str, runs: np.ndarray) -> str:
     return f"| {scene} | {name} | {' | '.join(cells)} |"
 
 
-def controls(scene: str, scores: Scores) -> str:
+def trivial_baselines(scene: str, scores: Scores) -> str:
     """Return the row of what knows the truth, on the Gaussians of ours."""
-    both = [scores.controls[name] for name in ("constant", "height_mean")]
-    cells = ["; ".join(f"{getattr(control, score):.3f}" for control in both) for score in ("l2", "cos_sim")]
-    return f"| {scene} | controls: constant; mean per height | {' | '.join(cells)} |" + " |" * (len(COLUMNS) - 2)
+    both = [scores.trivial_baselines[name] for name in ("constant", "height_mean")]
+    cells = [
+        "; ".join(f"{getattr(trivial_baseline, score):.3f}" for trivial_baseline in both) for score in ("l2", "cos_sim")
+    ]
+    return f"| {scene} | trivial baselines: constant; mean per height | {' | '.join(cells)} |" + " |" * (
+        len(COLUMNS) - 2
+    )
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -121,7 +125,7 @@ def main(argv: list[str] | None = None) -> None:
             runs = [scored(path, way, seed, config) for seed in range(config.seeds)]
             first = first or runs[0][0]
             print(line(scene, COMMANDS[way], np.array([figures for _, figures in runs])), flush=True)
-        print(controls(scene, first), flush=True)
+        print(trivial_baselines(scene, first), flush=True)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
     python -m gof_benchmark.evidence.real_clips DATASET... --out out/real --longest-side 854
 
-DATASETs are of `gof ingest`, best after `gof capture annotate` (the board's LEDs then do not count). The controls draw
-a held-out frame by the two frames of *the same camera* around it: their mean, and each carried half way along the
-optical flow from one to the other. No method may do that for a view that was not filmed, but it says what compression
+DATASETs are of `gof ingest`, best after `gof capture annotate` (the board's LEDs then do not count). The trivial
+baselines draw a held-out frame by the two frames of *the same camera* around it: their mean, and each carried half way
+along the optical flow from one to the other. No method may do that for a view that was not filmed, but it says what compression
 and noise leave to be had: a scene in 3D that does better has seen through three cameras what one camera lost.
 
 Every row is the mean over a clip's held-out pictures; the flame is the estimated mask of `gof.footage.flame_mask`,
@@ -159,15 +159,15 @@ def line(clip: str, name: str, means: np.ndarray, spread: float | None = None, c
 
 
 def rows_of(path: Path, config: RealClips) -> None:
-    """Print those of a clip: the controls first, then every method."""
+    """Print those of a clip: the trivial baselines first, then every method."""
     full = Dataset.open(path)
     dataset = shrink(full, config.effort.longest_side)
-    controls = {
+    trivial_baselines = {
         "the plate alone": lambda c, k: dataset.static(c),
         "mean of the two frames around": mean_of_neighbours(dataset),
         "the same, carried along their flow": carried_along_flow(dataset),
     }
-    for name, draw in controls.items():
+    for name, draw in trivial_baselines.items():
         print(line(path.name, name, figures(dataset, draw)), flush=True)
     for method in config.methods:
         for clocks in config.clocks:

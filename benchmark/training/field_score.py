@@ -1,4 +1,4 @@
-"""Scores of a flow field before any optimisation, and the controls beside which they must be read."""
+"""Scores of a flow field before any optimisation, and the trivial baselines beside which they must be read."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def on_voxels(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray, t
     )
 
 
-# ---- Controls: what a prediction without skill, or a textbook, scores ------------------------------------------------
+# ---- Trivial baselines: scores of a prediction without skill, or of a textbook --------------------------------------
 
 
 def best_constant(field: FlowField, dataset: Dataset) -> FlowField:

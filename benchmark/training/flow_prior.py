@@ -4,7 +4,8 @@
     python -m gof_benchmark.training.flow_prior WORK [--out gof/reconstruct/flow_prior.npz]
 
 Runs the motion and fusion stages on every dataset in WORK/dev, prints what the prior does for a flame it has not seen
-(each fire left out in turn, and the datasets given with --test), and writes the weights. Scores and controls as in
+(each fire left out in turn, and the datasets given with --test), and writes the weights. Scores and trivial baselines
+as in
 `field_score`, means over frames of DVE's figures (speed is its least-squares gain); `pace` is the estimated mean speed
 over the true one; `within` is the share of the light whose velocity is within one standard deviation of the truth,
 component by component (0.68 where errors are normal and the uncertainty is right). `--without SOLVER` shows what is
@@ -171,32 +172,32 @@ HEADER = """\
 
 @dataclass(frozen=True)
 class Row:
-    """A flame's figures before and after the prior, and its controls'.
+    """A flame's figures before and after the prior, and its trivial baselines'.
 
     Attributes:
         seen, found: L2, CosSim, speed; fluctuation CosSim (found only).
         pace: estimated over true, of several flames the geometric mean.
         within: share of the light within a standard deviation.
-        controls: L2, CosSim of the mean per height, the best constant, the buoyant law.
+        trivial_baselines: L2, CosSim of the mean per height, the best constant, the buoyant law.
     """
 
     seen: tuple[float, ...]
     found: tuple[float, ...]
     pace: float
     within: float
-    controls: tuple[tuple[float, ...], ...]
+    trivial_baselines: tuple[tuple[float, ...], ...]
 
     @classmethod
     def of(cls, clip: Clip, prior: FlowPrior) -> Row:
         seen, dataset = clip.field, clip.dataset
         found = prior.correct(seen)
-        controls = mean_per_height(seen, dataset), best_constant(seen, dataset), buoyant_law(seen)
+        trivial_baselines = mean_per_height(seen, dataset), best_constant(seen, dataset), buoyant_law(seen)
         return cls(
             astuple(score(seen, dataset)),
             (*astuple(score(found, dataset)), fluctuation_cos_sim(found, dataset)),
             float(np.exp(np.mean(pace_error(clip, prior.pace)))),
             within(found, dataset),
-            tuple(astuple(score(control, dataset))[:2] for control in controls),
+            tuple(astuple(score(trivial_baseline, dataset))[:2] for trivial_baseline in trivial_baselines),
         )
 
     @classmethod
@@ -204,14 +205,14 @@ class Row:
         def of(name: str) -> np.ndarray:
             return np.mean([getattr(row, name) for row in rows], axis=0)
 
-        return cls(of("seen"), of("found"), of("pace"), of("within"), of("controls"))
+        return cls(of("seen"), of("found"), of("pace"), of("within"), of("trivial_baselines"))
 
     def __str__(self) -> str:
         def listed(values: Sequence[float]) -> str:
             return ", ".join(f"{value:.3f}" for value in values)
 
         own = f"{listed(self.seen)} | {listed(self.found)} | {self.pace:.2f} | {self.within:.2f}"
-        return f"{own} | {' | '.join(map(listed, self.controls))}"
+        return f"{own} | {' | '.join(map(listed, self.trivial_baselines))}"
 
 
 def pace_error(clip: Clip, pace: Pace, metres: bool = True) -> np.ndarray:

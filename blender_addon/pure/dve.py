@@ -19,7 +19,7 @@ from ..core.errors import DataFormatError
 from ..core.fields import VelocitySequence, trilinear
 from ..core.files import path_in
 from .io.cloud import GaussianCloud
-from .scores import Control, Controls, Scores, VelocityScore
+from .scores import Scores, TrivialBaselines, TrivialScore, VelocityScore
 
 NODE = np.sqrt(3.0)  # roots of He_3: -NODE, 0, NODE, with the weights 1/6, 2/3, 1/6
 NODES = NODE * (np.array(list(np.ndindex(3, 3, 3))) - 1.0)
@@ -171,8 +171,10 @@ def _scores(sums: Sums, frames: int) -> Scores:
         frames_scored=frames,
         weight_outside=min(sums.outside / sums.weight, 1.0),
     )
-    controls = Controls(Control(None if still else 1.0), Control(sums.l2_constant))
-    return Scores(found, controls, ("the true velocity is zero wherever there are Gaussians",) if still else ())
+    trivial_baselines = TrivialBaselines(TrivialScore(None if still else 1.0), TrivialScore(sums.l2_constant))
+    return Scores(
+        found, trivial_baselines, ("the true velocity is zero wherever there are Gaussians",) if still else ()
+    )
 
 
 def _frames(truth: VelocitySequence, clip_s: np.ndarray, dataset: Path) -> list[int]:

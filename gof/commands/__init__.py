@@ -52,7 +52,9 @@ COMMANDS = {
     "baseline": Command(
         "gof.commands.baseline", "other methods' own training code, without CUDA", "reconstruct", False, True
     ),
-    "evaluate": Command("gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and controls", "score"),
+    "evaluate": Command(
+        "gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and trivial baselines", "score"
+    ),
     "leaderboard": Command("gof.commands.leaderboard", "evaluated results side by side on one page", "score"),
     "depth": Command("gof.commands.depth", "depth maps of frames, for the scores of depth", "score"),
     "report": Command("gof.commands.report", "pictures, scores and costs of a result on one page", "show"),

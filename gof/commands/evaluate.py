@@ -1,4 +1,4 @@
-"""`gof evaluate`: every score of a result against a dataset, with the controls and what each part cost."""
+"""`gof evaluate`: every score of a result against a dataset, with the trivial baselines and what each part cost."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from gof.core.cameras import in_words
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
 from gof.evaluate import Extras, Scores, evaluate
-from gof.evaluate.controls import BOUNDS
 from gof.evaluate.published import THEIRS
 from gof.evaluate.scores import VelocityScore
+from gof.evaluate.trivial_baselines import BOUNDS
 from gof.host.terminal import console, progress_bar
 from gof.ingest.depth import KINDS, write_frame_depths
 from gof.reconstruct.optical_flow import dis
@@ -48,7 +48,8 @@ PUBLISHED_ROWS = (
 
 @dataclass
 class EvaluateConfig:
-    """Score a reconstruction against a dataset: DVE (L2, CosSim) with controls, PSNR and SSIM on held-out frames.
+    """Score a reconstruction against a dataset: DVE (L2, CosSim) with trivial baselines, PSNR and SSIM on held-out
+    frames.
 
     Examples:
       gof evaluate out/fire --dataset data/fire
@@ -99,7 +100,7 @@ def main(argv: list[str]) -> int:
     for table in (velocity_table(scores), picture_table(scores), around_table(scores), published_table(scores)):
         if table.row_count:
             out.print(table)
-    for sentence in beaten_controls(scores):
+    for sentence in beaten_trivial_baselines(scores):
         out.print(sentence, highlight=False)
     if scores.flow_prior is not None:
         out.print(f"learned flow prior: {'used' if scores.flow_prior else 'not used'}")
@@ -165,29 +166,35 @@ def _depth_maps(published: str | None, dataset: Dataset, out: Path) -> tuple[Pat
 
 
 def velocity_table(scores: Scores) -> Table:
-    """Return the velocities' scores with those of the controls; empty without true velocities."""
+    """Return the velocities' scores with those of the trivial baselines; empty without true velocities."""
     table = Table(title="Velocity (DVE): lower L2 and higher CosSim are better", title_justify="left")
     for column in ("velocities", "L2", "CosSim", "what it is"):
         table.add_column(column, justify="right" if column in ("L2", "CosSim") else "left")
     if scores.dve:
         _add_own_rows(table, scores.dve)
-    for name, control in scores.controls.items():
-        table.add_row(f"control: {name}", _number(control.l2), _number(control.cos_sim), control.meaning)
+    for name, trivial_baseline in scores.trivial_baselines.items():
+        table.add_row(
+            f"trivial: {name}",
+            _number(trivial_baseline.l2),
+            _number(trivial_baseline.cos_sim),
+            trivial_baseline.meaning,
+        )
     return table
 
 
-def beaten_controls(scores: Scores) -> list[str]:
-    """Per figure a sentence: which controls the result beats in it, and which not; none where it is undefined."""
+def beaten_trivial_baselines(scores: Scores) -> list[str]:
+    """Per figure a sentence: which trivial baselines the result beats in it, and which not; none where it is
+    undefined."""
     sentences = []
     for key, label, sign in (("l2", "L2", -1), ("cos_sim", "CosSim", 1)):
         own = None if scores.dve is None else getattr(scores.dve, key)
-        theirs = {name: getattr(c, key) for name, c in scores.controls.items() if name not in BOUNDS}
+        theirs = {name: getattr(c, key) for name, c in scores.trivial_baselines.items() if name not in BOUNDS}
         theirs = {name: value for name, value in theirs.items() if value is not None}
         if own is None or not theirs:
             continue
         beaten = [name for name, value in theirs.items() if sign * own > sign * value]
         others = [name for name in theirs if name not in beaten]
-        sentence = f"{label} beats {', '.join(beaten) or 'no control'}"
+        sentence = f"{label} beats {', '.join(beaten) or 'no trivial baseline'}"
         sentences.append(f"{sentence}; not {', '.join(others)}" if others else sentence)
     return sentences
 

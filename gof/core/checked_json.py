@@ -36,7 +36,8 @@ def _shown(value: Any) -> str:
 def from_dict(cls: type, data: Any, prefix: str, ignore_unknown: bool = False) -> Any:
     """Build dataclass ``cls`` from a JSON object.
 
-    A field named like a Python keyword has a trailing underscore that its key has not (`import_`, "import").
+    A field named like a Python keyword has a trailing underscore that its key has not (`import_`, "import"). A class
+    with fields that had other names in an older version lists these: FORMER = {old name: name}.
 
     Args:
         prefix: what names its fields in errors, such as "fire.".
@@ -46,6 +47,8 @@ def from_dict(cls: type, data: Any, prefix: str, ignore_unknown: bool = False) -
         SpecError: a field is unknown, missing, of the wrong type, or refused by the class.
     """
     require(isinstance(data, dict), prefix.rstrip(".") or "it", "an object", data)
+    if former := getattr(cls, "FORMER", None):
+        data = {former.get(key, key): value for key, value in data.items()}
     fields, required = _fields(cls)
     unknown = sorted(data.keys() - fields.keys())
     if unknown and not ignore_unknown:

@@ -137,8 +137,8 @@ class DVESequence:
     pooled: DVEResult
     frames: list[DVEResult]
     times_s: list[float]
-    inside: DVEResult | None = None  # pooled over the Gaussians inside the domain; not computed for controls
-    controls: dict[str, DVESequence] = dataclass_field(default_factory=dict)
+    inside: DVEResult | None = None  # pooled over the Gaussians inside the domain; not computed for trivial baselines
+    trivial_baselines: dict[str, DVESequence] = dataclass_field(default_factory=dict)
     fluctuation: DVEResult | None = None
     within_sd: float | None = None  # share of the velocity within one standard deviation of the truth; None: no v_sd
 
@@ -238,13 +238,13 @@ def agreement_sums(weight: np.ndarray, velocity: np.ndarray, truth: np.ndarray) 
 
 
 def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: np.ndarray | None = None) -> Sums:
-    """Return the sums of one frame; `velocity` and `truth` (M, 3) m/s replace the samples' own (controls,
+    """Return the sums of one frame; `velocity` and `truth` (M, 3) m/s replace the samples' own (trivial baselines,
     fluctuation)."""
     own = velocity is None and truth is None
     velocity = samples.velocity if velocity is None else velocity
     truth = samples.truth if truth is None else truth
     sums = agreement_sums(samples.weight, velocity, truth)
-    if own:  # controls have no uncertainty of their own
+    if own:  # trivial baselines have no uncertainty of their own
         stated = np.where(np.isfinite(samples.velocity_sd), samples.weight, 0)
         within = np.abs(velocity - truth) <= samples.velocity_sd[:, None]
         sums = replace(sums, stated=_sum(stated), within=_sum(stated * within.mean(1)))

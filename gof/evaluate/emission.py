@@ -48,7 +48,7 @@ class EmissionScore:
     """Pooled over all frames; a place counts as much as another."""
 
     score: DVEResult
-    constant: DVEResult  # control: the mean true velocity of these places, everywhere
+    constant: DVEResult  # trivial: the mean true velocity of these places, everywhere
     uncovered: float  # share of the places without a Gaussian, 0..1
 
 

@@ -13,10 +13,10 @@ from typing import ClassVar
 
 from gof.core.costs import StageCost, StageLog
 from gof.core.errors import DataFormatError, printable
-from gof.evaluate.controls import BOUNDS
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.published import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.scores import Origin, PublishedFigures, Scores
+from gof.evaluate.trivial_baselines import BOUNDS
 
 LOWER, NEITHER, HIGHER = -1, 0, 1  # which values of a column are better
 
@@ -87,10 +87,11 @@ def _flow_prior(result: EvaluatedResult) -> str | None:
 
 
 def _baseline(key: str, better: int) -> Callable[[EvaluatedResult], float | None]:
-    """Return the best of the controls on the result's own Gaussians, but those that know the truth at every place."""
+    """Return the best of the trivial baselines on the result's own Gaussians, but those that know the truth at every
+    place."""
 
     def best(result: EvaluatedResult) -> float | None:
-        found = [getattr(c, key) for name, c in result.scores.controls.items() if name not in BOUNDS]
+        found = [getattr(c, key) for name, c in result.scores.trivial_baselines.items() if name not in BOUNDS]
         return max((value for value in found if value is not None), key=lambda value: better * value, default=None)
 
     return best
@@ -135,15 +136,17 @@ COLUMNS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A line of the leaderboard: a result, or a control of the only one. The figures are named as in COLUMNS.
+    """A line of the leaderboard: a result, or a trivial baseline of the only one. The figures are named as in COLUMNS.
 
     A line with `other_footage` shows what somebody published for other fires, and one with `unfinished` a training that
     was stopped before its end; they are not ranked.
     """
 
+    FORMER: ClassVar[dict[str, str]] = {"control": "trivial_baseline"}  # of 0.2; goes with the next version
+
     name: str
     method: str
-    control: bool = False
+    trivial_baseline: bool = False
     other_footage: bool = False
     unfinished: str | None = None
     notes: tuple[str, ...] = ()
@@ -184,7 +187,7 @@ class Row:
     @property
     def competes(self) -> bool:
         """Whether its figures may be the best of a column."""
-        return not self.control and not self.other_footage and not self.unfinished
+        return not self.trivial_baseline and not self.other_footage and not self.unfinished
 
     def text(self, column: str) -> str:
         value = getattr(self, column)
@@ -242,10 +245,11 @@ def _training(folder: Path, scores: Scores) -> tuple[StageCost, ...]:
 
 
 def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
-    """Return one row per result, what the authors published if a result has their figures, then the controls of a
-    single one.
+    """Return one row per result, what the authors published if a result has their figures, then the trivial baselines
+    of a single one.
 
-    A control is worth something on one result's Gaussians alone: beside several, each row has the best of its own.
+    A trivial baseline is worth something on one result's Gaussians alone: beside several, each row has the best of its
+    own.
     """
     rows = [
         Row(
@@ -259,17 +263,17 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
     ]
     if any(result.scores.published is not None for result in results):
         rows.append(_authors_row())
-    controls = results[0].scores.controls if len(results) == 1 else {}
+    trivial_baselines = results[0].scores.trivial_baselines if len(results) == 1 else {}
     return rows + [
         Row(
-            name=f"control: {name}",
-            method=control.meaning,
-            control=True,
-            l2=control.l2,
-            cos_sim=control.cos_sim,
-            speed_ratio=control.speed_ratio,
+            name=f"trivial: {name}",
+            method=trivial_baseline.meaning,
+            trivial_baseline=True,
+            l2=trivial_baseline.l2,
+            cos_sim=trivial_baseline.cos_sim,
+            speed_ratio=trivial_baseline.speed_ratio,
         )
-        for name, control in controls.items()
+        for name, trivial_baseline in trivial_baselines.items()
     ]
 
 
@@ -303,16 +307,17 @@ def best_rows(rows: Sequence[Row]) -> dict[str, int]:
 def to_csv(rows: Sequence[Row]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["name", "method", "control", "other_footage", *COLUMNS])
+    writer.writerow(["name", "method", "trivial_baseline", "other_footage", *COLUMNS])
     for row in rows:
         values = [getattr(row, key) for key in COLUMNS]
-        kind = [int(row.control), int(row.other_footage)]
+        kind = [int(row.trivial_baseline), int(row.other_footage)]
         writer.writerow([in_csv(row.name), in_csv(row.method), *kind, *("" if v is None else v for v in values)])
     return out.getvalue()
 
 
 def to_markdown(rows: Sequence[Row]) -> str:
-    """Return the best value of every column in bold; controls and rows of other footage in italics, never bold."""
+    """Return the best value of every column in bold; trivial baselines and rows of other footage in italics, never
+    bold."""
     keys, best = used_columns(rows), best_rows(rows)
     headings = " | ".join(COLUMNS[key].heading for key in keys)
     lines = [f"| method | {headings} |", "|---|" + "---:|" * len(keys)]

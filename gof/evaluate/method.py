@@ -60,13 +60,14 @@ class AboutMethod:
         """Return what the row is called.
 
         Raises:
-            DataFormatError: as a control is, or with characters that cannot be seen, which turn or hide others.
+            DataFormatError: as a trivial baseline is, or with invisible characters, which turn or hide others.
         """
         remarks = [remark for remark in (self.made_by, self.unfinished) if remark]
         name = self.name or folder.resolve().name
-        if name.strip().lower().startswith("control:") or not "".join((name, *remarks)).isprintable():
+        ours = name.strip().lower().startswith(("trivial:", "control:"))  # today's name of such rows, and that of 0.2
+        if ours or not "".join((name, *remarks)).isprintable():
             raise DataFormatError(
-                f"{folder}: a method cannot be called {name!r}: 'control:' marks our own rows, and every character "
+                f"{folder}: a method cannot be called {name!r}: 'trivial:' marks our own rows, and every character "
                 "must be visible; give it another name in method.json"
             )
         return f"{name} ({', '.join(remarks)})" if remarks else name

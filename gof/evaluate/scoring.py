@@ -1,4 +1,4 @@
-"""`evaluate`: every score of a result against a dataset, with the controls and what each part cost."""
+"""`evaluate`: every score of a result against a dataset, with the trivial baselines and what each part cost."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import own_plate
 from gof.evaluate.around import ViewAround, angles_deg, score_around
-from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import DVESequence, Opacity
 from gof.evaluate.emission import EmissionScore, GradientErrors, flame_grid, score_flame
 from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, timed
 from gof.evaluate.scores import (
     Agreement,
     AroundScore,
-    ControlScore,
     EmissionFigures,
     FrameScore,
     Origin,
     Scores,
+    TrivialScore,
     UsedAlignment,
     UsedOptions,
     VelocityScore,
 )
 from gof.evaluate.sequence import dve_sequence, sanity_warnings
+from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
 from gof.io.importers.said import in_words, with_said
@@ -97,7 +97,10 @@ def evaluate(
             times_s = np.array(sequence.times_s)
             shine = None if flame is None else score_flame(gaussians, truth, flame, times_s, progress)
         figures["dve"] = _velocity_score(sequence, dataset.datum.time_s, order, opacity, shine)
-        figures["controls"] = {name: _control_score(name, control) for name, control in sequence.controls.items()}
+        figures["trivial_baselines"] = {
+            name: _trivial_score(name, trivial_baseline)
+            for name, trivial_baseline in sequence.trivial_baselines.items()
+        }
         warnings += sanity_warnings(sequence)
     else:
         warnings.append("the dataset has no true velocity field, so there is no DVE")
@@ -259,8 +262,8 @@ def _clip_figures(sequence: DVESequence) -> dict[str, float | int | None]:
     }
 
 
-def _control_score(name: str, control: DVESequence) -> ControlScore:
-    return ControlScore(**_clip_figures(control), meaning=CONTROLS[name])
+def _trivial_score(name: str, trivial_baseline: DVESequence) -> TrivialScore:
+    return TrivialScore(**_clip_figures(trivial_baseline), meaning=TRIVIAL_BASELINES[name])
 
 
 def _velocity_score(
@@ -271,8 +274,8 @@ def _velocity_score(
     shine: tuple[EmissionScore, GradientErrors] | None,
 ) -> VelocityScore:
     frames = zip(sequence.times_s, sequence.frames, strict=True)
-    controls = ((name, sequence.controls.get(name)) for name in CONTROLS)
-    skills = {f"skill_over_{name}": skill(sequence.pooled, c.pooled) if c else None for name, c in controls}
+    trivial_baselines = ((name, sequence.trivial_baselines.get(name)) for name in TRIVIAL_BASELINES)
+    skills = {f"skill_over_{name}": skill(sequence.pooled, c.pooled) if c else None for name, c in trivial_baselines}
     return VelocityScore(
         **_clip_figures(sequence),
         **skills,

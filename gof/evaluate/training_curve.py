@@ -6,6 +6,7 @@ import csv
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,6 +20,8 @@ PART = 0.2  # of the steps: what the last of them are compared with the ones bef
 @dataclass(frozen=True)
 class TrainingCurve:
     """Point by point; `loss` is the mean of the steps since the point before, > 0."""
+
+    FORMER: ClassVar[dict[str, str]] = {"processor_seconds": "cpu_seconds"}  # of 0.2; goes with the next version
 
     step: tuple[int, ...]
     cpu_seconds: tuple[float, ...]
@@ -54,7 +57,8 @@ class TrainingCurve:
         """
         try:
             with path.open(newline="", encoding="utf-8-sig") as file:
-                rows = [(int(r["step"]), float(r["cpu_seconds"]), float(r["loss"])) for r in csv.DictReader(file)]
+                table = [{cls.FORMER.get(key, key): text for key, text in r.items()} for r in csv.DictReader(file)]
+            rows = [(int(r["step"]), float(r["cpu_seconds"]), float(r["loss"])) for r in table]
         except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError) as e:
             raise DataFormatError(f"{path}: no training curve with columns step, cpu_seconds, loss ({e})") from e
         if not rows:

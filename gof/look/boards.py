@@ -88,8 +88,9 @@ def refusal(row: BoardRow) -> str:
 
 
 def marks(row: BoardRow) -> tuple[str, str]:
-    """Return what a method was given beside pictures and what it knew before; empty for controls, no methods."""
-    if row.control:
+    """Return what a method was given beside pictures and what it knew before; empty for trivial baselines, no
+    methods."""
+    if row.trivial_baseline:
         return "", ""
     knew = "not said" if row.prior is None else ", ".join(row.prior) or "nothing"
     return ", ".join(row.given) or "not said", knew
@@ -153,7 +154,7 @@ def suite_html(board: SuiteBoard, grids: Mapping[str, PageGrid | None]) -> str:
     return template("suite.html").render(
         title=board.title,
         board=board,
-        methods=[row for row in board.rows if not row.control],
+        methods=[row for row in board.rows if not row.trivial_baseline],
         ranked=any(row.competes for row in board.rows),
         headings=[{"text": COLUMNS[key].heading, "better": COLUMNS[key].better} for key in keys],
         table=table,
@@ -169,7 +170,7 @@ def _scene(scene: BoardScene, grid: PageGrid | None) -> dict:
     rows = [
         (
             name,
-            name in scene.controls,
+            name in scene.trivial_baselines,
             [
                 {
                     "text": value(key, figures.get(key)),
@@ -179,7 +180,7 @@ def _scene(scene: BoardScene, grid: PageGrid | None) -> dict:
                 for key in keys
             ],
         )
-        for name, figures in (scene.figures | scene.controls).items()
+        for name, figures in (scene.figures | scene.trivial_baselines).items()
     ]
     return {
         "name": scene.name,
@@ -187,7 +188,7 @@ def _scene(scene: BoardScene, grid: PageGrid | None) -> dict:
         "eddy_time_s": scene.eddy_time_s,
         "at_least": scene.at_least,
         "eddies": scene.eddies,
-        "controls_on": scene.controls_on,
+        "trivial_baselines_on": scene.trivial_baselines_on,
         "headings": [COLUMNS[key].heading for key in keys],
         "rows": rows,
         "grid": grid,

@@ -345,10 +345,10 @@ def _has_place(point: Point, log: Logarithmic) -> bool:
 
 def accuracy_charts(rows: Sequence[Row]) -> dict[str, Chart]:
     """Return a chart by score for each that a method has whose training time is known."""
-    constant = next((row for row in rows if row.control and row.name.endswith("constant")), None)
+    constant = next((row for row in rows if row.trivial_baseline and row.name.endswith("constant")), None)
     charts = {}
     for key in ACCURACY:
-        shown = [row for row in rows if not row.control and getattr(row, key) is not None and row.train_s]
+        shown = [row for row in rows if not row.trivial_baseline and getattr(row, key) is not None and row.train_s]
         if shown:
             points = [(row.name, row.train_s, getattr(row, key)) for row in shown]
             charts[key] = accuracy_chart(key, points, None if constant is None else getattr(constant, key))
@@ -399,10 +399,10 @@ def frame_chart(scores: Scores) -> Chart | None:
         return None
     times_ms = [1000 * (frame.time_s - frames[0].time_s) for frame in frames]
     values = [float("nan") if frame.l2 is None else frame.l2 for frame in frames]
-    control = scores.controls.get("constant")
+    trivial_baseline = scores.trivial_baselines.get("constant")
     levels = {"standing still": (1.0, ":")}
-    if control is not None and control.l2 is not None:
-        levels["one constant vector"] = (control.l2, "--")
+    if trivial_baseline is not None and trivial_baseline.l2 is not None:
+        levels["one constant vector"] = (trivial_baseline.l2, "--")
 
     def fill(axes: Axes) -> None:
         axes.plot(times_ms, values, color=COLOURS[0], linewidth=1.2, label="this result")

@@ -17,7 +17,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.records import read_record, write_record
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.evaluate.scores import ControlScore, Scores, VelocityScore
+from gof.evaluate.scores import Scores, TrivialScore, VelocityScore
 from gof.host.checks import machine, versions
 from gof.look import animation as pictures
 from gof.look.charts import frame_chart
@@ -171,14 +171,14 @@ class Verdict(NamedTuple):
 
 
 def verdicts(scores: Scores) -> list[Verdict]:
-    """Return the velocities against the controls, their speed, the flame's pixels against the plate: what is defined of
-    it."""
+    """Return the velocities against the trivial baselines, their speed, the flame's pixels against the plate: what is
+    defined of it."""
     out = []
     if scores.dve is not None and scores.dve.l2 is not None:
         for name, words in COMPARED.items():
-            control = scores.controls.get(name)
-            if control is not None and control.l2 is not None:
-                out.append(_against(control, words, scores.dve))
+            trivial_baseline = scores.trivial_baselines.get(name)
+            if trivial_baseline is not None and trivial_baseline.l2 is not None:
+                out.append(_against(trivial_baseline, words, scores.dve))
         ratio = scores.dve.speed_ratio
         low, high = RIGHT_SPEED
         out.append(Verdict(low <= ratio <= high, f"Speeds are {ratio:.2f} times the true ones."))
@@ -192,12 +192,12 @@ def verdicts(scores: Scores) -> list[Verdict]:
     return out
 
 
-def _against(control: ControlScore, words: str, dve: VelocityScore) -> Verdict:
-    closer, straighter = dve.l2 < control.l2, dve.cos_sim > control.cos_sim
+def _against(trivial_baseline: TrivialScore, words: str, dve: VelocityScore) -> Verdict:
+    closer, straighter = dve.l2 < trivial_baseline.l2, dve.cos_sim > trivial_baseline.cos_sim
     return Verdict(
         closer and straighter,
-        f"{OUTCOMES[closer, straighter]} {words}: L2 {dve.l2:.3f} against {control.l2:.3f}, "
-        f"CosSim {dve.cos_sim:.3f} against {control.cos_sim:.3f}.",
+        f"{OUTCOMES[closer, straighter]} {words}: L2 {dve.l2:.3f} against {trivial_baseline.l2:.3f}, "
+        f"CosSim {dve.cos_sim:.3f} against {trivial_baseline.cos_sim:.3f}.",
     )
 
 

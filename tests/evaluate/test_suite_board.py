@@ -145,50 +145,52 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
     assert "is ranked here" not in page
 
 
-def test_where_nobody_is_everywhere_controls_stay_and_it_is_said():
+def test_where_nobody_is_everywhere_trivial_baselines_stay_and_it_is_said():
     found = board("t", methods("one", "two"), [scene("a", one=0.0), scene("b", two=0.1)])
     assert not any(row.competes for row in found.rows) and "so none is ranked here" in suite_html(found, {})
-    zero = rows(found)["control: zero"]
+    zero = rows(found)["trivial: zero"]
     assert zero.scenes == 2 and zero.what.endswith("on the Gaussians of one, then two")
     page = suite_html(found, {})
-    assert [alone.controls_on for alone in found.scenes] == ["one", "two"]
+    assert [alone.trivial_baselines_on for alone in found.scenes] == ["one", "two"]
     for alone in found.scenes:
-        assert alone.controls["control: zero"]["l2"].mean == pytest.approx(1, abs=1e-6)
-        assert alone.controls["control: zero"]["l2"].rank is None
-    assert page.count('<tr class="control"><td>control: zero</td>') == 2, "in each scene's table"
+        assert alone.trivial_baselines["trivial: zero"]["l2"].mean == pytest.approx(1, abs=1e-6)
+        assert alone.trivial_baselines["trivial: zero"]["l2"].rank is None
+    assert page.count('<tr class="grey"><td>trivial: zero</td>') == 2, "in each scene's table"
 
 
-def test_controls_are_of_a_flame_alone_if_there_is_one():
-    """The room that a whole scene brings along does not move: a control on it says nothing of flames."""
-    room = replace(GOLDEN.controls["constant"], l2_frame_mean=0.95)
+def test_trivial_baselines_are_of_a_flame_alone_if_there_is_one():
+    """The room that a whole scene brings along does not move: a trivial baseline on it says nothing of flames."""
+    room = replace(GOLDEN.trivial_baselines["constant"], l2_frame_mean=0.95)
     scenes = []
     for name in "ab":
         here = drawn(scene(name, whole=0.3, flame=0.1), whole=False, flame=True)
         (whole,) = here.runs["whole"]
-        whole = replace(whole, scores=replace(whole.scores, controls=GOLDEN.controls | {"constant": room}))
+        whole = replace(
+            whole, scores=replace(whole.scores, trivial_baselines=GOLDEN.trivial_baselines | {"constant": room})
+        )
         scenes.append(replace(here, runs=here.runs | {"whole": (whole,)}))
-    found = rows(board("t", methods("whole", "flame"), scenes))["control: constant"]
+    found = rows(board("t", methods("whole", "flame"), scenes))["trivial: constant"]
     assert found.what.endswith("on the Gaussians of flame")
-    assert found.figures["l2"].mean == GOLDEN.controls["constant"].l2_frame_mean != 0.95
+    assert found.figures["l2"].mean == GOLDEN.trivial_baselines["constant"].l2_frame_mean != 0.95
     alone = rows(board("t", methods("whole"), [replace(s, runs={"whole": s.runs["whole"]}) for s in scenes]))
-    assert alone["control: constant"].figures["l2"].mean == pytest.approx(0.95)
+    assert alone["trivial: constant"].figures["l2"].mean == pytest.approx(0.95)
 
 
-def test_controls_are_always_there():
+def test_trivial_baselines_are_always_there():
     found = rows(board("t", methods("one"), [scene("a", one=0.0), scene("b", one=0.1)]))
-    assert [name for name in found if name.startswith("control")] == [
-        "control: zero",
-        "control: constant",
-        "control: height_mean",
-        "control: true_centre",
-        "control: fire-free plate",
+    assert [name for name in found if name.startswith("trivial: ")] == [
+        "trivial: zero",
+        "trivial: constant",
+        "trivial: height_mean",
+        "trivial: true_centre",
+        "trivial: fire-free plate",
     ]
-    assert not any(found[name].competes for name in found if name.startswith("control"))
-    assert found["control: zero"].figures["l2"].mean == pytest.approx(1, abs=1e-6)
-    assert found["control: height_mean"].figures["fluctuation_l2"].mean == 1
-    assert found["control: zero"].figures["vorticity_l2"].mean == 1
-    assert found["control: constant"].figures["divergence_l2"].mean == pytest.approx(0.03)  # as in the golden file
-    assert found["control: fire-free plate"].figures["psnr_flame"].mean == pytest.approx(GOLDEN.psnr_flame_plate)
+    assert not any(found[name].competes for name in found if name.startswith("trivial: "))
+    assert found["trivial: zero"].figures["l2"].mean == pytest.approx(1, abs=1e-6)
+    assert found["trivial: height_mean"].figures["fluctuation_l2"].mean == 1
+    assert found["trivial: zero"].figures["vorticity_l2"].mean == 1
+    assert found["trivial: constant"].figures["divergence_l2"].mean == pytest.approx(0.03)  # as in the golden file
+    assert found["trivial: fire-free plate"].figures["psnr_flame"].mean == pytest.approx(GOLDEN.psnr_flame_plate)
 
 
 def test_frames_that_one_has_not_are_left_out_of_the_pair():
@@ -214,7 +216,7 @@ def test_page_and_tables(tmp_path):
     assert "A &lt;b&gt;title&lt;/b&gt;" in page and "3 of 3 wins" in page and "seeds ±" in page
     assert "given: poses" in page and "knew before: nothing" in page and page.count("<h3>") == 3
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is fetched"
-    assert "| **0.5" in suite_markdown(found) and "*control: zero*" in suite_markdown(found)
+    assert "| **0.5" in suite_markdown(found) and "*trivial: zero*" in suite_markdown(found)
 
 
 def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
@@ -327,10 +329,14 @@ def test_numbers_that_no_training_has_are_refused(tmp_path, row):
 def test_a_row_that_is_better_than_the_truth_allows_has_an_alarm():
     """L2 near 0, or below that of the true velocity at each centre of its own Gaussians."""
     honest, near_zero = result("honest", np.full(FRAMES, 0.4)), result("truth", np.full(FRAMES, 0.01))
-    bound = replace(GOLDEN.controls["constant"], l2=0.3, meaning="the truth at each centre")
+    bound = replace(GOLDEN.trivial_baselines["constant"], l2=0.3, meaning="the truth at each centre")
     low = result("low", np.full(FRAMES, 0.2))
     runs = {
-        name: (replace(one, scores=replace(one.scores, controls=GOLDEN.controls | {"true_centre": bound})),)
+        name: (
+            replace(
+                one, scores=replace(one.scores, trivial_baselines=GOLDEN.trivial_baselines | {"true_centre": bound})
+            ),
+        )
         for name, one in (("honest", honest), ("truth", near_zero), ("low", low))
     }
     here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
@@ -344,10 +350,10 @@ def test_a_row_that_is_better_than_the_truth_allows_has_an_alarm():
 
 def test_the_page_says_whose_velocity_was_scored():
     honest = result("", np.full(FRAMES, 0.4))
-    gas = replace(GOLDEN, controls=GOLDEN.controls | {"light": GOLDEN.controls["constant"]})
-    light = replace(GOLDEN, controls={k: c for k, c in GOLDEN.controls.items() if k != "light"})
+    gas = replace(GOLDEN, trivial_baselines=GOLDEN.trivial_baselines | {"light": GOLDEN.trivial_baselines["constant"]})
+    light = replace(GOLDEN, trivial_baselines={k: c for k, c in GOLDEN.trivial_baselines.items() if k != "light"})
     runs = {
-        name: (replace(honest, name=name, scores=replace(honest.scores, controls=scores.controls)),)
+        name: (replace(honest, name=name, scores=replace(honest.scores, trivial_baselines=scores.trivial_baselines)),)
         for name, scores in (("says gas", gas), ("moves", light))
     }
     here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)

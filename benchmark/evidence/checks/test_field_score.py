@@ -1,4 +1,4 @@
-"""The controls of a flow field, on plumes whose motion is known in closed form."""
+"""The trivial baselines of a flow field, on plumes whose motion is known in closed form."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Controls: what velocities without skill score on the very same Gaussians, beside which a DVE must be read.
+"""Trivial baselines: what velocities without skill score on the very same Gaussians, beside which a DVE must be read.
 
 A flame mostly rises, so one constant vector already scores well; only what a result gains over these counts.
 None of them is part of the paper's metric.
@@ -18,7 +18,7 @@ from gof.evaluate.dve_frame import DVEResult, DVESequence, Samples, Sums, score_
 HEIGHT_BINS = 32
 MIN_PER_BIN = 64  # fewer Gaussians in a layer and the layer's mean would follow single Gaussians
 
-CONTROLS = {
+TRIVIAL_BASELINES = {
     "zero": "nothing moves",
     "random": "each Gaussian keeps its speed, in a random direction",
     "shuffled": "the result's own velocities, dealt out at random",
@@ -30,14 +30,16 @@ CONTROLS = {
 BOUNDS = ("true_centre",)  # knows the truth at every place: not there to be beaten
 
 
-def score_controls(gaussians: MovingGaussians, frames: Sequence[Samples], seed: int = 0) -> dict[str, DVESequence]:
-    """Score every control on the samples of `dve_frame.probe`.
+def score_trivial_baselines(
+    gaussians: MovingGaussians, frames: Sequence[Samples], seed: int = 0
+) -> dict[str, DVESequence]:
+    """Score every trivial baseline on the samples of `dve_frame.probe`.
 
     `random` and `shuffled` draw once per Gaussian, so a Gaussian keeps its drawn velocity through all frames;
     `constant` and `height_mean` are weighted means of the truth over all frames together.
 
     Returns:
-        name (as in CONTROLS) -> DVESequence; "light" only where gas and light have a velocity each.
+        name (as in TRIVIAL_BASELINES) -> DVESequence; "light" only where gas and light have a velocity each.
     """
     rng = own_generator("directions and order of the baselines", seed)
     direction = rng.standard_normal((len(gaussians), 3))
@@ -90,11 +92,12 @@ def fluctuation(frames: Sequence[Samples]) -> DVEResult:
     return result
 
 
-def skill(score: DVEResult, control: DVEResult) -> float | None:
-    """1 - (L2 / L2 of the control)^2: 1 is perfect, 0 no better than the control, negative worse; None if undefined."""
-    if score.l2 is None or control.l2 is None or control.l2 == 0:
+def skill(score: DVEResult, trivial_baseline: DVEResult) -> float | None:
+    """1 - (L2 / L2 of the trivial baseline)^2: 1 is perfect, 0 no better than the trivial baseline, negative worse;
+    None if undefined."""
+    if score.l2 is None or trivial_baseline.l2 is None or trivial_baseline.l2 == 0:
         return None
-    return 1 - (score.l2 / control.l2) ** 2
+    return 1 - (score.l2 / trivial_baseline.l2) ** 2
 
 
 def _height_means(frames: Sequence[Samples], values: np.ndarray, weight: np.ndarray) -> np.ndarray:

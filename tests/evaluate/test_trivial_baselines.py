@@ -1,4 +1,4 @@
-"""Controls and the fluctuation score on flows where their values are known."""
+"""Trivial baselines and the fluctuation score on flows where their values are known."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gof.evaluate import dve_sequence
-from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.draws import own_generator
 from gof.evaluate.dve_frame import probe, weighted_sums
+from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from tests.evaluate.analytic import Analytic, Sequence, make_gaussians
 
 
@@ -27,10 +27,10 @@ def case():
     return g, sequence, dve_sequence(g, sequence)
 
 
-def test_all_controls_with_known_values(case):
+def test_all_trivial_baselines_with_known_values(case):
     g, sequence, score = case
-    assert set(score.controls) == set(CONTROLS) - {"light"}, "gas and light move as one here"
-    c = score.controls
+    assert set(score.trivial_baselines) == set(TRIVIAL_BASELINES) - {"light"}, "gas and light move as one here"
+    c = score.trivial_baselines
     assert c["zero"].l2 == 1 and c["zero"].cos_sim == 0 and c["zero"].pooled.weight_zero_velocity == pytest.approx(1)
     assert c["true_centre"].l2 == pytest.approx(0, abs=1e-6)  # the field is linear: its mean is its centre value
     assert c["true_centre"].cos_sim == pytest.approx(1)
@@ -49,12 +49,12 @@ def test_all_controls_with_known_values(case):
 def test_light_is_the_score_of_how_the_gaussians_move(case):
     g, sequence, score = case
     double = dve_sequence(replace(g, gas_velocity=2 * g.velocity), sequence)
-    assert double.controls["light"].l2 == pytest.approx(score.l2)
-    assert double.controls["light"].cos_sim == pytest.approx(score.cos_sim)
-    assert double.l2 > score.l2 and double.controls["zero"].l2 == 1
+    assert double.trivial_baselines["light"].l2 == pytest.approx(score.l2)
+    assert double.trivial_baselines["light"].cos_sim == pytest.approx(score.cos_sim)
+    assert double.l2 > score.l2 and double.trivial_baselines["zero"].l2 == 1
 
 
-def test_no_constant_vector_beats_the_constant_control(case):
+def test_no_constant_vector_beats_the_constant_trivial_baseline(case):
     g, sequence, score = case
     rng = np.random.default_rng(0)
     parts = [probe(g, sequence.at(t), t) for t in sequence.times_s]
@@ -64,21 +64,21 @@ def test_no_constant_vector_beats_the_constant_control(case):
             (weighted_sums(p, np.broadcast_to(vector, p.truth.shape)) for p in parts[1:]),
             weighted_sums(parts[0], np.broadcast_to(vector, parts[0].truth.shape)),
         )
-        assert np.sqrt(sums.error2 / sums.truth2) >= score.controls["constant"].l2
+        assert np.sqrt(sums.error2 / sums.truth2) >= score.trivial_baselines["constant"].l2
 
 
-def test_controls_move_no_gaussian(case):
+def test_trivial_baselines_move_no_gaussian(case):
     """Only the scored velocity is replaced: weights, and so shares, are those of the result."""
     _, _, score = case
-    for control in score.controls.values():
-        assert control.pooled.weight == score.pooled.weight and control.pooled.n == score.pooled.n
+    for trivial_baseline in score.trivial_baselines.values():
+        assert trivial_baseline.pooled.weight == score.pooled.weight and trivial_baseline.pooled.n == score.pooled.n
 
 
-def test_seed_makes_controls_repeat(case):
+def test_seed_makes_trivial_baselines_repeat(case):
     g, sequence, score = case
     again, other = dve_sequence(g, sequence), dve_sequence(g, sequence, seed=1)
-    assert again.controls["random"].l2 == score.controls["random"].l2
-    assert other.controls["random"].l2 != score.controls["random"].l2
+    assert again.trivial_baselines["random"].l2 == score.trivial_baselines["random"].l2
+    assert other.trivial_baselines["random"].l2 != score.trivial_baselines["random"].l2
 
 
 def test_fluctuation_of_means_is_one_and_zero(case):
@@ -103,17 +103,17 @@ def test_uniform_flow_has_no_fluctuation():
 
 def test_one_gaussian():
     score = dve_sequence(make_gaussians(1), Sequence([0.0], lambda t: Analytic(plume)))
-    assert score.l2 is not None and score.controls["constant"].l2 == pytest.approx(0, abs=1e-12)
+    assert score.l2 is not None and score.trivial_baselines["constant"].l2 == pytest.approx(0, abs=1e-12)
     assert score.fluctuation.l2 is None
 
 
 def test_skill(case):
     _, _, score = case
-    constant = score.controls["constant"].pooled
-    assert skill(constant, constant) == 0 and skill(score.controls["zero"].pooled, constant) < 0
+    constant = score.trivial_baselines["constant"].pooled
+    assert skill(constant, constant) == 0 and skill(score.trivial_baselines["zero"].pooled, constant) < 0
     assert skill(score.pooled, constant) == pytest.approx(1 - (score.l2 / constant.l2) ** 2)
     one = dve_sequence(make_gaussians(1), Sequence([0.0], lambda t: Analytic(plume)))
-    assert skill(one.pooled, one.controls["true_centre"].pooled) is not None
+    assert skill(one.pooled, one.trivial_baselines["true_centre"].pooled) is not None
 
 
 @pytest.mark.parametrize("seed", [0, 1, 12345])
@@ -130,7 +130,7 @@ def test_the_random_baseline_knows_nothing_of_a_users_script(seed, draw):
         places = places[rng.permutation(n)]
     g = replace(make_gaussians(n, seed=3), position=(0.1 * places).astype(np.float32))
     sequence = Sequence([0.0], lambda t: Analytic(lambda p: 10 * p))
-    found = dve_sequence(replace(g, velocity=(places[::-1]).astype(np.float32).copy()), sequence).controls
+    found = dve_sequence(replace(g, velocity=(places[::-1]).astype(np.float32).copy()), sequence).trivial_baselines
     assert abs(found["random"].cos_sim) < 5 / np.sqrt(3 * n)
 
 
