@@ -4,8 +4,9 @@
 
 DATASETs are of `gof ingest`, best after `gof capture annotate` (the board's LEDs then do not count). The trivial
 baselines draw a held-out frame by the two frames of *the same camera* around it: their mean, and each carried half way
-along the optical flow from one to the other. No method may do that for a view that was not filmed, but it says what compression
-and noise leave to be had: a scene in 3D that does better has seen through three cameras what one camera lost.
+along the optical flow from one to the other. No method may do that for a view that was not filmed, but it says what
+compression and noise leave to be had: a scene in 3D that does better has seen through three cameras what one camera
+lost.
 
 Every row is the mean over a clip's held-out pictures; the flame is the estimated mask of `gof.footage.flame_mask`,
 "moves" the pixels that the authors' figures count (`gof.evaluate.published`). Reconstructions are kept in

@@ -12,6 +12,7 @@ from gof.capture.counter import CountVote
 from gof.capture.signals import Signals
 from gof.capture.strips import NotDecodable, StripFit, StripReadings
 from gof.capture.template import BoardTemplate
+from gof.capture.times import Readout
 
 MIN_WEIGHT = 0.05  # in the robust line; frames below are outliers
 MOST_LAG = 0.1  # periods between strips and counter; half a strip's slot
@@ -20,7 +21,7 @@ MIN_SPAN_PX = 60  # of a strip along the readout, to measure the row time from
 CLEAR_DELAY_US = 40.0  # along a strip: two bins of the learned curves, enough to tell a direction
 USUAL_EXPOSURE = 0.35  # of the period, where the strips do not show it
 EXPOSURE_MARGIN, EXPOSURE_ADD_US = 1.15, 100.0  # the estimate is good to about 15 %
-READOUT = {(0, 1): "right", (0, -1): "left", (1, 1): "down", (1, -1): "up"}
+READOUT: dict[tuple[int, int], Readout] = {(0, 1): "right", (0, -1): "left", (1, 1): "down", (1, -1): "up"}
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class DecodeOptions:
     period_us: float = 4000.0
     fps: float | None = None
     row_time_us: float | None = None  # per image line, >= 0
-    readout: str | None = None  # down, up, left, right
+    readout: Readout | None = None
     clock: str = "steady"  # "steady" or "free"
     iterations: int = 6  # rounds of learning the strips' curves and the frames' times from each other
 
@@ -65,7 +66,7 @@ class CameraTimes:
     rms_us: float
     max_us: float
     row_time_us: float
-    readout: str
+    readout: Readout
     exposure_us: float | None
     saturation: float | None
     count_candidates: np.ndarray

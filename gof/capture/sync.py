@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from importlib.resources import files
 from itertools import chain
 from pathlib import Path
 from typing import ClassVar
@@ -18,8 +16,8 @@ from gof.capture.decode import CameraTimes, DecodeOptions, decode
 from gof.capture.flame_clock import estimate_times, read_light
 from gof.capture.ring_board import RingBoard
 from gof.capture.ring_decode import decode_ring
-from gof.capture.ring_signals import read_ring_signals
-from gof.capture.signals import read_signals
+from gof.capture.ring_signals import RingSignals, read_ring_signals
+from gof.capture.signals import Signals, read_signals
 from gof.capture.strips import NotDecodable
 from gof.capture.template import BoardTemplate
 from gof.capture.times import (
@@ -63,8 +61,8 @@ def synchronise(
         DataFormatError: a video is not there, or given twice.
     """
     require_different(videos)
-    ring = isinstance(template, RingBoard)
-    period_us = template.period_us if ring else options[0].period_us
+    period_us = template.period_us if isinstance(template, RingBoard) else options[0].period_us
+    slots = None if isinstance(template, RingBoard) else template.strip_slot
     names = distinct_names(videos)
     decoded: dict[str, _Decoded] = {}
     errors: dict[str, str] = {}
@@ -86,7 +84,7 @@ def synchronise(
             continue
         cameras.append(replace(camera, times=_describe(decoded[name], stated_fps(video))))
         if show:
-            show(name, times[name], None if ring else template.strip_slot, period_us)
+            show(name, times[name], slots, period_us)
     if estimate:
         cameras = _estimate_missing(cameras)
     warnings = [
@@ -152,13 +150,22 @@ def _decode_video(
     start = time.perf_counter()
     frames = stated_frames(video) or 0
     with progress_bar(f"read {name}") as update:
-        ring = isinstance(template, RingBoard)
-        read_video = read_ring_signals if ring else partial(read_signals, points=points)
-        signals = read_video(video, template, progress=lambda done: update(done, max(done, frames)))
+
+        def count(done: int) -> None:
+            update(done, max(done, frames))
+
+        signals: RingSignals | Signals
+        if isinstance(template, RingBoard):
+            signals = ring = read_ring_signals(video, template, progress=count)
+        else:
+            signals = strips = read_signals(video, template, progress=count, points=points)
     read = time.perf_counter()
     if known:  # sensors are wider than high: their rows are the shorter side, whichever way it is turned
         options = replace(options, row_time_us=known.image_row_time_us(min(signals.image_size)))
-    times = (decode_ring if ring else decode)(signals, template, options)
+    if isinstance(template, RingBoard):
+        times = decode_ring(ring, template, options)
+    else:
+        times = decode(strips, template, options)
     outliers = int((~times.used).sum()) - int((np.diff(times.clock_index) == 0).sum()) - times.hidden
     shown = len(times.used) - times.hidden
     if why := refusal(times.rms_us, times.systematic_us, outliers, shown, _most_us(template)):
@@ -227,8 +234,8 @@ def _nearest(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:
     """For each camera with times, its frame nearest to the first such camera's first frame."""
     time_s = {c.name: np.array([frame.time_s for frame in c.times.frames]) for c in cameras if c.times}
     nearest: dict[str, NearestFrame] = {}
-    first = next(iter(time_s.values()), None)
     for name, own in time_s.items():
+        first = next(iter(time_s.values()))
         offset = 1e6 * (own - first[0])
         k = int(np.abs(offset).argmin())
         nearest[name] = NearestFrame(k, round(float(offset[k]), 2))
@@ -320,7 +327,7 @@ def sensor(name: str) -> Sensor:
 
     Raises: DataFormatError: not in the table (names those that are).
     """
-    table = read_record(SensorTable, files("gof.capture") / "sensors.json").sensors
+    table = read_record(SensorTable, Path(__file__).with_name("sensors.json")).sensors
     if name not in table:
         raise DataFormatError(
             f"no sensor '{name}' in the table; it has {', '.join(table)}. Or give the row time itself"

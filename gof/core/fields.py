@@ -8,6 +8,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from .zarr_array import ZarrArray
 
 SCHEMA, GRID, VERSION = "gof-velocity", "gof-grid", 1  # of velocity; of any other quantity
 CHUNK = 64  # cells a side: 1.5 MB of float16, small enough to read a flame out of a large domain
+S = TypeVar("S", bound="GridSequence")
 SAME_TIME_S = 1e-6  # a stored frame this near to a time is the frame of that time
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side; a file that claims more is refused: twice what a scene may ask for
 LARGEST_CHUNK_BYTES = 2**29
@@ -183,7 +185,7 @@ class GridSequence:
         if not is_affine(self.index_to_world):
             raise DataFormatError(f"{path}: index_to_world must be a finite, invertible 4x4 matrix")
 
-    def measured_from(self, datum: Datum) -> GridSequence:
+    def measured_from(self: S, datum: Datum) -> S:
         """Return the same store in a world and on a clock whose zeros are the datum's."""
         moved = copy(self)
         moved.times_s = self.times_s - datum.time_s

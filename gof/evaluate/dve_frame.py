@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from dataclasses import field as dataclass_field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -53,7 +53,9 @@ class Samples:
         if (self.inside == 1).all():
             return self
         keep = self.inside >= 0.5
-        rows = {f.name: value[keep] for f in fields(self) if isinstance(value := getattr(self, f.name), np.ndarray)}
+        rows: dict[str, Any] = {
+            f.name: value[keep] for f in fields(self) if isinstance(value := getattr(self, f.name), np.ndarray)
+        }
         rows["truth"] = rows["truth"] / rows["inside"][:, None]
         return replace(self, **rows)
 
@@ -125,7 +127,7 @@ class DVEResult:
             weight_undersampled=share(s.wide),
             weight_short_waves=share(s.short_waves),
             speed_ratio=s.dot / s.truth2 if has_truth else None,
-            l2_axis=tuple(float(np.sqrt(e / s.truth2)) for e in s.error2_axis) if has_truth else None,
+            l2_axis=_axes(float(np.sqrt(e / s.truth2)) for e in s.error2_axis) if has_truth else None,
             undefined=reason,
         )
 
@@ -209,6 +211,11 @@ def probe(
     )
 
 
+def _axes(values: Iterable[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z
+
+
 def _not_negligible(weight: np.ndarray, power: np.ndarray) -> np.ndarray:
     """Return rows with weight; the others together hold less than CULL_SHARE of `weight` and of `power`, both (N,) >=
     0."""
@@ -233,7 +240,7 @@ def agreement_sums(weight: np.ndarray, velocity: np.ndarray, truth: np.ndarray) 
         cosine=_sum(weight * np.clip(cosine, -1, 1)),
         zero_truth=_sum(weight[t2 == 0]),
         zero_velocity=_sum(weight[v2 == 0]),
-        error2_axis=tuple(error2_axis),
+        error2_axis=_axes(error2_axis),
     )
 
 

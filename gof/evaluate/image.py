@@ -99,7 +99,7 @@ def temporal_l2(
     (a, ta), (b, tb) = _pair(images[0], truths[0]), _pair(images[1], truths[1])
     error = _mean((((b - a) - (tb - ta)) ** 2).mean(-1), mask)
     power = _mean(((tb - ta) ** 2).mean(-1), mask)
-    return None if not power else float(np.sqrt(error / power))
+    return float(np.sqrt(error / power)) if error is not None and power else None
 
 
 # ----------------------------------------------------------------

@@ -144,12 +144,11 @@ def _metrics(extras: Extras) -> Metrics:
     """Return what can be computed here."""
     metrics = Metrics({"psnr": psnr, "ssim": ssim}, [])
     optional: dict[str, Metric] = {"flip": flip}
-    if extras.weights is None:
+    weights = extras.weights
+    if weights is None:
         metrics.absent.append("LPIPS: give --weights, the folder with its weight file")
     else:
-        optional["lpips"] = lambda image, truth, weight: lpips(
-            _faded(image, weight), _faded(truth, weight), extras.weights
-        )
+        optional["lpips"] = lambda image, truth, weight: lpips(_faded(image, weight), _faded(truth, weight), weights)
     black = np.zeros((64, 64, 3))
     for name, metric in optional.items():
         try:
@@ -213,7 +212,7 @@ def _picture_score(
             if name != "lpips" and mask is not None:
                 figures[f"{name}_flame{suffix}"] = metric(picture, frame.truth, _both(mask, board))
     if after is not None:
-        either = None if mask is None else np.maximum(mask, after.mask)
+        either = None if mask is None or after.mask is None else np.maximum(mask, after.mask)
         change = temporal_l2((frame.image, after.image), (frame.truth, after.truth), _both(either, board))
         figures["temporal_l2"] = change
         figures["temporal_l2_plate"] = None if change is None else 1.0  # a still picture's, by definition
@@ -233,6 +232,7 @@ def _published(dataset: Dataset, view: View, frame: Frame, after: Frame, extras:
     camera = dataset.cameras[view.number].name
     expected = None if extras.disparity is None else read_depth(extras.disparity, camera, frame.number)
     board = None if view.board is None else view.board < 0.5
+    assert frame.disparity is not None and extras.flow is not None, "drawn where these figures are asked for"
     seen = PublishedFrame(frame.image, frame.truth, after.truth, board, frame.disparity, expected)
     return published_figures(seen, extras.flow, extras.weights)
 

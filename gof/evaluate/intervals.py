@@ -136,9 +136,10 @@ def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
     means = np.array([scene.mean for scene in scenes])
     if len(scenes) >= 3:
         return Estimate(float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means))), len(means) - 1)
-    if any(scene.standard_error is None for scene in scenes):
+    errors = [scene.standard_error for scene in scenes if scene.standard_error is not None]
+    if len(errors) < len(scenes):
         return Estimate(float(means.mean()), None, 0)
-    error = float(np.linalg.norm([scene.standard_error for scene in scenes])) / len(scenes)
+    error = float(np.linalg.norm(errors)) / len(scenes)
     return Estimate(float(means.mean()), error, min(scene.degrees for scene in scenes))
 
 

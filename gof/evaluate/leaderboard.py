@@ -6,10 +6,10 @@ import csv
 import html
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from gof.core.costs import StageCost, StageLog
 from gof.core.errors import DataFormatError, printable
@@ -257,7 +257,7 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
             method=result.scores.import_.method,
             unfinished=result.unfinished,
             notes=(*result.notes, *result.scores.import_.notes, *result.scores.warnings),
-            **{key: column.value(result) for key, column in COLUMNS.items()},
+            **_figures(result, COLUMNS),
         )
         for result in results
     ]
@@ -277,12 +277,17 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
     ]
 
 
+def _figures(result: EvaluatedResult, keys: Iterable[str]) -> dict[str, Any]:
+    """Return the fields of a `Row` with these names."""
+    return {key: COLUMNS[key].value(result) for key in keys}
+
+
 def _authors_row() -> Row:
     """Return the authors' own figures, of other footage."""
     about = EvaluatedResult(
         Path(), NAME, Scores(gaussians=0, dynamic_gaussians=0, import_=Origin(NAME), published=THEIRS), None
     )
-    figures = {key: column.value(about) for key, column in COLUMNS.items() if key.startswith("published_")}
+    figures = _figures(about, [key for key in COLUMNS if key.startswith("published_")])
     return Row(name=f"{NAME}, other footage", method=OTHER_FOOTAGE, other_footage=True, **figures)
 
 

@@ -87,7 +87,7 @@ def mean_figures(pictures: Sequence[PublishedFigures]) -> PublishedFigures:
 def moving(picture: np.ndarray, after: np.ndarray, flow: Flow) -> np.ndarray:
     """Return (H, W) bool: what moves by more than MOVES_PX from a frame (H, W, 3) to the next, display values in [0,
     1]."""
-    grey = [cv2.cvtColor(np.uint8(np.rint(255 * p)), cv2.COLOR_RGB2GRAY) for p in (picture, after)]
+    grey = [cv2.cvtColor(np.rint(255 * p).astype(np.uint8), cv2.COLOR_RGB2GRAY) for p in (picture, after)]
     return np.linalg.norm(flow(*grey), axis=-1) > MOVES_PX
 
 

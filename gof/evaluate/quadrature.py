@@ -15,13 +15,15 @@ ORDERS = (1, 3, 5, 7)
 class VelocityLike(Protocol):
     """A field as the evaluator needs it: `gof.core.fields.VelocityField`, or an analytic field."""
 
-    voxel_size: float
+    @property
+    def voxel_size(self) -> float:
+        """Side of a voxel, m."""
 
     def sample(self, points: np.ndarray) -> np.ndarray:
-        """Return World points (M, 3) m to velocity (M, 3) m/s; zero outside the domain."""
+        """Return the velocity (M, 3) m/s at world points (M, 3) m; zero outside the domain."""
 
     def contains(self, points: np.ndarray) -> np.ndarray:
-        """Return World points (M, 3) m to (M,) bool."""
+        """Return whether world points (M, 3) m lie in the domain, (M,) bool."""
 
 
 class Expectation(NamedTuple):

@@ -162,7 +162,7 @@ Spread = make_dataclass("Spread", [(f"{name}_std", float | None, None) for name 
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImageScores(Spread):
+class ImageScores(Spread):  # type: ignore[valid-type, misc]  # a class made from FIGURES
     """The figures behind the means: every picture, and of each figure F its standard deviation over pictures, `F_std`.
 
     `board_share` of the pixels do not count; `absent` says which scores are not there, and why. `sizes_px` are the

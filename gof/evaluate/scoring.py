@@ -248,7 +248,7 @@ def _emission_figures(found: EmissionScore) -> EmissionFigures:
     )
 
 
-def _clip_figures(sequence: DVESequence) -> dict[str, float | int | None]:
+def _clip_figures(sequence: DVESequence) -> dict[str, Any]:
     """Return the fields of a `ClipScore`: the pooled score, and mean and standard deviation over the frames that have
     one."""
     l2_mean, l2_std, _ = sequence.spread("l2") or (None, None, 0)
@@ -273,15 +273,19 @@ def _velocity_score(
     opacity: Opacity,
     shine: tuple[EmissionScore, GradientErrors] | None,
 ) -> VelocityScore:
+    inside, fluctuation = sequence.inside, sequence.fluctuation
+    assert inside is not None and fluctuation is not None, "scored with its trivial baselines"
     frames = zip(sequence.times_s, sequence.frames, strict=True)
     trivial_baselines = ((name, sequence.trivial_baselines.get(name)) for name in TRIVIAL_BASELINES)
-    skills = {f"skill_over_{name}": skill(sequence.pooled, c.pooled) if c else None for name, c in trivial_baselines}
+    skills: dict[str, Any] = {
+        f"skill_over_{name}": skill(sequence.pooled, c.pooled) if c else None for name, c in trivial_baselines
+    }
     return VelocityScore(
         **_clip_figures(sequence),
         **skills,
         frames=tuple(FrameScore(t + zero_s, f.l2, f.cos_sim, f.n, f.undefined) for t, f in frames),
-        inside=Agreement.of(sequence.inside),
-        fluctuation=sequence.fluctuation,
+        inside=Agreement.of(inside),
+        fluctuation=fluctuation,
         within_sd=sequence.within_sd,
         order=order,
         opacity=opacity,

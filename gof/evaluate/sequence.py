@@ -19,7 +19,7 @@ from gof.evaluate.trivial_baselines import fluctuation, score_trivial_baselines
 def dve_sequence(
     gaussians: MovingGaussians,
     sequence,
-    times_s: Sequence[float] | None = None,
+    times_s: Sequence[float] | np.ndarray | None = None,
     order: int = 3,
     opacity: Opacity = "temporal",
     include_static: bool = False,
