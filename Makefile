@@ -5,7 +5,7 @@
 #   make quick   the part of it for a loop while you work: under a minute on two cores
 #   make lint    the rules, the format and the types of the code
 #   make coverage  the quick tests with the share of lines that they run
-#   make bench   eight functions' seconds against another commit (COMMIT, default HEAD), on this machine
+#   make bench   eight functions' CPU seconds against another commit (COMMIT, default HEAD), on this machine
 #   make docs    the documents as a web site (build/site/index.html)
 #   make dist    wheel, source archive and add-on zip with their checksums (dist/)
 #   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python

@@ -1,11 +1,11 @@
-"""Seconds of eight functions at two commits, on this machine at the same time: is the working tree slower?
+"""CPU seconds of eight functions at two commits, on this machine at the same time: is the working tree slower?
 
 python tools/bench.py [COMMIT]        the working tree against COMMIT (default: HEAD)
 python tools/bench.py --child         time this checkout's functions once, as JSON (how the two are measured)
 
 Each round starts a process for either, in turns, so that a busy moment meets both; a figure is the median over rounds
-of each process's fastest call. A ratio above 1 says that the working tree is slower. Two rounds of the same commit
-differ by some 5 % on a quiet machine.
+of each process's cheapest call, in CPU seconds of all its threads and children, which other work on the machine changes
+less than the clock's. A ratio above 1 says that the working tree is slower.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import statistics
 import subprocess
 import sys
@@ -133,8 +134,14 @@ def start(folder: Path) -> Call:
 FUNCTIONS = (draw, save_and_load, save_and_load_ply, sample_field, score_motion, score_picture, median_plate, start)
 
 
+def cpu_seconds() -> float:
+    """Return the CPU seconds of this process so far, of all its threads and of children that ended."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
 def measured() -> dict[str, float | None]:
-    """Return the seconds of each function's fastest call; None where this checkout has no such function."""
+    """Return the CPU seconds of each function's cheapest call; None where this checkout has no such function."""
     found: dict[str, float | None] = {}
     with tempfile.TemporaryDirectory() as folder:
         for function in FUNCTIONS:
@@ -144,12 +151,12 @@ def measured() -> dict[str, float | None]:
             except (ImportError, AttributeError, TypeError):
                 found[function.__name__] = None
                 continue
-            times: list[float] = []
-            while len(times) < CALLS and sum(times) < LONG_ENOUGH_S:
-                began = time.perf_counter()
+            costs: list[float] = []
+            while len(costs) < CALLS and sum(costs) < LONG_ENOUGH_S:
+                before = cpu_seconds()
                 call()
-                times.append(time.perf_counter() - began)
-            found[function.__name__] = min(times)
+                costs.append(cpu_seconds() - before)
+            found[function.__name__] = min(costs)
     return found
 
 
