@@ -30,6 +30,7 @@ def test_an_old_place_is_the_new_one_and_says_so(name, thing):
         ("controls", "score_trivial_baselines"),
         ("gradients", "score_gradients"),
         ("perceptual", "lpips"),
+        ("published", "published_figures"),
         ("statistics", "over_frames"),
         ("weighted", "weighted_quantile"),
     ],

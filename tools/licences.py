@@ -24,7 +24,7 @@ FREE = re.compile(r"\b(MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zl
 EXCEPTIONS = {
     "certifi": ("MPL-2.0", "a list of certificates, used unchanged (requests, of mkdocs)"),
     "hypothesis": ("MPL-2.0", "a tool of the tests, used unchanged"),
-    "pathspec": ("MPL-2.0", "a tool of the documents' site, used unchanged (mkdocs)"),
+    "pathspec": ("MPL-2.0", "a tool of the documents' site and of mypy, used unchanged"),
 }
 # Copyleft in a wheel that metadata do not tell: name -> (licence, what it is, words that stand in a binary).
 INSIDE = {

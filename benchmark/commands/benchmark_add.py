@@ -24,7 +24,7 @@ from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.host.terminal import progress_bar
 from gof.io.importers import ImportOptions
-from gof.io.importers.said import with_said
+from gof.io.importers.sidecar import with_said
 from gof_benchmark.suite.made import MadeScene, scene_of
 
 BESIDE = (MADE_FROM, "costs.json")  # of a reconstruction of ours, and its plates

@@ -21,7 +21,7 @@ from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import dataset_process
 from gof_blender.pure.child import JobError, python
 from gof_blender.pure.layout import Layout, leaving
-from gof_blender.pure.sense import require_sense
+from gof_blender.pure.plausibility import require_sense
 from gof_blender.pure.spec import SceneSpec
 
 

@@ -9,7 +9,7 @@ compression and noise leave to be had: a scene in 3D that does better has seen t
 lost.
 
 Every row is the mean over a clip's held-out pictures; the flame is the estimated mask of `gof.footage.flame_mask`,
-"moves" the pixels that the authors' figures count (`gof.evaluate.published`). Reconstructions are kept in
+"moves" the pixels that the authors' figures count (`gof.evaluate.authors_figures`). Reconstructions are kept in
 OUT/CLIP/METHOD_SEED and go on where they were, so it may be stopped and started as one likes.
 
 `--clocks` says what is believed of the cameras' times: "read", what the dataset says; "frames", that pictures of one
@@ -33,7 +33,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.evaluate import psnr, ssim
-from gof.evaluate.published import moving
+from gof.evaluate.authors_figures import moving
 from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.methods import MethodName
 from gof.reconstruct.optical_flow import dis

@@ -10,8 +10,9 @@ at every held-out frame, completed along the picture's edges; the authors take a
     ours      ours in that same still scene, as `gof background --flame` puts them together
     alone     ours, a flame before nothing
 
-"1/depth" is `gof.evaluate.published.rmse_disparity`: scale and offset are fitted over the whole picture. "off" is the
-median of |z / stereo - 1| over those of the same pixels in which what is drawn is seen, z the mean distance of the
+"1/depth" is `gof.evaluate.authors_figures.rmse_disparity`: scale and offset are fitted over the whole picture.
+"off" is the median of |z / stereo - 1| over those of the same pixels in which what is drawn is seen, z the mean
+distance of the
 flame's Gaussians alone (of the still scene's for "still"): nothing is fitted, so it says how far before or behind the
 flame stands.
 """
@@ -29,9 +30,9 @@ from gof.core.cameras import Camera
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
+from gof.evaluate.authors_figures import drawn_disparity, inside, moving, rmse_disparity
 from gof.evaluate.depth import read_depth
 from gof.evaluate.image_scores import VISIBLE
-from gof.evaluate.published import drawn_disparity, inside, moving, rmse_disparity
 from gof.host.terminal import progress_bar
 from gof.ingest.depth import write_frame_depths
 from gof.reconstruct.optical_flow import dis

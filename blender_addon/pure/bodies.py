@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from . import sense
+from . import plausibility
 from .effects.obstacles import Obstacle, Settings
 from .fires import Domain, Fire
 from .spec import SceneSpec
@@ -79,7 +79,7 @@ def _told(bodies: list[Body], told, spec: SceneSpec) -> Iterator[str]:
 
 
 def _in_burner(body: Body, spec: SceneSpec) -> str:
-    where = f"{body.name!r} stands in the burner at {sense.point_text(spec.fire.position)}"
+    where = f"{body.name!r} stands in the burner at {plausibility.point_text(spec.fire.position)}"
     if body.is_obstacle:
         return f"{where} and is an obstacle: no gas comes out there. Move it, or remove its Fluid physics"
     return f"{where}: fuel comes out of it. Leave it if that is what burns (logs, a wick); else move it or the fire"
@@ -93,7 +93,7 @@ def _in_gas(body: Body, spec: SceneSpec) -> str:
     block = _block(body.triangles, spec)
     if block is None:
         return text
-    place, size = (sense.point_text(values) for values in (block.position, block.size))
+    place, size = (plausibility.point_text(values) for values in (block.position, block.size))
     return f"{text}; or list a block: effects.obstacles, shape box, position {place}, size {size} m"
 
 
@@ -102,9 +102,9 @@ def _block(triangles: np.ndarray, spec: SceneSpec) -> Obstacle | None:
     domain: Domain = spec.domain
     corners = triangles.reshape(-1, 3)
     low, high = np.maximum(corners.min(0), domain.min), np.minimum(corners.max(0), domain.max)
-    least = sense.CELLS_ACROSS * max(domain.size) / domain.resolution
+    least = plausibility.CELLS_ACROSS * max(domain.size) / domain.resolution
     size = tuple(float(f"{side:.3g}") for side in np.maximum(high - low, 1.01 * least))
     place = tuple(float(f"{value:.3g}") for value in (low + high) / 2)
     block = Obstacle("box", place, size)
     alone = replace(spec, effects=(Settings((block,)),))
-    return None if any(finding.fatal for finding in sense.obstacles(alone)) else block
+    return None if any(finding.fatal for finding in plausibility.obstacles(alone)) else block

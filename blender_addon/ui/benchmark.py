@@ -14,8 +14,8 @@ from ..pure import spec as spec_file
 from ..pure.dataset_process import Job, expected_s, left_s
 from ..pure.effects import changes_bake, name_of
 from ..pure.layout import Layout, leaving
+from ..pure.plausibility import require_sense
 from ..pure.presets import PRESETS
-from ..pure.sense import require_sense
 from ..pure.spec import BACKGROUND, BlendFile, SceneSpec
 from ..scene import bodies, compat, place
 from ..scene.backgrounds import blend_file

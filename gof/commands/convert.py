@@ -17,7 +17,7 @@ from gof.host.terminal import console
 from gof.io.convert import convert
 from gof.io.importers import Imported, ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
-from gof.io.importers.said import FIELDS, with_said, write_said
+from gof.io.importers.sidecar import FIELDS, with_said, write_said
 from gof.io.importers.source import WorldBy
 
 

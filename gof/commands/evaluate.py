@@ -16,7 +16,7 @@ from gof.core.cameras import in_words
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
 from gof.evaluate import Extras, Scores, evaluate
-from gof.evaluate.published import THEIRS
+from gof.evaluate.authors_figures import THEIRS
 from gof.evaluate.scores import VelocityScore
 from gof.evaluate.trivial_baselines import BOUNDS
 from gof.host.terminal import console, progress_bar

@@ -21,7 +21,7 @@ from gof.evaluate.scoring import is_flame_alone
 from gof.host.options import require_number, require_positive
 from gof.host.terminal import console, progress_bar
 from gof.io.importers import ImportOptions
-from gof.io.importers.said import with_said
+from gof.io.importers.sidecar import with_said
 from gof.look.animation import STILL, require_film
 from gof.look.film import FilmOptions, Recorded, fitted, make_film
 from gof.look.panels import Panel, Subject

@@ -14,9 +14,9 @@ from gof.core.cameras import sizes_px
 from gof.core.errors import MissingDependencyError, NonFiniteError
 from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
+from gof.evaluate.authors_figures import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
 from gof.evaluate.depth import read_depth, rmse_to_map
 from gof.evaluate.image import flip, lpips, psnr, ssim, temporal_l2
-from gof.evaluate.published import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
 from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore, PublishedFigures
 
 Progress = Callable[..., None]  # progress(done, total, stage=...)

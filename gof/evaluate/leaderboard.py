@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 
 from gof.core.costs import StageCost, StageLog
 from gof.core.errors import DataFormatError, printable
+from gof.evaluate.authors_figures import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.published import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.scores import Origin, PublishedFigures, Scores
 from gof.evaluate.trivial_baselines import BOUNDS
 

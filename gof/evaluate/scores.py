@@ -138,7 +138,7 @@ class PictureFigures:
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedFigures:
-    """The six that the authors publish, by their definitions (`gof.evaluate.published`)."""
+    """The six that the authors publish, by their definitions (`gof.evaluate.authors_figures`)."""
 
     psnr_flame: float | None = None
     ssim_flame: float | None = None

@@ -35,7 +35,7 @@ from gof.evaluate.sequence import dve_sequence, sanity_warnings
 from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
-from gof.io.importers.said import in_words, with_said
+from gof.io.importers.sidecar import in_words, with_said
 
 NO_PICTURES = "the dataset holds no frame out, so there are no scores of pictures"
 OURS = ("gof", "memory")  # methods whose results without static Gaussians are known to be flames alone

@@ -13,7 +13,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
 from gof.io import compressed, gltf
-from gof.io.importers import Imported, own
+from gof.io.importers import Imported, gof_files
 
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
 
@@ -74,7 +74,7 @@ def _written(
         raise DataFormatError(f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)")
     if out.name.endswith(".ftgs.ply"):
         return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
-    source = own.converted(imported.method, imported.path)
+    source = gof_files.converted(imported.method, imported.path)
     if out.suffix in INSTANT:
         return _save_instant(gaussians, out, time_s, source)
     if out.suffix == "":

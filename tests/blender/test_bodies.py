@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gof_blender.core.checked_json import SpecError
-from gof_blender.pure import bodies, dataset_process, sense
+from gof_blender.pure import bodies, dataset_process, plausibility
 from gof_blender.pure.effects.obstacles import Obstacle, Settings
 from gof_blender.pure.fires import Domain, GridFire
 from gof_blender.pure.layout import Layout
@@ -56,7 +56,7 @@ def test_what_the_gas_does_not_feel_is_said_with_the_obstacle_that_would_be_righ
     assert "'Shelf' is in the domain and no obstacle" in note
     assert "shape box, position (0.1, 0, 0.8), size (0.3, 0.2, 0.2) m" in note
     right = replace(PLAIN, effects=(Settings((Obstacle("box", (0.1, 0.0, 0.8), (0.3, 0.2, 0.2)),)),))
-    assert not [*sense.findings(right)]
+    assert not [*plausibility.findings(right)]
     half_out = bodies.notes(PLAIN, [box((0.4, 0, 0.8), (0.4, 0.2, 0.2))])
     assert "position (0.3, 0, 0.8), size (0.2, 0.2, 0.2) m" in half_out[0], "only what is in the domain"
     (thin,) = bodies.notes(PLAIN, [box((0, 0, 0.8), (0.4, 0.4, 0.01))])

@@ -16,7 +16,7 @@ from gof_benchmark.generator import blender_process
 from gof_benchmark.scenes import FOLDER as SCENES
 from gof_benchmark.solvers.grids import FireFrame, write_fire
 from gof_blender.core.checked_json import SpecError
-from gof_blender.pure import cost_model, sense
+from gof_blender.pure import cost_model, plausibility
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.effects import moving_emitter, obstacles
 from gof_blender.pure.fires import Domain, Fire, GridFire
@@ -35,11 +35,11 @@ POOL = replace(  # the review's: 4 m across in a domain of 12 m
 
 
 def fatal(spec: SceneSpec) -> str:
-    return "; ".join(finding.text for finding in sense.findings(spec) if finding.fatal)
+    return "; ".join(finding.text for finding in plausibility.findings(spec) if finding.fatal)
 
 
 def hints(spec: SceneSpec) -> str:
-    return "; ".join(finding.text for finding in sense.findings(spec) if not finding.fatal)
+    return "; ".join(finding.text for finding in plausibility.findings(spec) if not finding.fatal)
 
 
 def test_scenes_and_fires_of_ours_make_sense():
@@ -121,8 +121,8 @@ def test_what_a_camera_sees_is_what_the_library_projects(roll):
 def test_rooms_refuse_what_does_not_fit_and_the_studio_grows():
     workshop = replace(POOL, background="workshop")
     assert "the shelves of the workshop stand at y = 1.4: they would be in the fire" in fatal(workshop)
-    assert not fatal(POOL) and sense.studio_scale(PLAIN) == 1.0
-    scale = sense.studio_scale(POOL)
+    assert not fatal(POOL) and plausibility.studio_scale(PLAIN) == 1.0
+    scale = plausibility.studio_scale(POOL)
     cameras = positions(POOL.cameras)
     assert 1.95 * scale > 4 and 4 * scale > abs(cameras[:, :2]).max() and 5 * scale > 12
     assert "behind the shelves" in fatal(replace(PLAIN, background="workshop", cameras=Rig(azimuth_deg=90.0)))

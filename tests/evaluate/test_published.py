@@ -11,8 +11,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.evaluate import Scores
-from gof.evaluate.leaderboard import EvaluatedResult, best_rows, rows_of, to_csv, to_markdown
-from gof.evaluate.published import (
+from gof.evaluate.authors_figures import (
     PublishedFigures,
     PublishedFrame,
     drawn_disparity,
@@ -21,6 +20,7 @@ from gof.evaluate.published import (
     published_figures,
     rmse_disparity,
 )
+from gof.evaluate.leaderboard import EvaluatedResult, best_rows, rows_of, to_csv, to_markdown
 from gof.evaluate.scores import Origin, TrivialScore, VelocityScore
 from gof.look.boards import leaderboard_html
 from tests.conftest import look_at

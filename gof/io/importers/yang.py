@@ -17,7 +17,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import plain_color
 from gof.core.ply import activate_scale, quaternions, sigmoid
 from gof.core.rotations import quaternions_wxyz
-from gof.io.importers.authors import is_capture
+from gof.io.importers.paper_code import is_capture
 from gof.io.importers.source import Imported, ImportOptions, Source, array, require_unit
 
 OPTIONS = ("time_unit_s", "time_zero_s", "code_date")

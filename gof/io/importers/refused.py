@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gof.core.errors import DataFormatError
 from gof.core.ply import name_kind
-from gof.io.importers.authors import is_capture
+from gof.io.importers.paper_code import is_capture
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
 EXPORT = (

@@ -150,7 +150,7 @@ def _cameras(spec: SceneSpec) -> Iterator[Finding]:
 
 def _room(spec: SceneSpec) -> Iterator[Finding]:
     """Fire and cameras in built-in surroundings; the studio is built as large as they need."""
-    room, box = ROOMS.get(spec.background), spec.box
+    room, box = FREE_SPACE.get(spec.background), spec.box
     if room is None:
         return
     if box.min[2] < -1e-6:
@@ -199,7 +199,7 @@ def box_text(domain: Domain) -> str:
 
 
 @dataclass(frozen=True)
-class Room:
+class FreeSpace:
     """The free air of surroundings, world metres: from the floor's edges to the wall or what stands before it."""
 
     low: tuple[float, float, float]
@@ -208,18 +208,18 @@ class Room:
     """The thing at the far side, y = high[1]."""
 
 
-ROOMS = {
-    "studio": Room((-4.0, -4.0, 0.0), (4.0, 1.95, 5.0), "backdrop"),
-    "workshop": Room((-4.5, -4.5, 0.0), (4.5, 1.4, 4.0), "shelves"),
-    "classroom": Room((-4.5, -4.5, 0.0), (4.5, 1.0, 4.0), "desks"),
-    "cloister": Room((-5.0, -4.65, 0.0), (5.0, 1.3, 4.0), "arcade"),
+FREE_SPACE = {
+    "studio": FreeSpace((-4.0, -4.0, 0.0), (4.0, 1.95, 5.0), "backdrop"),
+    "workshop": FreeSpace((-4.5, -4.5, 0.0), (4.5, 1.4, 4.0), "shelves"),
+    "classroom": FreeSpace((-4.5, -4.5, 0.0), (4.5, 1.0, 4.0), "desks"),
+    "cloister": FreeSpace((-5.0, -4.65, 0.0), (5.0, 1.3, 4.0), "arcade"),
 }
 SPARE = 1.05
 
 
 def studio_scale(spec: SceneSpec) -> float:
     """Return how many times its own size the studio is built, so that fire and cameras stand in it; 1 where they do."""
-    room, box = ROOMS["studio"], spec.box
+    room, box = FREE_SPACE["studio"], spec.box
     reach = [high / there for high, there in zip(box.max, room.high, strict=True)]
     reach += [low / there for low, there in zip(box.min[:2], room.low[:2], strict=True)]
     cameras = positions(spec.cameras)
