@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,7 +39,7 @@ def all_imports(name: str, path: Path, for_types: bool = False) -> Iterator[tupl
     `from a import b` gives `a.b`, whether b is a module or not.
     """
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = _parsed(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree) if for_types else _executed(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
@@ -46,6 +47,12 @@ def all_imports(name: str, path: Path, for_types: bool = False) -> Iterator[tupl
             base = package[: len(package) - node.level + 1] if node.level else []
             source = ".".join([*base, *([node.module] if node.module else [])])
             yield from ((f"{source}.{alias.name}", node.lineno) for alias in node.names)
+
+
+@cache
+def _parsed(text: str) -> ast.Module:
+    """Return a file's tree, kept: a graph asks for every file, and there are several graphs."""
+    return ast.parse(text)
 
 
 def imports_of(name: str, path: Path, known: dict[str, Path], for_types: bool = False) -> Iterator[tuple[str, int]]:
