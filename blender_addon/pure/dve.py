@@ -67,7 +67,7 @@ class Window:
         return cls(truth.cells(number, *map(slice, start, stop)), start, grid, to_index)
 
     def coordinate(self, points: np.ndarray) -> np.ndarray:
-        """Return World points (N, 3) to continuous cell index: the centre of cell i has i + 0.5."""
+        """Convert world points (N, 3) to continuous cell index: the centre of cell i has i + 0.5."""
         return points @ self.world_to_index[:3, :3].T + self.world_to_index[:3, 3]
 
     def contains(self, coordinate: np.ndarray) -> np.ndarray:
@@ -241,7 +241,7 @@ def expected_velocity(
 
 
 def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
-    """Return (M, 4) unit quaternions wxyz to (M, 3, 3) float64."""
+    """Convert (M, 4) unit quaternions wxyz to (M, 3, 3) float64."""
     w, x, y, z = quaternion.astype(float).T
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

@@ -200,7 +200,7 @@ def frames(spec: SceneSpec, layout: Layout, progress: Progress) -> None:
 
 
 def seen(light: np.ndarray, spec: SceneSpec, camera: int, frame: int, factor: float) -> np.ndarray:
-    """Return rendered light to what the sensor reports: what is drawn over it first, then the exposure, then the
+    """Turn rendered light into what the sensor reports: what is drawn over it first, then the exposure, then the
     sensor."""
     light = effects.overlay(light, spec, camera, frame)
     light = light if factor == 1.0 else factor * light

@@ -90,7 +90,7 @@ class Camera:
         return -R.T @ t
 
     def to_camera(self, points: np.ndarray) -> np.ndarray:
-        """Return World points (N, 3) in metres to camera axes (N, 3) in metres."""
+        """Convert world points (N, 3) in metres to camera axes (N, 3) in metres."""
         return np.asarray(points, np.float64) @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

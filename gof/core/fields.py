@@ -67,7 +67,7 @@ class VelocityField:
         return float(np.cbrt(abs(np.linalg.det(self.index_to_world[:3, :3]))))
 
     def to_index(self, points: np.ndarray) -> np.ndarray:
-        """Return World points (N, 3) m to continuous cell index (N, 3): the centre of cell i has index i + 0.5."""
+        """Convert world points (N, 3) m to continuous cell index (N, 3): the centre of cell i has index i + 0.5."""
         inverse = self._world_to_index
         return np.asarray(points, np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
 

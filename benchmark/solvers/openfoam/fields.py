@@ -120,7 +120,7 @@ class Resampler:
         self._points = np.stack(np.meshgrid(*inside, indexing="ij"), -1)
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
-        """Return (X, Y, Z, ...) of the mesh to (x, y, z, ...) of the grid."""
+        """Turn (X, Y, Z, ...) of the mesh into (x, y, z, ...) of the grid."""
         return RegularGridInterpolator(self._centers, values)(self._points)
 
 
@@ -241,7 +241,7 @@ LAWS = {
 
 
 def planck(temperature_k: np.ndarray) -> np.ndarray:
-    """Return (...) K to (..., 3) W m^-2 sr^-1 nm^-1 at the three wavelengths; below 300 K as at 300 K (nothing)."""
+    """Convert (...) K to (..., 3) W m^-2 sr^-1 nm^-1 at the three wavelengths; below 300 K as at 300 K (nothing)."""
     t = np.maximum(temperature_k, 300.0)[..., None]
     return 1e-9 * C1 / WAVELENGTH_M**5 / np.expm1(C2 / (WAVELENGTH_M * t))
 

@@ -28,7 +28,7 @@ def changes_scene(settings: Any) -> bool:
 
 
 def overlay(light: np.ndarray, spec: SceneSpec, camera: int, frame: int) -> np.ndarray:
-    """Return rendered light (H, W, 3) to the light that reaches the sensor: what effects draw over it."""
+    """Turn rendered light (H, W, 3) into the light that reaches the sensor: what effects draw over it."""
     for settings in spec.effects:
         if hook := _hook(settings, "overlay"):
             light = hook(light, settings, spec, camera, frame)
