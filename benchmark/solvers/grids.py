@@ -99,7 +99,7 @@ class FireGrids:
         return float(np.cbrt(abs(np.linalg.det(self.index_to_world[:3, :3]))))
 
     def centers(self, axis: int) -> np.ndarray:
-        """Return World positions (m) of the cells' centres along an axis."""
+        """Return world positions (m) of the cells' centres along an axis."""
         n = self.velocity.resolution[axis]
         return self.index_to_world[axis, 3] + self.voxel_m * (np.arange(n) + 0.5)
 

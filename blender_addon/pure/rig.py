@@ -103,7 +103,7 @@ HALF_SENSOR = 18.0  # mm of the long side that a focal length refers to
 
 
 def on_the_arc(rig: Rig) -> list[tuple[float, float, float]]:
-    """Return World positions of cameras that are not placed one by one, those for evaluation last."""
+    """Return world positions of cameras that are not placed one by one, those for evaluation last."""
     step = rig.arc_deg / (rig.count - 1) if rig.count > 1 else 0.0
     first = rig.azimuth_deg - (rig.arc_deg / 2 if rig.count > 1 else 0.0)
     places = [(first + index * step, rig.height) for index in range(rig.count)]
@@ -119,7 +119,7 @@ def on_the_arc(rig: Rig) -> list[tuple[float, float, float]]:
 
 
 def around(rig: Rig) -> list[tuple[float, float, float]]:
-    """Return World positions of the cameras around, as far from the point they look at as those for training, and as
+    """Return world positions of the cameras around, as far from the point they look at as those for training, and as
     high."""
     place = np.array([pose.position for pose in rig.placed] or on_the_arc(rig), float)[: rig.count]
     x, y, z = rig.look_at

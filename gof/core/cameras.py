@@ -111,7 +111,7 @@ class Camera:
         return pixels, depth
 
     def unproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Return World points (N, 3) in metres of pixels (N, 2), as `project` gives them, at camera depths (N,) in
+        """Return world points (N, 3) in metres of pixels (N, 2), as `project` gives them, at camera depths (N,) in
         metres."""
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.K).T  # at depth 1
         local = rays * np.asarray(depth, np.float64)[:, None]

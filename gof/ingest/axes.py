@@ -81,7 +81,7 @@ def find_up(
 
 
 def upright_world(world_to_camera: np.ndarray, up: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return World axes for poses in any frame.
+    """Return world axes for poses in any frame.
 
     Z lies along `up` (3,), or the cameras' mean up, X from the first to the last camera (level), the origin where the
     optical axes come nearest to each other.

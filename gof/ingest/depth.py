@@ -145,7 +145,7 @@ def from_relative(relative: np.ndarray, a: float, b: float, farthest: float) -> 
 
 
 def back_project(depth: np.ndarray, picture: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return World points (N, 3) m and colours (N, 3), as in the picture, of the pixels with known depth (H, W) m."""
+    """Return world points (N, 3) m and colours (N, 3), as in the picture, of the pixels with known depth (H, W) m."""
     rows, columns = np.nonzero(np.isfinite(depth))
     points = camera.unproject(np.column_stack([columns, rows]) + 0.5, depth[rows, columns])
     return points, picture[rows, columns]
