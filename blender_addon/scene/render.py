@@ -24,8 +24,8 @@ from ..pure.brightness import Brightness
 from ..pure.effects import absorbs_light, encodes, expose, gain, meters, shows_board
 from ..pure.layout import Layout
 from ..pure.rig import AROUND
-from ..pure.spec import Display, SceneSpec
-from . import effects, images, rig
+from ..pure.spec import SceneSpec
+from . import effects, images, rig, view
 from .fire_objects import find_flame
 
 FLAME_VISIBLE = 0.02
@@ -60,7 +60,7 @@ def configure(spec: SceneSpec) -> None:
     layer = scene.view_layers[0]
     layer.use_pass_z = True
     layer.use_pass_emit = True
-    apply_display(spec.display, scene)
+    view.apply(spec.display, scene)
 
 
 def can_denoise() -> bool:
@@ -339,28 +339,3 @@ def _write_png(path: Path, light: np.ndarray) -> None:
     with atomic_path(path) as draft:
         image.save_render(str(draft), scene=scene)
     bpy.data.images.remove(image)
-
-
-# ----------------------------------------------------------------
-# The scene's colour management as a spec has it.
-
-
-def apply_display(display: Display, scene: bpy.types.Scene) -> None:
-    """Set a scene's view transform and look. Raises SpecError: this Blender does not know one of them."""
-    view = scene.view_settings
-    for name, value in (("view_transform", display.view_transform), ("look", display.look)):
-        try:
-            setattr(view, name, value)
-        except TypeError as error:
-            known = str(error).partition("not found in ")[2]
-            raise SpecError(f"display.{name} must be one of {known}, got {value!r}") from None
-    view.exposure, view.gamma = display.exposure, display.gamma
-
-
-def require_display(display: Display) -> None:
-    """Raise SpecError if this Blender cannot show it so; the open scene stays as it is."""
-    trial = bpy.data.scenes.new("Trial")
-    try:
-        apply_display(display, trial)
-    finally:
-        bpy.data.scenes.remove(trial)

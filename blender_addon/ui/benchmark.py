@@ -19,7 +19,7 @@ from ..pure.presets import PRESETS
 from ..pure.spec import BACKGROUND, BlendFile, SceneSpec
 from ..scene import bodies, compat, place
 from ..scene.backgrounds import blend_file
-from ..scene.render import require_display
+from ..scene.view import require_display
 from . import scene_spec
 from .job_operator import JobOperator, blender
 from .panel import SidebarPanel, number, show_text, write_lines
